@@ -221,6 +221,13 @@ def zone_problem(zone: str) -> str:
     return ""
 
 
+class QualityColumn(_MapPart):
+    """Which words of a `column` mean that a row's readings are `good`; of several columns each is of those before it."""
+
+    column: Names
+    good: Annotated[Names, Field(min_length=1)]
+
+
 class ByColumn(_MapPart):
     """What the cells of a `column` say of each row: the machine that it is of, or the session."""
 
@@ -246,6 +253,7 @@ class ColumnMap(_MapPart):
     `machine` says which machine a trace is of: each `folder` of files is one, each `file` is, all are the one that it
     names, or a `column` says it, as one may say the `session`: each has traces and a clock of its own; models learn how
     much machines differ.
+    `quality`: a column whose words say whether a row's readings are good; others are of bad quality.
     `stored` `on change`: a value holds until the next one of its signal, for `silence` seconds at most (a signal may
     have its own), not over a step of more than the map's `silence` between rows, and stands in the trace every
     `interval` seconds; in a recording that has each row, silence is not known to mean anything.
@@ -269,6 +277,7 @@ class ColumnMap(_MapPart):
     synthetic: bool = False
     machine: Annotated[str, Field(min_length=1)] | ByColumn = "folder"
     session: ByColumn | None = None
+    quality: QualityColumn | None = None
     stored: Literal["each row", "on change"] = "each row"
     silence: Annotated[float, Field(gt=0)] = 3600.0
     interval: Annotated[float, Field(gt=0)] = 10.0

@@ -2,7 +2,7 @@
 
 import json
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -27,7 +27,8 @@ from sim.lab.recordings.mapping.clocks import FoundClock
 from sim.lab.recordings.mapping.columns import FoundColumn, column_of, decimal_of
 from sim.lab.recordings.mapping.decide import Parts, check_temperature, clock_of, parts_of, with_units, with_words
 from sim.lab.recordings.mapping.folder import one_table
-from sim.lab.recordings.mapping.rows import Rows, Stored, rows_of, seconds_of, stored_of
+from sim.lab.recordings.mapping.quality import FoundQuality, quality_of
+from sim.lab.recordings.mapping.rows import Rows, Stored, apart, rows_of, seconds_of, stored_of
 from sim.lab.recordings.mapping.table import FoundTable, find_table, with_rows
 from sim.lab.recordings.mapping.words import current_score, load_score, named_name, named_unit, named_value
 from sim.sha import Array, Trace
@@ -78,6 +79,7 @@ class _Found:
     columns: Sequence[FoundColumn]
     parts: Parts
     rows: Rows
+    quality: FoundQuality
     stored: Stored
     decimal: str
     derived: str
@@ -103,7 +105,9 @@ def draft_map(path: Path, answers: Answers, names: Mapping[str, str] | None = No
     long = _long_form(table, clock)
     series = [""] * times.size if long is None else [f"{row[long.name]}\n{_object(row, long)}" for row in table.rows]
     rows = rows_of(table, clock, times, local, series=series, answers=answers)
-    columns, own, decimal = _columns(table, clock, long, rows, times)
+    taken = {clock.place, clock.date, rows.machine, rows.session}
+    quality = quality_of(table, taken if long is None else taken | {long.name, long.value, long.unit}, answers)
+    columns, own, decimal = _columns(table, clock, long, taken | set(quality.places), apart(table, rows, times))
     columns = [replace(column, name=names.get(column.header, column.name)) for column in columns]
     columns = with_units(path, with_words(path, _named_apart(columns), own, answers), answers)
     parts = parts_of(path, columns, answers)
@@ -117,6 +121,7 @@ def draft_map(path: Path, answers: Answers, names: Mapping[str, str] | None = No
         columns=columns,
         parts=parts,
         rows=rows,
+        quality=quality,
         stored=stored,
         decimal=decimal,
         derived=derived,
@@ -153,7 +158,7 @@ def _object(row: Sequence[str], long: _LongForm) -> str:
 
 def _conclusions(found: _Found) -> list[str]:
     """What was concluded from the readings and not by a name: a person should look at it."""
-    said = list(found.rows.said)
+    said = [*found.rows.said, *([found.quality.said] if found.quality.said else [])]
     if found.stored.on_change:
         said.append(
             f"stored on change: {found.stored.why or 'as --stored says'}; values hold for up to "
@@ -174,11 +179,10 @@ def _conclusions(found: _Found) -> list[str]:
 
 
 def _columns(
-    table: FoundTable, clock: FoundClock, long: _LongForm | None, rows: Rows, times: Array
+    table: FoundTable, clock: FoundClock, long: _LongForm | None, taken: Collection[int | None], times: Array
 ) -> tuple[list[FoundColumn], list[Array], str]:
     """What each column, or each signal of a long file, holds, and the times of its cells; the file's decimal mark."""
     if long is None:
-        taken = {clock.place, clock.date, rows.machine, rows.session}
         places = [p for p in range(len(table.header)) if p not in taken and table.header[p]]
         decimal = decimal_of([table.column(place) for place in places], table.separator)
         found = [column_of(table.header[p], table.titles[p], table.units[p], table.column(p), decimal) for p in places]
@@ -268,6 +272,9 @@ def _text(found: _Found, traces: Sequence[Trace] = (), gap: float | None = None)
     for key, place in (("machine", rows.machine), ("session", rows.session)):
         if place is not None:
             lines.append(f"{key} = {{ column = {quoted(table.header[place])} }}    # each has traces of its own")
+    if found.quality.places:
+        names = _quoted_list([table.header[place] for place in found.quality.places])
+        lines.append(f"quality = {{ column = {names}, good = {_quoted_list(found.quality.good)} }}    # others are refused")
     if stored.on_change:
         lines += [
             'stored = "on change"    # a value holds until the next one',

@@ -26,6 +26,8 @@ _MOST_OWNERS = 500
 """Machines or sessions of one export: more words in a column are readings."""
 _LEFT = 0.02
 """Of the doubled or falling times so many may be left within one machine, as of a recorder's hiccup."""
+_FAR = 1e12
+"""s between machines or sessions whose times are looked at together: no recording lasts so long."""
 _LEAST_STEPS = 3
 """Steps between a column's readings below which they show no habit."""
 _LONG_STEPS = 3.0
@@ -44,6 +46,8 @@ _FEW_SOON = 0.05
 """Share of steps, at least, that come sooner, or there is one usual step and no longest silence."""
 _MARGIN = 1.5
 """Of the longest silence that is seen: another export of the same recorder has a somewhat longer one."""
+_WIDE_MARGIN = 3.0
+"""The same where no longest time of the recorder shows: how long a load stays as it is has no limit, but a habit."""
 _MOST_HELD = 1_000_000
 """Rows that held values may make of the sample: more take longer to learn from than they teach."""
 _OUTAGE = 6.0
@@ -111,6 +115,12 @@ def rows_of(
         timezone=timezone,
         said=tuple(said),
     )
+
+
+def apart(table: FoundTable, rows: Rows, times: Array) -> Array:
+    """The times with those of each machine and session far from those of others: no step leads from one to another."""
+    places = [place for place in (rows.machine, rows.session) if place is not None]
+    return times + _FAR * _codes([tuple(row[place] for place in places) for row in table.rows])
 
 
 def _codes(names: Sequence[object]) -> Array:
@@ -310,17 +320,18 @@ def stored_of(
     """
     every = np.unique(np.concatenate([each[np.isfinite(each)] for each in times]))
     steps = np.diff(every)
+    steps = steps[steps < _FAR / 2]
     if steps.size < _LEAST_STEPS or answers.stored == "each row":
         return Stored(False)
     looks = {
-        column.header: _looks_stored(own, column, every)
+        column.header: _looks_stored(own, column, every.size, float(steps.sum()))
         for column, own in zip(columns, times, strict=True)
         if column.kind in ("number", "switch", "states")
     }
     own = looks[temperature.header]
     # The temperature's own steps: tags of a scan may stand a second apart.
     interval = _interval(steps if own is None else own.steps)
-    kept = Stored(True, _holds(steps), interval, {name: float(np.ptp(every)) if look is None else look.holds for name, look in looks.items()})
+    kept = Stored(True, _holds(steps), interval, {name: float(steps.sum()) if look is None else look.holds for name, look in looks.items()})
     if answers.stored:
         return kept
     told = [look for look in looks.values() if look is not None]
@@ -360,15 +371,15 @@ class _Look:
     holds: float
 
 
-def _looks_stored(times: Array, column: FoundColumn, every: Array) -> _Look | None:
-    """How the readings of a column look, among the times of all; None for too few."""
+def _looks_stored(times: Array, column: FoundColumn, rows: int, span: float) -> _Look | None:
+    """How the readings of a column look, beside so many `rows` of all in `span` s; None for too few."""
     if column.kind == "number":
         known, values = np.isfinite(column.values), column.values
     else:
         known, values = np.array([bool(cell) for cell in column.cells], dtype=bool), _codes(column.cells)
     order = np.argsort(times[known], kind="stable")
     steps, moves = np.diff(times[known][order]), np.abs(np.diff(values[known][order]))
-    steps, moves = steps[steps > 0], moves[steps > 0]
+    steps, moves = steps[(steps > 0) & (steps < _FAR / 2)], moves[(steps > 0) & (steps < _FAR / 2)]
     if steps.size < _LEAST_STEPS:
         return None
     longest = _longest_silence(steps)
@@ -378,14 +389,14 @@ def _looks_stored(times: Array, column: FoundColumn, every: Array) -> _Look | No
     beats = int((~soon).sum()) >= _LEAST_STEPS
     repeated, scan = float((moves[told] == 0).mean()), float(np.quantile(steps, 0.05))
     silent = float(steps[steps > _LONG_STEPS * scan].sum() / steps.sum())
-    sparse = known.sum() < _SPARSE * every.size
+    sparse = known.sum() < _SPARSE * rows
     usual = float(np.median(steps[told]))
     uneven = float((np.abs(steps - usual) > 0.5 * usual).mean()) > _UNEVEN
     may = repeated < _REPEATED and uneven
     # Noise makes small steps too, an exception none below its deadband.
     apart = float(np.quantile(moves[told], 0.05)) >= _APART * float(np.median(moves[told]))
     # A switch that is never told anew says by its silence that it did not change, however long that is.
-    holds = _holds(steps) if column.kind == "number" or beats else float(np.ptp(every))
+    holds = _holds(steps, beats=beats) if column.kind == "number" or beats else span
     return _Look(may, may and ((silent >= _SILENT and apart) or bool(sparse)), repeated, silent, steps, holds)
 
 
@@ -393,9 +404,9 @@ def _interval(steps: Array) -> float:
     return max(float(f"{max(float(np.quantile(steps, 0.05)), float(steps.sum()) / _MOST_HELD):.3g}"), 1.0)
 
 
-def _holds(steps: Array) -> float:
-    """For how long silence means as before: half as long again as the longest one was."""
-    return float(np.ceil(_MARGIN * _longest_silence(steps)))
+def _holds(steps: Array, *, beats: bool = True) -> float:
+    """For how long silence means as before: somewhat longer than the longest one was, if that is a recorder's."""
+    return float(np.ceil((_MARGIN if beats else _WIDE_MARGIN) * _longest_silence(steps)))
 
 
 def _longest_silence(steps: Array) -> float:
