@@ -74,10 +74,24 @@ class Trace:
             held={name: column[rows] for name, column in self.held.items()},
         )
 
-    def read(self, signal: str) -> Array:
-        """(n,) what was read of a signal in each row: NaN also where a reading only holds."""
-        column = self.signals[signal]
-        return np.where(self.held[signal], np.nan, column) if signal in self.held else column
+    def drawn(self, signal: str) -> Array:
+        """(n,) the course of a signal as it most likely was: where a reading only holds, on the way to the next one.
+
+        It came there no more slowly than it went on from there: what held for long, as at rest, moved at its end only.
+        """
+        column, held = self.signals[signal], self.held.get(signal)
+        if held is None:
+            return column
+        at = np.flatnonzero(np.isfinite(column) & ~held)
+        if at.size < 2:
+            return column
+        times = self.times[at]
+        steps = np.diff(times)
+        after = np.append(steps[1:], steps[-1])
+        moves = np.where(steps > _RESTED * after, after, steps)
+        knots = np.column_stack([times[:-1], times[1:] - moves]).ravel()
+        course = np.interp(self.times, np.append(knots, times[-1]), np.append(np.repeat(column[at[:-1]], 2), column[at[-1]]))
+        return np.where(np.isfinite(column), course, np.nan)
 
 
 def holds_roughly(times: Array, values: Array) -> bool:
@@ -95,6 +109,8 @@ def holds_roughly(times: Array, values: Array) -> bool:
     return told.size > 0 and bool(np.quantile(told, 0.05) > 2.0 * finest.min())
 
 
+_RESTED = 3.0
+"""A reading that held for so many times as long as the next one did was at rest at first."""
 SOON = 0.9
 """Of the longest silence: what comes later is stored because the recorder's longest time is over, give or take a scan.
 """

@@ -48,6 +48,8 @@ _MARGIN = 1.5
 """Of the longest silence that is seen: another export of the same recorder has a somewhat longer one."""
 _WIDE_MARGIN = 3.0
 """The same where no longest time of the recorder shows: how long a load stays as it is has no limit, but a habit."""
+_FINEST = 10.0
+"""s between held values at least: of the shortest horizon of a forecast, a minute, a sixth."""
 _MOST_HELD = 1_000_000
 """Rows that held values may make of the sample: more take longer to learn from than they teach."""
 _OUTAGE = 6.0
@@ -324,21 +326,22 @@ def stored_of(
     if steps.size < _LEAST_STEPS or answers.stored == "each row":
         return Stored(False)
     looks = {
-        column.header: _looks_stored(own, column, every.size, float(steps.sum()))
+        column.header: _looks_stored(own, column, every.size, steps)
         for column, own in zip(columns, times, strict=True)
         if column.kind in ("number", "switch", "states")
     }
     own = looks[temperature.header]
-    # The temperature's own steps: tags of a scan may stand a second apart.
-    interval = _interval(steps if own is None else own.steps)
+    # A column's own steps: tags of a scan may stand a second apart.
+    scans = [float(np.quantile(look.steps, 0.05)) for look in looks.values() if look is not None]
+    interval = _interval(min(scans, default=0.0), steps)
     kept = Stored(True, _holds(steps), interval, {name: float(steps.sum()) if look is None else look.holds for name, look in looks.items()})
     if answers.stored:
         return kept
     told = [look for look in looks.values() if look is not None]
-    # One that repeats what it was is polled, and so are all of its scan.
-    if own is None or any(look.repeated >= _REPEATED for look in told):
+    # One that repeats what it was is polled.
+    if own is None or own.repeated >= _REPEATED:
         return Stored(False)
-    if any(look.surely for look in told):
+    if own.surely or (any(look.surely for look in told) and all(look.repeated < _REPEATED for look in told)):
         return replace(
             kept,
             why=f"values stand where they change, repeated in {own.repeated:.0%} of the readings; {own.silent:.0%} "
@@ -371,8 +374,8 @@ class _Look:
     holds: float
 
 
-def _looks_stored(times: Array, column: FoundColumn, rows: int, span: float) -> _Look | None:
-    """How the readings of a column look, beside so many `rows` of all in `span` s; None for too few."""
+def _looks_stored(times: Array, column: FoundColumn, rows: int, every: Array) -> _Look | None:
+    """How the readings of a column look, beside so many `rows` of all with the steps `every`; None for too few."""
     if column.kind == "number":
         known, values = np.isfinite(column.values), column.values
     else:
@@ -388,6 +391,9 @@ def _looks_stored(times: Array, column: FoundColumn, rows: int, span: float) -> 
     told = soon if soon.mean() > _FEW_SOON else np.ones(steps.shape, dtype=bool)
     beats = int((~soon).sum()) >= _LEAST_STEPS
     repeated, scan = float((moves[told] == 0).mean()), float(np.quantile(steps, 0.05))
+    if told.all() and scan > _LONG_STEPS * float(np.quantile(every, 0.05)):
+        # It is told only when the longest time is over, or polled more slowly than others: neither speaks.
+        repeated = 0.0
     silent = float(steps[steps > _LONG_STEPS * scan].sum() / steps.sum())
     sparse = known.sum() < _SPARSE * rows
     usual = float(np.median(steps[told]))
@@ -396,12 +402,12 @@ def _looks_stored(times: Array, column: FoundColumn, rows: int, span: float) -> 
     # Noise makes small steps too, an exception none below its deadband.
     apart = float(np.quantile(moves[told], 0.05)) >= _APART * float(np.median(moves[told]))
     # A switch that is never told anew says by its silence that it did not change, however long that is.
-    holds = _holds(steps, beats=beats) if column.kind == "number" or beats else span
+    holds = _holds(steps, beats=beats) if column.kind == "number" or beats else float(every.sum())
     return _Look(may, may and ((silent >= _SILENT and apart) or bool(sparse)), repeated, silent, steps, holds)
 
 
-def _interval(steps: Array) -> float:
-    return max(float(f"{max(float(np.quantile(steps, 0.05)), float(steps.sum()) / _MOST_HELD):.3g}"), 1.0)
+def _interval(scan: float, steps: Array) -> float:
+    return float(f"{max(scan, float(steps.sum()) / _MOST_HELD, _FINEST):.3g}")
 
 
 def _holds(steps: Array, *, beats: bool = True) -> float:
