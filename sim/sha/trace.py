@@ -102,7 +102,8 @@ def holds_roughly(times: Array, values: Array) -> bool:
     """
     known = np.isfinite(values)
     steps, moves = np.diff(times[known]), np.abs(np.diff(values[known]))
-    told = moves[(steps < SOON * steps.max(initial=0.0)) & (moves > 0)]
+    scan = float(np.quantile(steps, 0.05)) if steps.size else 0.0
+    told = moves[(steps < SOON * (steps.max(initial=0.0) - scan)) & (moves > 0)]
     finest = np.diff(np.unique(values[known]))
     # Decimals that are rounded differ in their last binary digits too.
     finest = finest[finest > 1e-9 * np.abs(values[known]).max(initial=0.0)]
@@ -112,8 +113,8 @@ def holds_roughly(times: Array, values: Array) -> bool:
 _RESTED = 3.0
 """A reading that held for so many times as long as the next one did was at rest at first."""
 SOON = 0.9
-"""Of the longest silence: what comes later is stored because the recorder's longest time is over, give or take a scan.
-"""
+"""Of the longest silence: what comes later is stored because the recorder's longest time is over, give or take a scan
+and this share."""
 
 
 def unit_of(traces: Iterable[Trace], signal: str, otherwise: str = DEGREES) -> str:

@@ -13,7 +13,7 @@ from gateway.console import emit, json_option, map_option, progress, seed_option
 from gateway.entry import sentences
 from gateway.lab.learning.familiar import familiarity_files, trained_familiarity
 from gateway.lab.models.show import show_model, spread_sentence, summary
-from gateway.lab.traces.load import load, warned_of
+from gateway.lab.traces.load import load_reported, warned_of
 from sim.lab.formats import check_free, write_model_directory
 from sim.lab.learning import machine_corrections
 from sim.lab.learning.lsha import FLOW_KINDS, LshaSettings
@@ -74,7 +74,7 @@ def learn(
             option = {"complete": "observed-edges"}.get(first, first.replace("_", "-"))
             raise ValueError(f"--{option} belongs to --method lsha; leave it out, or choose that method")
         check_free(out, name)  # nobody waits for a model that cannot be written
-        traces, column_map = load(paths, map_name)
+        traces, column_map, read = load_reported(paths, map_name)
         warnings = warned_of(traces, column_map.alphabet)
         if method == "lsha":
             from sim.lab.learning.lsha import learn_lsha, report_document, report_text
@@ -109,8 +109,10 @@ def learn(
     data = {"model": str(out), "file": str(written), **summary(model), "diagnostics": shown}
     cycles = 0 if familiar is None else familiar.reference.held_out.size
     data |= {"familiar_cycles": cycles, "machines": asdict(spread), "warnings": warnings}
+    data |= {"account": read.account()}
 
     def show() -> None:
+        click.echo(read.account())
         show_model(model)
         for title, rows in shown.items():
             if rows:

@@ -387,9 +387,12 @@ def _looks_stored(times: Array, column: FoundColumn, rows: int, every: Array) ->
         return None
     longest = _longest_silence(steps)
     # What is stored because so long nothing changed may repeat what it was; what comes sooner has changed.
-    soon = steps < SOON * longest
-    told = soon if soon.mean() > _FEW_SOON else np.ones(steps.shape, dtype=bool)
+    soon = steps < SOON * (longest - float(np.quantile(every, 0.05)))
     beats = int((~soon).sum()) >= _LEAST_STEPS
+    # Between the beats of a recorder stands only what moved farther than from beat to beat.
+    between = beats and int(soon.sum()) >= _LEAST_STEPS
+    between = between and float(np.quantile(moves[soon], 0.05)) > float(np.quantile(moves[~soon], 0.9))
+    told = soon if between or soon.mean() > _FEW_SOON else np.ones(steps.shape, dtype=bool)
     repeated, scan = float((moves[told] == 0).mean()), float(np.quantile(steps, 0.05))
     if told.all() and scan > _LONG_STEPS * float(np.quantile(every, 0.05)):
         # It is told only when the longest time is over, or polled more slowly than others: neither speaks.
@@ -398,12 +401,12 @@ def _looks_stored(times: Array, column: FoundColumn, rows: int, every: Array) ->
     sparse = known.sum() < _SPARSE * rows
     usual = float(np.median(steps[told]))
     uneven = float((np.abs(steps - usual) > 0.5 * usual).mean()) > _UNEVEN
-    may = repeated < _REPEATED and uneven
+    may = repeated < _REPEATED and (uneven or between)
     # Noise makes small steps too, an exception none below its deadband.
     apart = float(np.quantile(moves[told], 0.05)) >= _APART * float(np.median(moves[told]))
     # A switch that is never told anew says by its silence that it did not change, however long that is.
     holds = _holds(steps, beats=beats) if column.kind == "number" or beats else float(every.sum())
-    return _Look(may, may and ((silent >= _SILENT and apart) or bool(sparse)), repeated, silent, steps, holds)
+    return _Look(may, may and (between or (silent >= _SILENT and apart) or bool(sparse)), repeated, silent, steps, holds)
 
 
 def _interval(scan: float, steps: Array) -> float:
