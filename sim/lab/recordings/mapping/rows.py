@@ -347,11 +347,14 @@ def stored_of(
             why=f"values stand where they change, repeated in {own.repeated:.0%} of the readings; {own.silent:.0%} "
             "of the time is silence",
         )
-    if not own.may or own.silent < _SILENT:
+    seldom = next((name for name, look in looks.items() if look is not None and look.surely), "")
+    if not seldom and (not own.may or own.silent < _SILENT):
         return Stored(False)
+    name = seldom or temperature.header
+    silent = next(look.silent for header, look in looks.items() if look is not None and header == name)
     raise Undecided(
         table.path,
-        f"{own.silent:.0%} of the time has no reading of {temperature.header!r}, whose values never repeat: it "
+        f"{silent:.0%} of the time has no reading of {name!r}, whose values never repeat: it "
         "may be stored on change, so that silence means as before, or each row may be there and the rest unknown",
         "stored",
         ["on change", "each row"],

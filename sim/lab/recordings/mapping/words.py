@@ -29,7 +29,7 @@ _RUNNING = re.compile(
 )
 _ALARM = re.compile(r"alarm|allarm|fault|stör|guasto|défaut|fallo|error|quality|qualit|valid", re.IGNORECASE)
 _TIME = re.compile(
-    r"time|zeit|datum|date|data\b|\bora\b|tempo\b|heure|horodat|temps|fecha|hora|stamp|\bt\b|\bts\b|clock|epoch|\bsec",
+    r"time|elapsed|^t_(?:ms|s|sec|min|h)$|zeit|datum|date|data\b|\bora\b|tempo\b|heure|horodat|temps|fecha|hora|stamp|\bt\b|\bts\b|clock|epoch|\bsec",
     re.IGNORECASE,
 )
 _NAME = re.compile(
