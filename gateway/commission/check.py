@@ -169,6 +169,10 @@ def _models(site: Site) -> list[CheckStep]:
         own = f", as a new machine of the type of {', '.join(loaded.model.machines)}" if loaded.model.machines else own
         sentence = f"{loaded.model.sha.name} ({loaded.hash[:12]}) predicts {tag}{own}"
         steps.append(warning("model", f"{sentence}; {loaded.warning}") if loaded.warning else ok("model", sentence))
+        gap = loaded.model.alphabet.gap
+        if (period := period_of(site)) > gap:
+            slow = f"every {period:g} s is scanned, and after {gap:g} s without a reading its state is unknown"
+            steps.append(failed("model", f"{loaded.model.sha.name}: {slow}; scan faster, or learn from rows as far apart"))
     return steps
 
 
@@ -223,7 +227,8 @@ async def _heartbeat(site: Site, before: Sequence[Sample]) -> list[CheckStep]:
     device, config = device_of(site), site.target.config
     if device.heartbeat is None:
         sentence = (
-            "no heartbeat is named: a program that stands still cannot be told from one at rest (bind --heartbeat TAG)"
+            "no heartbeat is named: a program that stands still cannot be told from one at rest (decanter "
+            "plc bind --heartbeat TAG)"
         )
         return [warning("heartbeat", sentence)]
     first = next(sample.value for sample in before if sample.tag == device.heartbeat)
