@@ -107,7 +107,7 @@ def holds_roughly(times: Array, values: Array) -> bool:
     finest = np.diff(np.unique(values[known]))
     # Decimals that are rounded differ in their last binary digits too.
     finest = finest[finest > 1e-9 * np.abs(values[known]).max(initial=0.0)]
-    return told.size > 0 and bool(np.quantile(told, 0.05) > 2.0 * finest.min())
+    return told.size > 0 and bool(np.quantile(told, 0.01) > 2.0 * finest.min())
 
 
 _RESTED = 3.0

@@ -170,6 +170,9 @@ def _owners(
     chosen: tuple[int, ...] = ()
     if before > _LEFT * times.size or (before and _falls(times, inside)):
         singles = [place for place in few if left([place]) <= _LEFT * before]
+        # In autumn each machine's clock goes back once, too, for each of its signals.
+        nights = {place: len(set(few[place])) * len(np.unique(inside)) for place in few if surely_machine(header[place])}
+        singles += [place for place, most in nights.items() if place not in singles and left([place]) <= most < before]
         named = [place for place in singles if named_machine(header[place]) or named_session(header[place])]
         if singles:
             chosen = (min(named or singles, key=lambda place: (len(set(few[place])), place)),)
