@@ -189,7 +189,9 @@ _FILE = click.Path(path_type=Path)
 @click.command(short_help="Compare with the HMI: two values per analogue, both states per bool.")
 @click.option("--against", "listed", type=_FILE, help="Readings of the HMI (CSV, XLSX): tag, value and, if any, time.")
 @click.option("--only", multiple=True, metavar="TAG", help="Only this tag; may be given again.")
-@click.option("--readings", type=_FILE, help="For readings with times: what was recorded (decanter plc soak --record, historian).")
+@click.option(
+    "--readings", type=_FILE, help="For readings with times: what was recorded (decanter plc soak --record, historian)."
+)
 @click.option("--within", type=click.FloatRange(0), default=2.0, show_default=True, help="Seconds around such a time.")
 @click.option("--clock-offset", type=float, default=0.0, help="Seconds by which the HMI's clock is ahead.")
 @click.option("--tolerance", "slack", type=click.FloatRange(0), default=0.0, help="Engineering units beside rounding.")

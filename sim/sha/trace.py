@@ -29,9 +29,9 @@ class Trace:
     """n rows on one clock: `times` (n,) in absolute seconds, never decreasing; `signals` name -> (n,) floats.
 
     Booleans are 0.0 and 1.0. NaN says "no new reading in this row", nothing more; `bad` name -> (n,) marks readings
-    whose quality was bad (their value is NaN too). `held` name -> (n,) marks rows that no reading of its own stands in: the
-    one before it still holds there, to within the deadband of what stored it. `events` are empty until encoded. `origin` says where the rows come
-    from (file, scenario and seed), `machine` which of several machines they are of ("": nobody says) and `synthetic`
+    whose quality was bad (their value is NaN too). `held` name -> (n,) marks rows in which no reading of its own stands:
+    the one before still holds there, to within the deadband of what stored it. `events` are empty until encoded.
+    `origin` says where the rows come from (file, scenario and seed), `machine` which of several machines they are of ("": nobody says) and `synthetic`
     that no plant produced them. `units` are those of the signals, as far as they are known. Raises ValueError on shapes
     that do not match and on times that go back.
     """
@@ -90,7 +90,9 @@ class Trace:
         after = np.append(steps[1:], steps[-1])
         moves = np.where(steps > _RESTED * after, after, steps)
         knots = np.column_stack([times[:-1], times[1:] - moves]).ravel()
-        course = np.interp(self.times, np.append(knots, times[-1]), np.append(np.repeat(column[at[:-1]], 2), column[at[-1]]))
+        course = np.interp(
+            self.times, np.append(knots, times[-1]), np.append(np.repeat(column[at[:-1]], 2), column[at[-1]])
+        )
         return np.where(np.isfinite(column), course, np.nan)
 
 

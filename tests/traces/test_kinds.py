@@ -3,6 +3,7 @@
 import zipfile
 from dataclasses import replace
 from datetime import datetime
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -42,9 +43,12 @@ def test_each_reading_of_a_long_file_has_its_own_quality_and_unknown_words_are_a
 
 
 def test_each_value_with_a_clock_of_its_own_is_refused_where_these_differ(tmp_path: Path) -> None:
-    cells = [(f"{moment}", heat, current) for moment, heat, current in zip(PLANT.moments, PLANT.heat, PLANT.current)]
+    cells = [
+        (f"{moment}", heat, current)
+        for moment, heat, current in zip(PLANT.moments, PLANT.heat, PLANT.current, strict=True)
+    ]
     same = [f"{moment},{heat},{moment},{current}" for moment, heat, current in cells]
-    other = [f"{a[0]},{a[1]},{b[0]},{b[2]}" for a, b in zip(cells[:-1], cells[1:], strict=True)]
+    other = [f"{a[0]},{a[1]},{b[0]},{b[2]}" for a, b in pairwise(cells)]
     header = "Time,Bearing temperature,Time,Motor current"
     assert "a clock of its own" in asked(written(tmp_path / "a.csv", header, other), tmp_path / "m.toml")
     (trace,), _, _ = mapped(written(tmp_path / "b.csv", header, same), tmp_path / "m.toml")
@@ -52,7 +56,9 @@ def test_each_value_with_a_clock_of_its_own_is_refused_where_these_differ(tmp_pa
 
 
 @pytest.mark.parametrize("ambient", [14.0, 21.5])
-def test_tenths_of_a_degree_are_asked_for_also_of_a_bearing_that_rests_in_the_cold(ambient: float, tmp_path: Path) -> None:
+def test_tenths_of_a_degree_are_asked_for_also_of_a_bearing_that_rests_in_the_cold(
+    ambient: float, tmp_path: Path
+) -> None:
     plant = recording(ambient=ambient)
     tenths = replace(plant, heat=np.round(plant.heat * 10))
     export = wide(tmp_path / "a.csv", of=tenths, cells=(lambda value: f"{value:.0f}", str, str))
@@ -94,7 +100,7 @@ def test_a_temperature_by_its_tag_is_not_passed_over_for_one_by_its_word(name: s
 
 @pytest.mark.parametrize("header", ["Time;Bearing temperature", "Time,Bearing temperature"])
 def test_decimal_commas_of_two_columns_are_no_separators(header: str, tmp_path: Path) -> None:
-    rows = [f"{m:%d.%m.%Y %H:%M:%S};{heat:.2f}".replace(".", ".") for m, heat in zip(PLANT.moments, PLANT.heat)]
+    rows = [f"{m:%d.%m.%Y %H:%M:%S};{heat:.2f}" for m, heat in zip(PLANT.moments, PLANT.heat, strict=True)]
     rows = [row[:20] + row[20:].replace(".", ",") for row in rows]
     export = written(tmp_path / "a.csv", header, rows)
     (trace,), _, _ = mapped(export, tmp_path / "m.toml")
@@ -122,3 +128,16 @@ def test_a_workbook_that_unpacks_to_more_than_is_opened_is_refused(
     assert "the most that is opened" in said
     with pytest.raises(TraceError, match="the most that is opened"):
         load_traces(tmp_path / "a.xlsx", load_map(shipped("traces", "decanter")))
+
+
+def test_the_order_of_dates_is_seen_in_all_rows_though_the_first_are_of_one_day(tmp_path: Path) -> None:
+    """The language says day first; the month goes on from row to row, and the day after midnight."""
+    plant = recording(step=60.0, times=45)
+    export = wide(
+        tmp_path / "a.csv",
+        header="Zeitstempel,Lagertemperatur,Motorstrom,Betrieb",
+        clock=lambda moment: moment.replace(month=5, day=moment.day - 11).strftime("%m/%d/%y %H:%M:%S"),
+        of=plant,
+    )
+    (trace,), _, _ = mapped(export, tmp_path / "m.toml")
+    assert trace.times[-1] - trace.times[0] == plant.seconds[-1]

@@ -74,7 +74,9 @@ def commands(group: click.Command, name: str = "") -> dict[str, click.Command]:
 
 
 def named_options(command: click.Command) -> set[str]:
-    given = (name for each in command.params if isinstance(each, click.Option) for name in each.opts + each.secondary_opts)
+    given = (
+        name for each in command.params if isinstance(each, click.Option) for name in each.opts + each.secondary_opts
+    )
     return {name.removeprefix("--") for name in given} | {"help", "version"}
 
 

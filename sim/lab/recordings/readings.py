@@ -197,9 +197,7 @@ def _convert(
     return values, {f"{name} is {why}": mask for why, mask in faults.items() if mask.any()}
 
 
-def _not_good(
-    header: Sequence[str], place: int, rows: Sequence[Sequence[str]], column_map: ColumnMap
-) -> Mask:
+def _not_good(header: Sequence[str], place: int, rows: Sequence[Sequence[str]], column_map: ColumnMap) -> Mask:
     """(n,) the rows whose reading in the column at `place` is not good, by the column that says so."""
     quality = column_map.quality
     places = [] if quality is None else _quality_places(header, column_map)

@@ -25,10 +25,18 @@ from sim.lab.recordings import (
 from sim.lab.recordings.mapping.answers import Answers
 from sim.lab.recordings.mapping.clocks import FoundClock
 from sim.lab.recordings.mapping.columns import FoundColumn, column_of, decimal_of
-from sim.lab.recordings.mapping.decide import Parts, check_temperature, clock_of, parts_of, with_units, with_words
+from sim.lab.recordings.mapping.decide import (
+    Parts,
+    check_temperature,
+    clock_of,
+    parts_of,
+    seconds_of,
+    with_units,
+    with_words,
+)
 from sim.lab.recordings.mapping.folder import one_table
 from sim.lab.recordings.mapping.quality import FoundQuality, quality_of
-from sim.lab.recordings.mapping.rows import Rows, Stored, apart, rows_of, seconds_of, stored_of
+from sim.lab.recordings.mapping.rows import Rows, Stored, apart, rows_of, stored_of
 from sim.lab.recordings.mapping.table import FoundTable, find_table, with_rows
 from sim.lab.recordings.mapping.words import current_score, load_score, named_name, named_unit, named_value
 from sim.sha import Array, Trace
@@ -274,7 +282,9 @@ def _text(found: _Found, traces: Sequence[Trace] = (), gap: float | None = None)
             lines.append(f"{key} = {{ column = {quoted(table.header[place])} }}    # each has traces of its own")
     if found.quality.places:
         names = _quoted_list([table.header[place] for place in found.quality.places])
-        lines.append(f"quality = {{ column = {names}, good = {_quoted_list(found.quality.good)} }}    # others are refused")
+        lines.append(
+            f"quality = {{ column = {names}, good = {_quoted_list(found.quality.good)} }}    # others are refused"
+        )
     if stored.on_change:
         lines += [
             'stored = "on change"    # a value holds until the next one',

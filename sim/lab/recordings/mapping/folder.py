@@ -10,8 +10,7 @@ import numpy as np
 from sim.lab.recordings import TraceError, folded, listed, stem_of
 from sim.lab.recordings.mapping.answers import Answers
 from sim.lab.recordings.mapping.clocks import FoundClock
-from sim.lab.recordings.mapping.decide import clock_of
-from sim.lab.recordings.mapping.rows import seconds_of
+from sim.lab.recordings.mapping.decide import clock_of, seconds_of
 from sim.lab.recordings.mapping.table import FoundTable, find_table
 
 

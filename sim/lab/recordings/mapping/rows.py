@@ -7,7 +7,7 @@ from itertools import pairwise, product
 
 import numpy as np
 
-from sim.lab.recordings import ClockColumns, listed, longest_rising, numbers, read_clock, to_utc, unroll_midnight
+from sim.lab.recordings import listed, longest_rising, numbers, to_utc
 from sim.lab.recordings.mapping.answers import Answers, Undecided
 from sim.lab.recordings.mapping.clocks import FoundClock
 from sim.lab.recordings.mapping.columns import FoundColumn
@@ -66,14 +66,6 @@ class Rows:
     clock_back: str
     timezone: str
     said: tuple[str, ...]
-
-
-def seconds_of(table: FoundTable, clock: FoundClock) -> tuple[Array, Mask]:
-    """The times of the sample's rows as the clock reads them (NaN: none), and which of them are local."""
-    columns = ClockColumns(column="t", date="d" if clock.date is not None else (), formats=clock.formats)
-    cells = [table.column(clock.place), *([] if clock.date is None else [table.column(clock.date)])]
-    times, local = read_clock(columns, cells, clock.decimal)
-    return (unroll_midnight(times) if columns.daily else times), local
 
 
 def rows_of(
@@ -171,7 +163,9 @@ def _owners(
     if before > _LEFT * times.size or (before and _falls(times, inside)):
         singles = [place for place in few if left([place]) <= _LEFT * before]
         # In autumn each machine's clock goes back once, too, for each of its signals.
-        nights = {place: len(set(few[place])) * len(np.unique(inside)) for place in few if surely_machine(header[place])}
+        nights = {
+            place: len(set(few[place])) * len(np.unique(inside)) for place in few if surely_machine(header[place])
+        }
         singles += [place for place, most in nights.items() if place not in singles and left([place]) <= most < before]
         named = [place for place in singles if named_machine(header[place]) or named_session(header[place])]
         if singles:
@@ -337,7 +331,12 @@ def stored_of(
     # A column's own steps: tags of a scan may stand a second apart.
     scans = [float(np.quantile(look.steps, 0.05)) for look in looks.values() if look is not None]
     interval = _interval(min(scans, default=0.0), steps)
-    kept = Stored(True, _holds(steps), interval, {name: float(steps.sum()) if look is None else look.holds for name, look in looks.items()})
+    kept = Stored(
+        True,
+        _holds(steps),
+        interval,
+        {name: float(steps.sum()) if look is None else look.holds for name, look in looks.items()},
+    )
     if answers.stored:
         return kept
     told = [look for look in looks.values() if look is not None]
@@ -412,7 +411,9 @@ def _looks_stored(times: Array, column: FoundColumn, rows: int, every: Array) ->
     apart = float(np.quantile(moves[told], 0.05)) >= _APART * float(np.median(moves[told]))
     # A switch that is never told anew says by its silence that it did not change, however long that is.
     holds = _holds(steps, beats=beats) if column.kind == "number" or beats else float(every.sum())
-    return _Look(may, may and (between or (silent >= _SILENT and apart) or bool(sparse)), repeated, silent, steps, holds)
+    return _Look(
+        may, may and (between or (silent >= _SILENT and apart) or bool(sparse)), repeated, silent, steps, holds
+    )
 
 
 def _interval(scan: float, steps: Array) -> float:

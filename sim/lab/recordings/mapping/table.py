@@ -193,8 +193,10 @@ def _is_data(row: Sequence[str]) -> bool:
 
 def _counts_time(above: Sequence[str], row: Sequence[str]) -> bool:
     """Whether a number stands under a name that speaks of time, in a row of names."""
-    return len(above) == len(row) and not any(map(_numeric, filter(None, above))) and any(
-        named_time(name) and _numeric(cell) for name, cell in zip(above, row, strict=True) if cell
+    return (
+        len(above) == len(row)
+        and not any(map(_numeric, filter(None, above)))
+        and any(named_time(name) and _numeric(cell) for name, cell in zip(above, row, strict=True) if cell)
     )
 
 
