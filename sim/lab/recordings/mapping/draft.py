@@ -288,7 +288,7 @@ def _text(found: _Found, traces: Sequence[Trace] = (), gap: float | None = None)
     if stored.on_change:
         lines += [
             'stored = "on change"    # a value holds until the next one',
-            f"silence = {stored.silence:g}    # s: of the recorder and of each signal that names no other; longer is unknown",
+            f"silence = {stored.silence:g}    # s: of the recorder and of signals that name no other; then unknown",
             f"interval = {stored.interval:g}    # s: how often held values stand in a trace",
         ]
     if long is not None:

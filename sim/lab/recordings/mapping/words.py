@@ -8,7 +8,9 @@ from sim.lab.recordings import KEPT, known_unit
 # JI101
 # and SI101 are a temperature, a current, a power and a speed by ISA 5.1.
 _TEMPERATURE = re.compile(
-    r"temp(?!o\b|s\b)|°c|degc|thermo|(?:^|[:./ ])t_|_t$|(?-i:^T(?=[A-Z][a-z]|\d|_|BRG|BEA|LAG|CUSC|PAL))|\bt\d|_temp|(?:^|[:./_-])t[iet]?[ctr]?[-_]?\d|tempér|coolant|warm|wärme",
+    r"temp(?!o\b|s\b)|°c|degc|thermo|(?:^|[:./ ])t_|_t$|"
+    r"(?-i:^T(?=[A-Z][a-z]|\d|_|BRG|BEA|LAG|CUSC|PAL))|\bt\d|_temp|"
+    r"(?:^|[:./_-])t[iet]?[ctr]?[-_]?\d|tempér|coolant|warm|wärme",
     re.IGNORECASE,
 )
 _BEARING = re.compile(r"bearing|brg|cuscinett|lager|palier|roulement|rodamiento|cojinete", re.IGNORECASE)
