@@ -96,9 +96,8 @@ def _files(source: Source, column_map: ColumnMap, *, below: bool = False) -> lis
             # A file may have such a mark in its name: only what is not there is a pattern.
             anchor = Path(path.anchor)
             found = sorted(match for match in anchor.glob(str(path.relative_to(anchor))) if match.is_file())
-            if not found:
-                raise TraceError(f"{path}: no file is of this pattern; leave it out, or give one that there is")
-            files += found
+            # A pattern that nothing is of is reported as a file that is not there.
+            files += found or [path]
         else:
             files.append(path)
     # A file that is named twice, or by its folder too, is one trace and not two.
