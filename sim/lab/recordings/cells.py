@@ -34,7 +34,7 @@ _BOOLEANS = {
 def _plain_floats(cells: Sequence[str]) -> Array | None:
     """All cells at once, if each is a plain number; exact to the last bit, as Python reads it."""
     try:
-        values = np.array(list(map(float, cells)), dtype=float)
+        values = np.fromiter(map(float, cells), dtype=float, count=len(cells))
     except ValueError:
         return None
     # Python reads 1_000 as a number; a plant's file does not mean one by it.
@@ -114,4 +114,6 @@ def booleans(cells: Sequence[str], on: Sequence[str] = (), off: Sequence[str] = 
         as_number = _number(word.replace(",", "."), ".")
         table[cell] = words[word] if word in words else counts.get(as_number, np.nan)
     values = np.array([table[cell] for cell in cells], dtype=float)
-    return values, np.isnan(values) & np.array([bool(cell.strip()) for cell in cells], dtype=bool)
+    wrong = np.isnan(values)
+    wrong[[index for index in np.flatnonzero(wrong).tolist() if not cells[index].strip()]] = False
+    return values, wrong

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from pandas import DatetimeIndex
 
 _OFFSET = re.compile(r":.*(?:[Zz]|[+-]\d\d(?::?\d\d)?)\s*$")
+_DATE = 10
+"""Characters of a date with its marks."""
 _DAY = 86400.0
 _NOTHING = 25569
 """Days from a spreadsheet's beginning, 1899-12-30, to 1970."""
@@ -40,7 +42,7 @@ def read_clock(clock: ClockColumns, columns: Sequence[Sequence[str]], decimal: D
     if clock.time_of_day is not None:
         seconds = _time_of_day(clock.time_of_day, columns, decimal)
         return seconds, np.zeros(seconds.shape, dtype=bool)
-    cells = [cell.strip() for cell in columns[0]]
+    cells = list(map(str.strip, columns[0]))
     if clock.date:
         cells = [f"{day.strip()} {cell}" for day, cell in zip(columns[1], cells, strict=True)]
     seconds, local = np.full(len(cells), np.nan), np.zeros(len(cells), dtype=bool)
@@ -85,20 +87,24 @@ def _dates(texts: list[str], format_: str) -> tuple[Array, Mask]:
     # Words in other languages, and the hour 24, only where the format does not read the cell as it stands.
     for index in np.flatnonzero(np.isnan(seconds)).tolist():
         texts[index] = plain_time(texts[index])
-    unread = np.flatnonzero(np.isnan(seconds) & np.array([bool(text) for text in texts], dtype=bool))
+    unread = np.array([index for index in np.flatnonzero(np.isnan(seconds)).tolist() if texts[index]], dtype=np.intp)
     if unread.size:
         left = [texts[index] for index in unread]
         late = np.array([_MIDNIGHT.search(text) is not None for text in left], dtype=bool)
         seconds[unread] = _parsed([_MIDNIGHT.sub("00", text) for text in left], format_) + _DAY * late
     if format_ == "ISO8601":
-        return seconds, np.array([_OFFSET.search(text) is None for text in texts], dtype=bool)
+        # What follows the date has a mark of its own wherever a zone is said.
+        zoned = any("-" in text[_DATE:] or "+" in text or "Z" in text or "z" in text for text in texts)
+        return seconds, np.array([not zoned or _OFFSET.search(text) is None for text in texts], dtype=bool)
     return seconds, np.full(len(texts), "%z" not in format_)
 
 
 def _parsed(texts: list[str], format_: str) -> Array:
     import pandas as pd
 
-    return _seconds(pd.DatetimeIndex(pd.to_datetime(pd.Series(texts), format=format_, errors="coerce", utc=True)))
+    return _seconds(
+        pd.DatetimeIndex(pd.to_datetime(np.array(texts, dtype=object), format=format_, errors="coerce", utc=True))
+    )
 
 
 def _seconds(stamps: "DatetimeIndex") -> Array:

@@ -1,7 +1,7 @@
 """A CSV that nobody has described: its separator, where its header stands, what lies before and under it, its rows."""
 
 import csv
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -147,10 +147,11 @@ def _tables(header: Sequence[str], rows: Sequence[Sequence[str]]) -> tuple[list[
     names, own = list(header), list(header)
     places = list(range(len(own)))
     sample: list[tuple[str, ...]] = []
+    words = {folded(name) for name in own if not _numeric(name)}
+    begins = {name[:1] for name in words}
     for row in rows:
-        filled = {folded(cell) for cell in row if cell}
-        words = {folded(name) for name in own if not _numeric(name)}
-        if len(filled & words) >= max(2, len(filled) / 2):
+        # Most rows are numbers, whose first character begins no name.
+        if any(cell[:1].casefold() in begins for cell in row) and _is_header(row, words):
             own = told_apart([*row])
             while own and not own[-1]:
                 own.pop()
@@ -158,6 +159,8 @@ def _tables(header: Sequence[str], rows: Sequence[Sequence[str]]) -> tuple[list[
             names += [name for name in own if folded(name) not in known]
             known = list(map(folded, names))
             places = [known.index(folded(name)) for name in own]
+            words = {folded(name) for name in own if not _numeric(name)}
+            begins = {name[:1] for name in words}
         elif len(row) >= len(own) and not any(row[len(own) :]):
             cells = [""] * len(names)
             for place, cell in zip(places, row, strict=False):
@@ -165,6 +168,12 @@ def _tables(header: Sequence[str], rows: Sequence[Sequence[str]]) -> tuple[list[
             sample.append(tuple(cells))
     width = len(names)
     return names, [(*row, *[""] * (width - len(row))) for row in sample]
+
+
+def _is_header(row: Sequence[str], words: Set[str]) -> bool:
+    """Whether half of a row's cells, two at least, are names of columns."""
+    filled = {folded(cell) for cell in row if cell}
+    return len(filled & words) >= max(2, len(filled) / 2)
 
 
 def with_rows(table: FoundTable, kept: Sequence[bool]) -> FoundTable:
