@@ -98,6 +98,16 @@ def with_thresholds(alphabet: Alphabet, traces: Sequence[Trace]) -> Alphabet:
     return replace(alphabet, channels=tuple(channels))
 
 
+def driven_by(alphabet: Alphabet, signals: Sequence[str], traces: Sequence[Trace]) -> Alphabet:
+    """The alphabet with these level signals in place of its own, each with the thresholds of the traces."""
+    levels = [
+        AutoBins(signal, (), (f"{chr(ord('A') + place)}_0",), prefix=f"{chr(ord('A') + place)}_")
+        for place, signal in enumerate(signals)
+    ]
+    switches = [channel for channel in alphabet.channels if not isinstance(channel, Bins)]
+    return with_thresholds(replace(alphabet, channels=(*switches, *levels)), traces)
+
+
 def levels_of(traces: Sequence[Trace], signal: str, gap: float) -> Levels:
     """The levels of a signal over all traces; `gap` (s) is the time beyond which a reading says nothing of the next.
 
