@@ -25,6 +25,8 @@ _BLOCKS = 10
 """Parts of the time, each held out once."""
 _CLEAR = 2.0
 """Standard errors over blocks by which a share must lie above nothing."""
+_LARGE = 0.1
+"""A share that chance hardly makes on what was held out; blocks differ by what nobody has measured."""
 LEAST_BEYOND = 0.01
 """Of the rise that the others leave, a driver explains at least so much."""
 LEAST_FORETOLD = 0.05
@@ -87,7 +89,9 @@ class _Stretches:
 def drivers_of(
     traces: Sequence[Trace], temperature: str, candidates: Sequence[str], *, gap: float
 ) -> tuple[DriverEvidence, ...]:
-    """What the traces say of each of `candidates` that moves, in their order; those that explain nothing beyond the others are given up.
+    """What the traces say of each of `candidates` that moves, in their order.
+
+    Drivers are those that do not follow, without any that explains nothing beyond the others.
 
     Over steps of more than `gap` s nothing is known. Empty where there are too few readings to tell.
     """
@@ -212,9 +216,9 @@ def _gain(data: _Stretches, outcome: Array, columns: Sequence[Array], more: Arra
 
 
 def _clearly(shares: Array, least: float) -> bool:
-    """Whether a share is at least so large in the mean and above nothing in most blocks."""
-    error = float(shares.std(ddof=1)) / np.sqrt(shares.size)
-    return float(shares.mean()) >= least and float(shares.mean()) > _CLEAR * error
+    """Whether a share is at least so large in the mean, and clearly above nothing: less clearly where it is large."""
+    mean, error = float(shares.mean()), float(shares.std(ddof=1)) / np.sqrt(shares.size)
+    return mean >= least and mean > (1.0 if mean >= _LARGE else _CLEAR) * error
 
 
 def _foretold(data: _Stretches, name: str) -> float | None:
