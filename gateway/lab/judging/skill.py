@@ -33,6 +33,11 @@ class SkillAlong:
     offsets: Sequence[Mapping[str, Any]]
 
 
+def spaced(trace: Trace, period: float, moments: int) -> float:
+    """The seconds between two forecasts of a trace: `period`, or more where there would be more than `moments`."""
+    return max(period, float(trace.times[-1] - trace.times[0]) / moments) if trace.times.size else period
+
+
 def skill_along(
     ours: Sequence[Model],
     traces: Sequence[Trace],
@@ -56,9 +61,7 @@ def skill_along(
     rows: list[SkillRow] = []
     offsets: list[dict[str, Any]] = []
     for number, trace in enumerate(traces):
-        period = forecasts.period
-        if trace.times.size:
-            period = max(period, float(trace.times[-1] - trace.times[0]) / moments)
+        period = spaced(trace, forecasts.period, moments)
         if period > forecasts.period:
             notes.append(
                 f"{trace.name}: a forecast each {period:.4g} s, for no more than {moments} moments; more of them say "
