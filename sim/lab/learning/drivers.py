@@ -98,17 +98,13 @@ def drivers_of(
     moving = [name for name in candidates if name != temperature and _moves(traces, name)]
     if not moving:
         return ()
-    tried = (_stretches(traces, temperature, moving, gap, steps) for steps in _STEPS)
-    judged = [
-        (float(_explained(each, each.rise, [each.start, *each.means.values()])[0].mean()), each)
-        for each in tried
-        if each
-    ]
-    if not judged:
+    tried = [each for steps in _STEPS if (each := _stretches(traces, temperature, moving, gap, steps)) is not None]
+    if not tried:
         return ()
-    _, data = max(judged, key=lambda pair: pair[0])
+    data = max(tried, key=lambda each: float(_explained(each, each.rise, [each.start, *each.means.values()])[0].mean()))
     jumps = [name for name in moving if _jumps(traces, name)]
-    foretold = {name: _foretold(data, name) for name in moving}
+    # What is switched is switched from one reading to the next, whatever stretch tells most of the temperature.
+    foretold = {name: _switched(tried[0], name) or _foretold(data, name) for name in moving}
     leading = [name for name in jumps if foretold[name] is None]
     for name in (name for name in moving if name not in jumps and foretold[name] is None):
         foretold[name] = _shared(data, name, leading)
@@ -226,8 +222,6 @@ def _foretold(data: _Stretches, name: str) -> float | None:
     outcome, own, heat = data.moves[name], data.first[name], data.first[""]
     if float(np.ptp(outcome)) == 0.0:
         return None
-    if (switched := _switched(data, name)) is not None:
-        return switched
     shares = _gain(data, outcome, [own], heat)
     law, *_ = np.linalg.lstsq(np.column_stack([np.ones(own.size), own, heat]), outcome, rcond=None)
     return float(shares.mean()) if law[2] > 0 and _clearly(shares, LEAST_FORETOLD) else None
