@@ -11,13 +11,12 @@ from math import inf
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from time import time as now
-from typing import Literal, overload
+from typing import TYPE_CHECKING, Literal, overload
 
 import pandas as pd
 
 from gateway.console import shipped
 from gateway.entry import sentence
-from gateway.lab.checking.check import answered
 from gateway.lab.checking.simulate import simulate_traces
 from gateway.lab.gap.diagnose import DiagnosisRequest, roles_of, run
 from gateway.lab.judging.skill import MOST_MOMENTS, skill_along, spaced
@@ -26,7 +25,6 @@ from gateway.machine.model import forecasts_along
 from gateway.settings import ForecastSection
 from sim.engine import Policy, Start
 from sim.forecast import LEVELS
-from sim.lab.checking.smc import Answer, QuerySettings
 from sim.lab.discrepancy import Diagnosis
 from sim.lab.formats import FoundModel, find_model, write_model_directory
 from sim.lab.judge import ForecastSkill
@@ -34,6 +32,9 @@ from sim.lab.learning.lsha import LshaSettings
 from sim.lab.recordings import ColumnMap, TraceError, channel_uses, load_map, load_traces, parse_map
 from sim.lab.recordings.mapping import Answers, Undecided, draft_map
 from sim.sha import Array, Model, Trace, encoded
+
+if TYPE_CHECKING:
+    from sim.lab.checking.smc import Answer
 
 Progress = Callable[[str, float], None]
 """Takes what is being done, and the share of the work that is done (0 to 1)."""
@@ -254,7 +255,7 @@ def _write(frame: Frame, path: Path) -> None:
         )
     index = frame.index
     if index.name is not None or isinstance(index, pd.DatetimeIndex):
-        frame = frame.rename_axis(index.name or "time").reset_index()
+        frame = frame.rename_axis(str(index.name or "time")).reset_index()
     if len(frame.columns) < 2:
         raise TraceError(f"the data frame has one column, {frame.columns[0]!r}; it needs a clock and a temperature")
     path.parent.mkdir()
@@ -300,7 +301,7 @@ def learn(
 def learn(
     recording: Recording,
     *,
-    temperature: Sequence[str],
+    temperature: list[str] | tuple[str, ...],
     drivers: Sequence[str] = (),
     method: Literal["bins", "lsha"] = "bins",
     settings: LshaSettings | None = None,
@@ -313,7 +314,7 @@ def learn(
 def learn(
     recording: Recording,
     *,
-    temperature: str | Sequence[str] | None = None,
+    temperature: str | list[str] | tuple[str, ...] | None = None,
     drivers: Sequence[str] = (),
     method: Literal["bins", "lsha"] = "bins",
     settings: LshaSettings | None = None,
@@ -505,14 +506,21 @@ def check(
     recording: Recording | None = None,
     *,
     start: str = "initial",
-    settings: QuerySettings | None = None,
+    runs: int | None = None,
+    rare: bool = False,
+    seed: int = 0,
     progress: Progress = _quiet,
-) -> Answer:
+) -> "Answer":
     """The answer to a query such as `Pr[<=600](<> Temp >= 80)`, as `decanter model check` gives it.
 
-    Runs are driven by the events of the recording's only trace where there is one; `start` is that command's --from.
-    Times in s, temperatures in the model's unit. Raises ValueError for a query that cannot be read.
+    Runs are driven by the events of the recording's only trace where there is one; `start` is that command's --from,
+    `runs` asks for so many, `rare` for importance splitting. Times in s, temperatures in the model's unit. Raises
+    ValueError for a query that cannot be read.
     """
+    # An installation may be without queries, which nothing else here needs.
+    from gateway.lab.checking.check import answered
+    from sim.lab.checking.smc import QuerySettings
+
     traces = () if recording is None else recording.traces
     if len(traces) > 1:
         raise ValueError(f"the recording has {len(traces)} traces; a query takes one, whose events drive the runs")
@@ -525,7 +533,7 @@ def check(
         query,
         found,
         traces[0] if traces else None,
-        settings=settings or QuerySettings(),
+        settings=QuerySettings(runs=runs, rare=rare, seed=seed),
         origin=start,
         report=progress,
     )

@@ -13,6 +13,7 @@ from typing import Literal
 
 import numpy as np
 
+from sim.lab.learning.runs import Indices
 from sim.sha import Array, Trace
 
 Verdict = Literal["drives", "follows", "adds nothing"]
@@ -83,7 +84,7 @@ class _Stretches:
     means: Mapping[str, Array]
     first: Mapping[str, Array]
     moves: Mapping[str, Array]
-    block: Array
+    block: Indices
 
 
 def drivers_of(
@@ -172,9 +173,9 @@ def _stretches(
     if start.size < _FEWEST or float(np.ptp(rise)) == 0.0:
         return None
     count = len(names)
-    means, first, moves = (dict(zip(names, rest[at * count : (at + 1) * count], strict=True)) for at in range(3))
+    mean, end_of, moved = (dict(zip(names, rest[at * count : (at + 1) * count], strict=True)) for at in range(3))
     block = np.arange(start.size) * _BLOCKS // start.size
-    return _Stretches(start, rise, means, {**first, "": later}, moves, block)
+    return _Stretches(start, rise, mean, {**end_of, "": later}, moved, block)
 
 
 def _held(trace: Trace, name: str) -> Array:
