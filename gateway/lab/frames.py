@@ -90,12 +90,14 @@ class LearnedModel:
     `tables` are the learner's own by title: candidates, fits, held-out forecasts (degC, s). `drivers` has a row for
     each signal: its verdict, the shares (0 to 1) of the temperature's rises that it explains alone and beyond the other
     drivers, its gain in the end (degC per unit), the share of its own moves that the temperature foretells, and all of
-    it as a sentence. `warnings` say what of the alphabet the traces cannot teach.
+    it as a sentence. `verdict` says where the model may be used ("": nobody has judged it), `warnings` what of the
+    alphabet the traces cannot teach.
     """
 
     model: Model
     tables: Mapping[str, Frame] = field(default_factory=dict)
     drivers: Frame = field(default_factory=pd.DataFrame)
+    verdict: str = ""
     warnings: tuple[str, ...] = ()
     taught: TaughtModel | None = None
 
@@ -350,7 +352,12 @@ def learn(
         rows = [{**asdict(each), "sentence": each.sentence} for each in taught.drivers]
         tables = {title: pd.DataFrame(list(own)) for title, own in taught.shown.items()}
         return LearnedModel(
-            model=taught.model, tables=tables, drivers=pd.DataFrame(rows), warnings=warnings, taught=taught
+            model=taught.model,
+            tables=tables,
+            drivers=pd.DataFrame(rows),
+            verdict=taught.verdict.sentence,
+            warnings=warnings,
+            taught=taught,
         )
 
     if temperature is None or isinstance(temperature, str):

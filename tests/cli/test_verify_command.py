@@ -44,7 +44,7 @@ def test_a_learned_model_is_deployable_and_accepts_the_trace_that_it_was_learned
         for b in ("0-100", "100-200", "200-300", "300+", "?")
     }
     text = decanter("model", "prove", model).stdout
-    assert "fit: every check that decides" in text and "unfit" not in text and len(text.splitlines()) < 40
+    assert "proven: every check that decides" in text and "fit" not in text and len(text.splitlines()) < 40
 
 
 def test_a_model_that_diverges_leaves_with_1_and_the_printed_word_really_leaves(tmp_path: Path) -> None:

@@ -13,13 +13,15 @@ import click
 from gateway.console import Progress, emit, json_option, map_option, progress, seed_option, table
 from gateway.entry import sentences
 from gateway.lab.learning.familiar import familiarity_files, trained_familiarity
-from gateway.lab.models.show import show_model, spread_sentence, summary
+from gateway.lab.models.show import show_model, show_verdict, spread_sentence, summary
 from gateway.lab.traces.load import load, warned_of
+from sim.artefacts import VERDICT_FILE, ModelVerdict
 from sim.lab.formats import check_free, write_model_directory
+from sim.lab.judge import judge_learned
 from sim.lab.learning import LearningError, check_data, drivers_of, machine_corrections
 from sim.lab.learning.lsha import FLOW_KINDS, LshaSettings
 from sim.lab.recordings import driven_by
-from sim.sha import Bins, Model, Trace, encode, shown_unit
+from sim.sha import Bins, Model, Trace, encode, encoded, shown_unit
 from sim.strict_json import json_text
 
 if TYPE_CHECKING:
@@ -126,6 +128,7 @@ def learn(
             "file": str(written[folder]),
             **summary(each.model),
             "diagnostics": each.shown,
+            "verdict": each.verdict.plain() | {"sentence": each.verdict.sentence},
             "familiar_cycles": each.cycles,
             "machines": asdict(each.spread),
             "drivers": [{**asdict(one), "sentence": one.sentence} for one in each.drivers],
@@ -159,6 +162,7 @@ def _show(taught: TaughtModel, out: Path) -> None:
     cycles = taught.cycles
     click.echo(f"familiarity: {f'{cycles} cycles' if cycles else 'unknown, too few cycles with an hour before them'}")
     click.echo(f"model directory: {out}")
+    show_verdict(taught.verdict)
     if taught.acceptance is not None:
         counts = f"{taught.acceptance.accepted} of {taught.acceptance.traces} training traces"
         click.echo(f"accepted: {counts}, by the observed edges alone")
@@ -170,7 +174,8 @@ class TaughtModel:
     """A learned `model` and how it came about: tables `shown`, the machines' `spread`, how many `cycles` are familiar.
 
     `drivers` is what the traces say of each signal; channels of those in `left_out` are not in the model's alphabet.
-    `values`, `observations` and `more` files stand beside it in a model directory; `acceptance` is of `lsha` alone.
+    `values`, `observations` and `more` files stand beside it in a model directory; `acceptance` is of `lsha` alone;
+    `verdict` says where the model may be used.
     """
 
     model: Model
@@ -183,6 +188,7 @@ class TaughtModel:
     observations: ObservationTable | None
     more: Mapping[str, str]
     acceptance: TraceAcceptance | None
+    verdict: ModelVerdict
 
     def write(self, out: Path) -> Path:
         """Write the model directory; the path of its model.json. Raises ArtefactError where it cannot be written."""
@@ -220,12 +226,15 @@ def taught_model(
         }
         model, spread, values = words_learned.model, words_learned.spread, words_learned.values
         observations, acceptance, shown = account.table, account.acceptance, lsha_diagnostics(words_learned)
+        coverage = account.coverage
     else:
         learned = learn_from(traces, column_map, name=name, seed=seed, report=report, temperature=temperature)
         model, spread, values, shown = learned.model, learned.spread, learned.values, diagnostics(learned)
+        coverage = learned.coverage
     # Of several machines it is a model of their type, and has what is each one's own.
     model = replace(model, machines=machine_corrections(model, traces, spread))
     familiar = trained_familiarity(model, traces)
+    verdict = judge_learned(model, [encoded(trace, model.alphabet) for trace in traces], coverage)
     return TaughtModel(
         model=model,
         drivers=evidence,
@@ -235,8 +244,9 @@ def taught_model(
         cycles=0 if familiar is None else familiar.reference.held_out.size,
         values=values,
         observations=observations,
-        more=more | familiarity_files(familiar),
+        more=more | familiarity_files(familiar) | {VERDICT_FILE: verdict.text()},
         acceptance=acceptance,
+        verdict=verdict,
     )
 
 

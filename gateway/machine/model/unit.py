@@ -154,6 +154,8 @@ class ModelUnit:
         self._found_out = wrong_since is not None
         before, prediction = self.prediction, self.predictor.step(scan)
         prediction = prediction.with_familiarity(self._rating(scan, prediction))
+        if self.loaded.verdict is not None and self.loaded.verdict.word == "unfit":
+            prediction = prediction.at_best("red")
         if self.twin is not None:
             self.twin.take(scan.time, scan.good(self.predictor.temperature), scan.good(self.twin.twin))
         virtual = self._virtual_reading(scan, prediction)
@@ -245,6 +247,8 @@ class ModelUnit:
             "unfamiliar": None if p.familiarity is None else p.familiarity.strangeness,
             "review": float(self.guards.flagged) if trusted else None,
             "drift": float(self.guards.drift.running),
+            # Where a reading is bad that has an alarm of its own.
+            "no forecast": float(forecast is None) if p.inputs_good else None,
         }
 
     def foresee(self, scan: Scan, prediction: ScanPrediction) -> None:
@@ -275,6 +279,8 @@ class ModelUnit:
             "version": model.version,
             "written": model.written,
             "refused": self.pickup.refused,
+            "verdict": "" if model.verdict is None else model.verdict.word,
+            "verdict_sentence": "" if model.verdict is None else model.verdict.sentence,
         }
 
     def description(self) -> dict[str, Any]:

@@ -7,6 +7,8 @@ from enum import StrEnum
 from gateway.outside.status.picture import GatewayStatus, TagStatus, TemperatureStatus
 from sim.units import shown_unit
 
+UNFORESEEN = "no forecast"
+"""The kind of the alarm that no usable forecast comes."""
 MOST_NAMED = 3
 """How many tags, alarms or parts one sentence names; the rest is counted."""
 
@@ -69,15 +71,32 @@ def model_sentence(status: GatewayStatus) -> str:
     p, model = status.prediction, status.model
     if model is not None and model.refused:
         return f"the promoted model is refused: {model.refused}"
-    if p is None or link_sentence(status):
+    if model is not None and model.verdict == "unfit":
+        return f"the model is {model.verdict_sentence}"
+    if link_sentence(status):
         return ""
-    if not p.known:
+    if p is not None and not p.known:
         return "the state of the plant is not known, so that nothing is predicted"
+    if any(alarm.kind == UNFORESEEN and alarm.active for alarm in status.alarm_summary):
+        return unforeseen_sentence(status)
+    if p is None:
+        return ""
     if strange := unfamiliar_sentence(status):
         return strange
     if p.zone in ("yellow", "red"):
         return f"the confidence is {p.zone}: the readings do not follow the model (anomaly {p.anomaly or 0.0:.1f})"
     return ""
+
+
+def unforeseen_sentence(status: GatewayStatus) -> str:
+    """Why there has been no usable forecast for longer than is usual."""
+    failures = [part["failure"] for name, part in status.parts.items() if "forecast" in name and part["failure"]]
+    if failures:
+        return f"nothing is foreseen: {failures[0]}"
+    if status.forecast is None:
+        return "nothing is foreseen: no forecast has been finished yet"
+    age = status.forecast.age / status.speed
+    return f"nothing is foreseen: the newest forecast is {age:.0f} s old, and newer ones do not come in time"
 
 
 def unfamiliar_sentence(one: GatewayStatus | TemperatureStatus) -> str:

@@ -16,6 +16,7 @@ from sim.lab.judge.fitness import (
     why,
 )
 from sim.lab.judge.free_run import TROUBLE, HeldOutFold, TraceJob, TraceRunSettings, held_out, run_job
+from sim.lab.judge.model_judge import judge_learned
 from sim.lab.judge.output_folder import LEARNED, check_folder, claim_folder, held, read_results, recorded_facts
 from sim.lab.judge.past import Past, PastForecaster, persist, trained
 from sim.lab.judge.ranking import Ranking, Weights, entrants, rank
