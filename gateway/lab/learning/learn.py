@@ -17,7 +17,6 @@ from gateway.lab.models.show import show_model, show_verdict, spread_sentence, s
 from gateway.lab.traces.load import load, warned_of
 from sim.artefacts import VERDICT_FILE, ModelVerdict
 from sim.lab.formats import check_free, write_model_directory
-from sim.lab.judge import judge_learned
 from sim.lab.learning import LearningError, check_data, drivers_of, machine_corrections
 from sim.lab.learning.lsha import FLOW_KINDS, LshaSettings
 from sim.lab.recordings import driven_by
@@ -211,6 +210,9 @@ def taught_model(
     `drivers` are level signals in place of the alphabet's. Raises LearningError, in one sentence, where the traces
     cannot teach one.
     """
+    # The judge brings rooms that a command begins without.
+    from sim.lab.judge import judge_learned
+
     column_map, traces, evidence, left_out = _driven(traces, column_map, temperature, drivers)
     observations, acceptance, more = None, None, dict[str, str]()
     if lsha is not None:
