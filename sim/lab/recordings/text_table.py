@@ -10,7 +10,7 @@ import io
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import islice
+from itertools import islice, pairwise
 from pathlib import Path
 
 import numpy as np
@@ -38,6 +38,8 @@ _LONG_NAME = 3
 """Letters of a name that hardly stands in a row by chance."""
 MOST_BEFORE = 60
 """Lines among which a header is looked for, comments not counted."""
+UNNAMED = "column 1"
+"""What a first column without a name is called: an index that a program has written beside its table."""
 _BOMS = ((codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"))
 
 
@@ -57,7 +59,8 @@ class TextLayout:
 
     def begins_anew(self, cells: Sequence[str]) -> bool:
         """Whether a row is a header."""
-        if tuple(cell.strip() for cell in cells) == self.header:
+        names = tuple(cell.strip() for cell in cells)
+        if names == self.header or (self.header[:1] == (UNNAMED,) and names == ("", *self.header[1:])):
             return True
         return bool(self.clock) and all(place_of(cells, names) is not None for names in self.clock)
 
@@ -74,6 +77,18 @@ def told_apart(names: Sequence[str]) -> list[str]:
         count = 1 + sum(name == before for before in names[: len(apart)])
         apart.append(f"{name}_{count}" if name and count > 1 and f"{name}_{count}" not in names else name)
     return apart
+
+
+def with_row_names(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    """A header with a name for the numbers of the rows, where the `rows` below begin with such and have one cell more.
+
+    R writes them so. A decimal comma makes a cell more too, but no count.
+    """
+    first = [row[0] for row in rows if row]
+    counts = [int(cell) for cell in first if cell.isdecimal()]
+    counted = len(counts) == len(first) > 1 and all(after == before + 1 for before, after in pairwise(counts))
+    longer = all(len(row) == len(header) + 1 for row in rows)
+    return [UNNAMED, *header] if counted and longer and UNNAMED not in header else list(header)
 
 
 def rows_mark(lines: Sequence[str], width: int, mark: str) -> str:
@@ -163,6 +178,9 @@ def find_layout(
         report.notes.append(f"its separator is {separator!r}, not {column_map.separator!r} as the map says")
     if not fits:
         report.notes.append(f"it has no header; its columns are taken for {listed(column_map.columns)}")
+    if fits:
+        shown = [cells for line in lines[skip : skip + _SHOWN_ROWS] if (cells := _header([line], separator)[0])]
+        header = tuple(with_row_names(header, shown))
     named = tuple(told_apart(header))
     if named != tuple(header):
         report.warn(f"columns have the same name; they are told apart as {listed(set(named) - set(header))}")
@@ -201,11 +219,11 @@ def _header(lines: Sequence[str], separator: str) -> tuple[tuple[str, ...], int]
 
 
 def _trimmed(cells: Sequence[str]) -> list[str]:
-    """The names of a header, without blank ones at its end."""
+    """The names of a header, without blank ones at its end; a first one that is blank is that of an index."""
     names = [cell.strip() for cell in cells]
     while names and not names[-1]:
         names.pop()
-    return names
+    return [names[0] or UNNAMED, *names[1:]] if len(names) > 1 else names
 
 
 def _no_header(

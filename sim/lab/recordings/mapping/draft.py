@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from sim.lab.recordings import (
+    UNNAMED,
     LoadReport,
     TraceError,
     codes_in,
@@ -179,7 +180,7 @@ def _columns(
     """What each column, or each signal of a long file, holds, and the times of its cells; the file's decimal mark."""
     if long is None:
         taken = {clock.place, clock.date, rows.machine, rows.session}
-        places = [p for p in range(len(table.header)) if p not in taken and table.header[p]]
+        places = [p for p in range(len(table.header)) if p not in taken and table.header[p] not in ("", UNNAMED)]
         decimal = decimal_of([table.column(place) for place in places], table.separator)
         found = [column_of(table.header[p], table.titles[p], table.units[p], table.column(p), decimal) for p in places]
         return found, [times] * len(found), decimal

@@ -11,6 +11,7 @@ from drivers.csv_rows import unguarded
 from sim.lab.recordings import (
     SEPARATORS,
     UNITS,
+    UNNAMED,
     TraceError,
     decode_head,
     folded,
@@ -19,6 +20,7 @@ from sim.lab.recordings import (
     numbers,
     rows_mark,
     told_apart,
+    with_row_names,
 )
 from sim.lab.recordings.mapping.clocks import is_rounded, is_time, pure_date, pure_time
 from sim.lab.recordings.mapping.words import bare_unit, named_time
@@ -26,6 +28,8 @@ from sim.lab.recordings.mapping.words import bare_unit, named_time
 _HEAD = 1 << 20
 _SINCE_1970 = (10, 13, 16, 19)
 """Digits of a time since 1970 in s, ms, us and ns."""
+_SHOWN_ROWS = 5
+"""Rows under a header that show whether they are numbered."""
 _SEARCHED = 60
 """Lines in which a header is looked for: titles, annotations and column lists of exports are shorter."""
 
@@ -99,6 +103,12 @@ def find_table(path: Path) -> FoundTable:
         others = [_cells(usable[header_at][1], mark) for mark in SEPARATORS.values()]
         below = [line for _, line in usable[first:_SEARCHED]]
         header = next((o for o in others if len(o) == width and rows_mark(below, width, ",") != ","), header)
+    named_rows = with_row_names(header, rows[first : first + _SHOWN_ROWS])
+    if len(named_rows) > len(header):
+        # The rows between the names and the readings, and that of units, have no cell for the rows' numbers either.
+        header, units = named_rows, ["", *units[: width - 1]]
+        rows = [["", *row] if header_at <= place < first else row for place, row in enumerate(rows)]
+    header[0] = header[0] or UNNAMED
     header += [""] * (width - len(header))
     while header and not header[-1]:
         header.pop()
