@@ -22,7 +22,7 @@ _DATES: tuple[tuple[Order, str], ...] = (
     ("day", "%d-%b-%Y"), ("day", "%d-%b-%y"), ("day", "%d %b %Y"), ("day", "%d/%b/%Y"),
     ("day", "%d-%m-%y"), ("day", "%d %m %Y"), ("day", "%d %b %y"), ("year", "%Y-%b-%d"), ("year", "%Y %b %d"),
     ("month", "%b-%d-%Y"), ("month", "%m/%d/%Y"), ("month", "%m/%d/%y"), ("month", "%m-%d-%Y"),
-    ("month", "%b %d, %Y"), ("month", "%b %d %Y"),
+    ("month", "%b %d, %Y"), ("month", "%b %d %Y"), ("month", "%b %d %y"), ("month", "%b %d, %y"),
 )  # fmt: skip
 _TIMES = (
     "%H:%M:%S", "%H:%M:%S.%f", "%H:%M:%S,%f", "%H:%M:%S:%f", "%H:%M", "%H.%M.%S", "%H.%M",
@@ -229,10 +229,13 @@ def _begins_anew(counts: Array) -> bool:
     usual = float(np.median(rises))
     even = float((np.abs(rises - usual) <= 0.5 * usual).mean())
     at_beginning = float((after <= counts.min() + _BEGINNING * np.ptp(counts)).mean())
-    return even >= _ENOUGH and at_beginning >= _ENOUGH
+    # Stored on change they rise unevenly; then the falls must be few.
+    return (even >= _ENOUGH or after.size <= _FEW_FALLS * steps.size) and at_beginning >= _ENOUGH
 
 
 _BEGINNING = 0.2
 """Of the range of elapsed times, in which a session may begin."""
+_FEW_FALLS = 0.02
+"""Share of steps that go back where a session begins; readings go back as often as forward."""
 _MOST_FALLS = 0.5
 """Share of steps that may go back in a column that is named like a time: of two machines in turn it is every other."""

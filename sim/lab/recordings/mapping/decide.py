@@ -37,6 +37,8 @@ _REST_IN_KELVIN = (240.0, 330.0)
 """Where a temperature that nobody calls kelvin rests if it is; no bearing rests at 240 degC."""
 _HOTTEST_REST = 150.0
 """degC above which no bearing stands still."""
+_HOTTEST = 300.0
+"""degC that no bearing reaches: its grease burns before."""
 _IDLE = 0.05
 """Of its most, a current below which no motor turns anything."""
 
@@ -62,6 +64,7 @@ def clock_of(table: FoundTable, answers: Answers) -> FoundClock:
     for place, header in enumerate(table.header):
         if answers.time and header != answers.time:
             continue
+        _check_one_clock(table, place)
         cells = table.column(place)
         filled = [cell for cell in cells if cell]
         if not filled:
@@ -109,6 +112,25 @@ def clock_of(table: FoundTable, answers: Answers) -> FoundClock:
     return _one_order(table, found[chosen], answers)
 
 
+def _check_one_clock(table: FoundTable, place: int) -> None:
+    """Raises TraceError for a clock that comes again and shows other times: each value then has its own."""
+    twins = [
+        other
+        for other, name in enumerate(table.header)
+        if other != place and _TOLD_APART.sub("", name) == _TOLD_APART.sub("", table.header[place])
+    ]
+    cells = table.column(place)
+    if not twins or not named_time(table.header[place]) or cells == table.column(twins[0]):
+        return
+    raise TraceError(
+        f"{table.path}: each value has a clock of its own ({table.header[place]!r}, {table.header[twins[0]]!r} ...), "
+        "and these show different times: export all values by one clock, or each to a file of its own, which a folder "
+        "joins"
+    )
+
+
+_TOLD_APART = re.compile(r"_\d+$")
+"""What is added to the names of a header that are equal."""
 _PARTS_OF_TIME = re.compile(
     r"(hour|hh|stunde|ora|heure|hora|minute?|minut[oi]|mm|second|sekunde|secondi?|seconde)s?n?", re.IGNORECASE
 )
@@ -349,12 +371,15 @@ def check_temperature(
     low, high = float(finite.min()), float(finite.max())
     whole = bool(np.all(finite % 1 == 0))
     kelvin = _REST_IN_KELVIN[0] < low < _REST_IN_KELVIN[1]
-    if low > _HOTTEST_REST and not temperature.unit:
+    # Whole numbers that no bearing reaches are tenths, whatever unit the header names.
+    tenths = whole and (low > _HOTTEST_REST or high > _HOTTEST)
+    if (low > _HOTTEST_REST and not temperature.unit) or tenths:
         likely = "K" if kelvin and not whole else "0.1 degC" if whole else ""
         choices = [*(["K"] if kelvin else []), *(["0.1 degC"] if whole else []), "degC"]
         raise Undecided(
             where,
-            f"{header!r} goes from {low:g} to {high:g} and says no unit: a bearing rests at no {low:g} degC; in "
+            f"{header!r} goes from {low:g} to {high:g}{'' if temperature.unit else ' and says no unit'}: no bearing "
+            f"{f'rests at {low:g}' if low > _HOTTEST_REST else f'reaches {high:g}'} degC; in "
             f"{' or '.join({'K': 'kelvin'}.get(unit, unit) for unit in choices[:-1]) or 'another unit'} it may",
             "unit",
             [f"{header}={unit}" for unit in choices],
