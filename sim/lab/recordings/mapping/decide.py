@@ -56,6 +56,8 @@ class Parts:
     running: FoundColumn | None
     standstill: FoundColumn | None
     reasons: dict[str, str]
+    others: tuple[FoundColumn, ...] = ()
+    """What loads the machine besides `current`, by a person's word."""
 
 
 def clock_of(table: FoundTable, answers: Answers) -> FoundClock:
@@ -237,8 +239,9 @@ def parts_of(where: object, columns: Sequence[FoundColumn], answers: Answers) ->
         temperature, reasons["temperature"] = slow[0], "the only column of numbers"
     others = [column for column in counted if column is not temperature]
     load = _load(where, others, columns, answers, reasons)
+    more = [_named(where, "current", name, others, reasons) for name in answers.current[1:]]
     running, standstill = _switch(where, columns, load, answers, reasons)
-    return Parts(temperature, load, running, standstill, reasons)
+    return Parts(temperature, load, running, standstill, reasons, tuple(each for each in more if each is not None))
 
 
 def _load(
@@ -249,10 +252,10 @@ def _load(
     reasons: dict[str, str],
 ) -> FoundColumn | None:
     """What loads the machine: its current, else power, speed or torque by name; by movement only if a person says."""
-    if answers.current == NONE:
+    if NONE in answers.current:
         return None
     moving = [column for column in others if column.moves]
-    found = _named(where, "current", answers.current, others, reasons) or _best(
+    found = _named(where, "current", next(iter(answers.current), ""), others, reasons) or _best(
         where, "current", moving, lambda column: current_score(column.name, column.unit), reasons
     )
     if found is not None:

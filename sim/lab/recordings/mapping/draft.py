@@ -275,7 +275,9 @@ def _text(found: _Found, traces: Sequence[Trace] = (), gap: float | None = None)
             lines.append(f"{key} = {{ column = {quoted(table.header[place])} }}    # each has traces of its own")
     if found.quality.places:
         names = _quoted_list([table.header[place] for place in found.quality.places])
-        lines.append(f"quality = {{ column = {names}, good = {_quoted_list(found.quality.good)} }}    # others are refused")
+        lines.append(
+            f"quality = {{ column = {names}, good = {_quoted_list(found.quality.good)} }}    # others are refused"
+        )
     if stored.on_change:
         lines += [
             'stored = "on change"    # a value holds until the next one',
@@ -376,7 +378,7 @@ def _derived(parts: Parts, name: str) -> list[str]:
 
 def _alphabet(found: _Found, traces: Sequence[Trace], gap: float | None) -> list[str]:
     parts, derived = found.parts, found.derived
-    running, current = parts.running, parts.current
+    running = parts.running
     lines = ["", "[alphabet]    # the events that a model learns from"]
     lines += [f"gap = {gap:g}", "channels = ["] if gap is not None else ["channels = ["]
     name = derived if running is None else running.name
@@ -387,7 +389,7 @@ def _alphabet(found: _Found, traces: Sequence[Trace], gap: float | None) -> list
     lines.append(
         f'    {{ kind = "switch", signal = {_quoted(name)}, rising = "W_ON", falling = "W_OFF"{change} }},    # {why}'
     )
-    if current is not None:
+    for current in (each for each in (parts.current, *parts.others) if each is not None):
         levels = levels_of(traces, current.name, gap) if gap is not None else None
         if levels is not None and levels.thresholds:
             cuts = ", ".join(repr(float(f"{cut:g}")) for cut in levels.thresholds)

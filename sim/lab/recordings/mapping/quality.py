@@ -9,10 +9,12 @@ from sim.lab.recordings.mapping.answers import NONE, Answers, Undecided
 from sim.lab.recordings.mapping.table import FoundTable
 
 _NAMED = re.compile(
-    r"quality|qualit(?:y|à|é|ät|aet)?$|qualität|calidad|(?:^|[._ ])q(?:ual|c)?$|opc.?status|g[üu]e?ltig|valid", re.IGNORECASE
+    r"quality|qualit(?:y|à|é|ät|aet)?$|qualität|calidad|(?:^|[._ ])q(?:ual|c)?$|opc.?status|g[üu]e?ltig|valid",
+    re.IGNORECASE,
 )
 _GOOD = re.compile(
-    r"good\b.*|ok|valid|gut|gültig|buon[oa]|valid[oae]|bon(?:ne)?|buen[oa]|true|(?:0x0*)?c0|192(?:\.0+)?|\(?192\)?.*", re.IGNORECASE
+    r"good\b.*|ok|valid|gut|gültig|buon[oa]|valid[oae]|bon(?:ne)?|buen[oa]|true|(?:0x0*)?c0|192(?:\.0+)?|\(?192\)?.*",
+    re.IGNORECASE,
 )
 """Words of good readings; 192 (hexadecimal C0) is OPC's."""
 _MOST_WORDS = 30
@@ -53,5 +55,7 @@ def quality_of(table: FoundTable, taken: Collection[int | None], answers: Answer
         )
     bad = every.total() - sum(every[word] for word in good)
     others = ", ".join(f"{count} x {word!r}" for word, count in every.most_common(8) if word not in good)
-    said = f"{bad} readings are not of a good quality ({others}): the map's quality refuses them" if bad and good else ""
+    said = (
+        f"{bad} readings are not of a good quality ({others}): the map's quality refuses them" if bad and good else ""
+    )
     return FoundQuality(places, good, said) if good else FoundQuality()

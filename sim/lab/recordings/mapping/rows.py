@@ -331,7 +331,12 @@ def stored_of(
     own = looks[temperature.header]
     # The temperature's own steps: tags of a scan may stand a second apart.
     interval = _interval(steps if own is None else own.steps)
-    kept = Stored(True, _holds(steps), interval, {name: float(steps.sum()) if look is None else look.holds for name, look in looks.items()})
+    kept = Stored(
+        True,
+        _holds(steps),
+        interval,
+        {name: float(steps.sum()) if look is None else look.holds for name, look in looks.items()},
+    )
     if answers.stored:
         return kept
     told = [look for look in looks.values() if look is not None]
