@@ -571,6 +571,8 @@ def read_plant(path: Path, overrides: Mapping[str, Any] | None = None) -> tuple[
     stamp = path.stat().st_mtime if path.is_file() else 0.0
     # Overrides come before the check, so that they are held to the same rules as the file.
     data = {key: dict(value) if isinstance(value, dict) else value for key, value in read_toml(path).items()}
+    if "tags" in data:
+        raise ConfigError([f"{path}: is a device file and no plant file; give it with --device"])
     _take_out_workers(data, path)
     rows = data.pop("machine", None)
     for key, value in (overrides or {}).items():

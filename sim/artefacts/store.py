@@ -97,7 +97,11 @@ def promote(store: Path, version: str, force: Force | None = None) -> None:
     why += [f"it is {verdict.sentence}"] if verdict is not None and verdict.word == "unfit" else []
     reason = "; and ".join(why)
     if not verification.executable:
-        raise at(store / VERSIONS / version, None, f"is not promoted, as it cannot be run at all: {reason}")
+        raise at(
+            store / VERSIONS / version,
+            None,
+            f"is not promoted, as it cannot be run at all: {'; '.join(verification.reasons)}",
+        )
     if reason and force is None:
         raise at(
             store / VERSIONS / version,

@@ -77,7 +77,7 @@ class ScanPrediction:
         limited = self.at_best(rating.zone) if rating.outside and rating.zone != "unknown" else self
         return replace(limited, familiarity=rating)
 
-    def at_best(self, zone: str) -> "ScanPrediction":
+    def at_best(self, zone: Zone) -> "ScanPrediction":
         """This one with a confidence no better than `zone`; none stays none."""
         return self if self.zone == "none" else replace(self, zone=max(self.zone, zone, key=ZONES.index))
 

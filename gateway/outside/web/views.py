@@ -172,6 +172,8 @@ def _temperature(
         worth = _worth(words, zone, measured_coverage(forecast))
         if unfamiliar_sentence(one) and row["familiarity"] is not None:
             worth = ("doubtful", f"{words.say('validity.unfamiliar')}: {row['familiarity']['sentence']}")
+        if one.model is not None and one.model.verdict == "unfit":
+            worth = ("doubtful", words.say("validity.unfit"))
     level = "normal"
     if value > one.limit:
         # This is measured: what the forecast is worth says nothing of it.
