@@ -81,7 +81,10 @@ def test_of_two_that_say_the_same_one_drives() -> None:
     twice = {**trace.signals, "torque": trace.signals["power"] * 2.0}
     found = evidence(Trace("twice", trace.times, twice, (), {}), ("power", "torque", "speed"))
     assert [found[name].verdict for name in ("power", "torque", "speed")] == ["drives", "adds nothing", "drives"]
-    assert found["torque"].alone == pytest.approx(found["power"].alone) and "nothing beyond" in found["torque"].sentence
+    assert (
+        found["torque"].alone == pytest.approx(found["power"].alone)
+        and "nothing clearly beyond" in found["torque"].sentence
+    )
 
 
 def test_nothing_is_said_where_there_is_nothing_to_tell() -> None:

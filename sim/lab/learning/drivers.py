@@ -72,7 +72,7 @@ class DriverEvidence:
                     f"other drivers leave; {self.gain:+.3g} for each unit in the end"
                 )
             case _:
-                return f"{self.signal} explains nothing beyond the other drivers ({self.alone:.0%} alone)"
+                return f"{self.signal} explains nothing clearly beyond the other drivers ({self.alone:.0%} alone)"
 
 
 @dataclass(frozen=True, slots=True)
@@ -185,25 +185,24 @@ def _held(trace: Trace, name: str) -> Array:
 
 
 def _explained(data: _Stretches, outcome: Array, columns: Sequence[Array]) -> tuple[Array, Array]:
-    """By held-out block the share of the outcome's squares that a linear law of the columns explains, and its squares.
+    """By held-out block the share of the outcome's squares that a linear law of the columns explains, and what is left.
 
-    The last coefficient of the law of all blocks is not among them.
+    The law is that of the other blocks.
     """
-    design = np.column_stack([np.ones(outcome.size), *columns])
+    spread = [float(column.std()) for column in columns]
+    scaled = [(c - c.mean()) / (width if width > 0 else 1.0) for c, width in zip(columns, spread, strict=True)]
+    rows = np.column_stack([np.ones(outcome.size), *scaled, outcome])
+    # The last column is the outcome: the squares and products of a block are all that a law of the others needs of it.
+    products = np.array([rows[data.block == block].T @ rows[data.block == block] for block in range(_BLOCKS)])
     left, whole = np.zeros(_BLOCKS), np.zeros(_BLOCKS)
-    for block in range(_BLOCKS):
-        held = data.block == block
-        law, *_ = np.linalg.lstsq(_scaled(design[~held], design), outcome[~held], rcond=None)
-        left[block] = float(np.sum((outcome[held] - _scaled(design[held], design) @ law) ** 2))
-        whole[block] = float(np.sum((outcome[held] - outcome[~held].mean()) ** 2))
+    for block, held in enumerate(products):
+        others = products.sum(axis=0) - held
+        law, *_ = np.linalg.lstsq(others[:-1, :-1], others[:-1, -1], rcond=1e-10)
+        mean = others[0, -1] / others[0, 0]
+        left[block] = held[-1, -1] - 2.0 * law @ held[:-1, -1] + law @ held[:-1, :-1] @ law
+        whole[block] = held[-1, -1] - 2.0 * mean * held[0, -1] + mean**2 * held[0, 0]
     total = max(float(whole.sum()), 1e-300)
     return (whole - left) * _BLOCKS / total, left
-
-
-def _scaled(rows: Array, design: Array) -> Array:
-    spread = design.std(axis=0)
-    centre = np.where(spread > 0, design.mean(axis=0), 0.0)
-    return np.asarray((rows - centre) / np.where(spread > 0, spread, 1.0))
 
 
 def _gain(data: _Stretches, outcome: Array, columns: Sequence[Array], more: Array) -> Array:

@@ -89,11 +89,17 @@ def numbers(cells: Sequence[str], decimal: Decimal = "auto", unit: str = "") -> 
     plain = _plain_floats(cells)
     if plain is not None:
         return plain, np.zeros(plain.shape, dtype=bool)
-    stripped = [cell.strip() for cell in cells]
+    stripped = list(map(str.strip, cells))
     decimal = decimal_mark(stripped) if decimal == "auto" else decimal
-    values = np.array([_number(cell, decimal) if cell else np.nan for cell in stripped], dtype=float)
+    filled = np.fromiter(map(bool, stripped), dtype=bool, count=len(stripped))
+    texts = list(filter(None, stripped))
+    # Blank cells among plain numbers, or decimal commas where nothing else has a mark, need no look at each cell.
+    joined = "\n".join(texts)
+    whole = texts if decimal == "." else joined.replace(",", ".").split("\n") if "." not in joined else []
+    plain = _plain_floats(whole) if len(whole) == len(texts) else None
+    values = np.full(len(stripped), np.nan)
+    values[filled] = plain if plain is not None else [_number(cell, decimal) for cell in texts]
     values[np.isinf(values)] = np.nan
-    filled = np.array([bool(cell) for cell in stripped], dtype=bool)
     for index in np.flatnonzero(np.isnan(values) & filled).tolist() if unit else ():
         value, own = measured(stripped[index], decimal)
         scale, offset = conversion(own, unit)
