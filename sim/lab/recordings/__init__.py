@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 from sim.doors import opened_at_use
 
 if TYPE_CHECKING:
-    from sim.lab.recordings.auto_thresholds import Levels, driven_by, gap_of, levels_of, round_to, with_thresholds
+    from sim.lab.recordings.auto_thresholds import Levels, driven_by, levels_of, round_to, with_thresholds
     from sim.lab.recordings.cells import SWITCH_WORDS, booleans, decimal_mark, measured, numbers
     from sim.lab.recordings.channel_use import channel_uses
     from sim.lab.recordings.clock import longest_rising, read_clock, to_utc, unroll_midnight

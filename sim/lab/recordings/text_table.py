@@ -342,8 +342,10 @@ def read_rows(
 def _plain_columns(lines: Sequence[str], layout: TextLayout, comment: str) -> Sequence[Sequence[str]] | None:
     """The columns of lines of which each is a row of the header's width; None where one may be anything else."""
     text, mark, width = "".join(lines), layout.separator, len(layout.header)
-    if '"' in text or (comment and comment in text) or any(map(str.isspace, lines)):
+    if (comment and comment in text) or any(map(str.isspace, lines)):
         return None
+    if '"' in text:
+        return _quoted_columns(lines, text, layout)
     # A row of another width is refused, or loses blank cells; a header may come again. Both are looked at singly.
     if {line.count(mark) for line in lines} != {width - 1} or max(map(len, lines)) > csv.field_size_limit():
         return None
@@ -351,6 +353,20 @@ def _plain_columns(lines: Sequence[str], layout: TextLayout, comment: str) -> Se
     columns = [flat[place : len(lines) * width : width] for place in range(width)]
     if mark + " " in text or text.startswith(" ") or "\n " in text:
         columns = [list(map(_without_first_blanks, column)) for column in columns]
+    if _names_a_column(columns, text, layout):
+        return None
+    return [unguarded(column) for column in columns] if "'" in text else columns
+
+
+def _quoted_columns(lines: Sequence[str], text: str, layout: TextLayout) -> Sequence[Sequence[str]] | None:
+    """The same of lines with quotation marks: None also where a cell goes on over lines, or a mark is amiss."""
+    try:
+        rows = list(csv.reader(lines, delimiter=layout.separator, skipinitialspace=True, strict=True))
+    except csv.Error:
+        return None
+    if len(rows) != len(lines) or set(map(len, rows)) != {len(layout.header)}:
+        return None
+    columns = list(zip(*rows, strict=True))
     if _names_a_column(columns, text, layout):
         return None
     return [unguarded(column) for column in columns] if "'" in text else columns
