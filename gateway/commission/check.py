@@ -187,11 +187,13 @@ def _contract(site: Site) -> list[CheckStep]:
     problems = list(problems_of(site, device))
     if problems:
         return [warning("write-back", problem) for problem in problems]
+    plan = read_plan(site.target.driver, site.target.settings, device.tags, device.block_words)
+    by = f"; by {plan.written_by}" if plan is not None and plan.written_by else ""
     return [
         ok(
             "write-back",
             f"{f'{layout.temperature}: ' if layout.temperature else ''}{len(layout.words)} words from "
-            f"{layout.words[0].address}, layout version {layout.version}",
+            f"{layout.words[0].address}, layout version {layout.version}{by}",
         )
         for layout in device.writebacks
     ]
@@ -230,7 +232,8 @@ async def _heartbeat(site: Site, before: Sequence[Sample]) -> list[CheckStep]:
     device, config = device_of(site), site.target.config
     if device.heartbeat is None:
         sentence = (
-            "no heartbeat is named: a program that stands still cannot be told from one at rest (bind --heartbeat TAG)"
+            "no heartbeat is named: a program that stands still cannot be told from one at rest (decanter "
+            "plc bind --heartbeat TAG)"
         )
         return [warning("heartbeat", sentence)]
     first = next(sample.value for sample in before if sample.tag == device.heartbeat)

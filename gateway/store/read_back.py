@@ -423,8 +423,9 @@ def to_trace(
 ) -> Trace:
     """The measurements as a trace with one row a scan, not encoded: what the gateway's own encoder was given.
 
-    A reading that was not stored because it equalled the one before it is there again; one that was not good is NaN
-    and marked in `bad`. Where a deadband kept readings back, what only holds is marked in `held`. Strings are left out, and so is what is none of the `tags` (None: all). Raises HistorianError.
+    A reading that was not stored because it equalled the one before it is there again; one that was not good is NaN and
+    marked in `bad`. Where a deadband kept readings back, what only holds is marked in `held`. Strings are left out, and
+    so is what is none of the `tags` (None: all). Raises HistorianError.
     """
     with reading(path) as connection:
         whose = selected(connection, machine)

@@ -64,7 +64,7 @@ def test_what_is_imported_is_read_back_as_it_was_read(
     assert done.exit_code == 0, done.output
     (found,) = json.loads(done.stdout)["machines"]
     assert found["rows"] == found["stored"] == 240 and found["already there"] == 0
-    assert "960 cells = 959 used + 1 refused" in json.loads(done.stdout)["account"][0]
+    assert "960 cells = 959 used + 1 refused" in json.loads(done.stdout)["account"]
     (trace,), report = load_traces(file, load_map(map_file))
     back = to_trace(tmp_path / "h.sqlite", machine="P1")
     assert np.array_equal(back.times, trace.times)

@@ -45,7 +45,8 @@ def gateway(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
 
 def as_(gateway: Served, name: str) -> Client:
     client = Client(gateway.port)
-    assert client.log_in(name) == 200
+    # One that cannot be put on record in time, as a busy disk has it, is refused (409), and may be tried again.
+    assert eventually(lambda: status if (status := client.log_in(name)) != 409 else None) == 200
     return client
 
 

@@ -19,6 +19,7 @@ from sim.lab.discrepancy.fitting import catalogue
 from sim.phrase import Phrase
 from tests.gateway.status_picture import alarm, picture, tag
 from tests.gateway.support import EPOCH, TEMPERATURE
+from tests.page.served import page_views
 
 WORDS = all_words()
 LABELS = {TEMPERATURE: "gearbox bearing", "decanter": "Decanter 2"}
@@ -140,6 +141,13 @@ def test_every_text_is_there_in_every_language_with_the_same_parts_and_is_used()
             assert re.search(rf"{section}\.(?:{key}\b|\$\{{|\{{)", used), f"{section}.{key} is used nowhere"
 
 
+def test_every_word_that_the_page_says_is_there_and_every_view_has_its_name() -> None:
+    home = Path(gateway.outside.web.__file__).parent / "static"
+    scripts = "".join(file.read_text(encoding="utf-8") for file in home.glob("*.js"))
+    said = set(re.findall(r'say\(\s*"([^"]+)"', scripts)) | {f"nav.{view}" for view in page_views()}
+    assert said and said - set(WORDS["en"].texts) == set()
+
+
 def test_every_kind_of_alarm_and_every_check_has_its_words() -> None:
     texts = WORDS["en"].texts
     for section, names in (("kind", ALARM_KINDS), ("check", CHECKS)):
@@ -202,3 +210,28 @@ def test_a_temperature_that_is_only_watched_has_a_row_without_a_forecast() -> No
 )
 def test_the_browser_is_answered_in_the_language_that_it_prefers(accepted: str, language: str) -> None:
     assert preferred(accepted) == language
+
+
+def test_what_is_found_of_model_and_blocks_is_said_in_the_readers_language() -> None:
+    bad = {"verdict": "unfit", "verdict_sentence": "unfit: worse than the last reading held"}
+    plain = picture()
+    unfit = read_status(plain | {"model": plain["model"] | bad})
+    refused = {"mode": "armed", "last_verdict": "not permitted", "last_reason": ""}
+    cases = {
+        "model": (unfit, "das Modell ist unbrauchbar: worse", "il modello non è idoneo: worse"),
+        "write-back": (
+            read_status(plain | {"writeback": plain["writeback"] | refused}),
+            "scharf, und der neueste Block wurde nicht geschrieben (not permitted): kein Grund",
+            "armato, e l'ultimo blocco non è stato scritto (not permitted): nessun motivo",
+        ),
+    }
+    for check, (status, german, italian) in cases.items():
+        for language, wanted in (("de", german), ("it", italian)):
+            found = machine_view(all_words()[language], {}, status)["findings"]
+            assert any(each["check"] == check and each["sentence"].startswith(wanted) for each in found), found
+
+
+def test_a_phrase_is_filled_in_every_language_with_its_own_decimal_sign() -> None:
+    inner = Phrase("late", it="tardi", de="spät")
+    said = Phrase("{what} by {s} s", it="{what} di {s} s", de="{what} um {s} s").filled(what=inner, s="1.5")
+    assert (str(said), said.it, said.de) == ("late by 1.5 s", "tardi di 1,5 s", "spät um 1,5 s")

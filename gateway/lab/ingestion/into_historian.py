@@ -1,6 +1,6 @@
 """`decanter historian import`: a recording as rows of a historian, as if a gateway had watched it."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from itertools import pairwise
@@ -12,7 +12,7 @@ import click
 import numpy as np
 
 from drivers.tag import DType, Quality, Sample, Tag
-from gateway.console import emit, json_option, map_option, progress
+from gateway.console import CommandResult, Part, conclude, json_option, map_option, progress
 from gateway.entry import sentences
 from gateway.lab.traces.load import load_reported
 from gateway.machine import Keeper
@@ -63,22 +63,20 @@ def import_command(paths: Sequence[str], map_name: str, path: Path, machine: str
         traces, column_map, account = load_reported(paths, map_name)
         named = [replace(trace, machine=machine or trace.machine) for trace in traces]
         done = imported(path, named, column_map.temperature, report)
-    lines = [f"{file.path}: {file.account()}" for file in account.files if not file.error]
-    data: dict[str, Any] = {"historian": str(path), "account": lines}
+    data: dict[str, Any] = {"historian": str(path), "account": account.account()}
     data |= {"machines": [{"machine": each.machine, "rows": each.rows, "already there": each.there,
              "stored": each.stored, "samples": each.samples} for each in done]}  # fmt: skip
 
-    def show() -> None:
-        for line in lines:
-            click.echo(line)
+    def show() -> Iterator[Part]:
+        yield account.account()
         for each in done:
-            click.echo(
+            yield (
                 f"{each.machine}: {each.rows} rows = {each.stored} stored (in {each.samples} samples) + {each.there} "
                 "there already"
             )
-        click.echo(f"historian: {path}")
+        yield f"historian: {path}"
 
-    emit(data, show, as_json_line=as_json)
+    conclude(CommandResult(data), lambda _: show(), as_json=as_json)
 
 
 def imported(

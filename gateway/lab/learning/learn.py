@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -10,11 +10,22 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from gateway.console import Progress, emit, json_option, map_option, progress, seed_option, table
+from gateway.console import (
+    CommandResult,
+    Part,
+    Progress,
+    Rows,
+    conclude,
+    json_option,
+    map_option,
+    progress,
+    seed_option,
+)
 from gateway.entry import sentences
 from gateway.lab.learning.familiar import familiarity_files, trained_familiarity
 from gateway.lab.models.show import show_model, show_verdict, spread_sentence, summary
-from gateway.lab.traces.load import load, warned_of
+from gateway.lab.options import method_option, traces_option
+from gateway.lab.traces.load import load_reported, warned_of
 from sim.artefacts import VERDICT_FILE, ModelVerdict
 from sim.lab.formats import check_free, write_model_directory
 from sim.lab.learning import LearningError, check_data, drivers_of, machine_corrections
@@ -35,8 +46,8 @@ MOST_OTHERS = 16
 
 
 @click.command(short_help="Learn a model from traces and write its directory.")
-@click.option("--method", type=click.Choice(["bins", "lsha"]), default="bins", show_default=True)
-@click.option("--traces", "paths", multiple=True, required=True, help="A file, a folder or a glob; may be given again.")
+@method_option
+@traces_option
 @map_option
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="The model directory to write.")
 @click.option("--name", default="decanter", show_default=True, help="The model's name, and the artefacts' base name.")
@@ -101,7 +112,7 @@ def learn(
         folders = {each: out / each.replace("/", "_") for each in temperatures} if several else {}
         for folder in folders.values() or (out,):
             check_free(folder, name)  # nobody waits for a model that cannot be written
-        traces, column_map = load(paths, map_name)
+        traces, column_map, read = load_reported(paths, map_name)
         warnings = warned_of(traces, column_map.alphabet)
         wanted = list(dict.fromkeys(temperatures)) or [column_map.temperature]
         for temperature in wanted:
@@ -121,7 +132,7 @@ def learn(
                 report=part,
             )
         written = {folder: each.write(folder) for folder, each in taught.items()}
-    documents = [
+    documents: list[dict[str, Any]] = [
         {
             "model": str(folder),
             "file": str(written[folder]),
@@ -137,35 +148,39 @@ def learn(
         for folder, each in taught.items()
     ]
 
-    def show() -> None:
-        for folder, each in taught.items():
-            _show(each, folder)
+    data = documents[0] if len(documents) == 1 else {"models": documents}
+    data |= {"account": read.account()}
 
-    emit(documents[0] if len(documents) == 1 else {"models": documents}, show, as_json_line=as_json)
+    def show() -> Iterator[Part]:
+        yield read.account()
+        for folder, each in taught.items():
+            yield from _shown(each, folder)
+
+    conclude(CommandResult(data), lambda _: show(), as_json=as_json)
 
 
 def _part_of(report: Progress, number: int, count: int, temperature: str, what: str, share: float) -> None:
     report(f"{temperature}: {what}" if count > 1 else what, (number + share) / count)
 
 
-def _show(taught: TaughtModel, out: Path) -> None:
-    show_model(taught.model)
+def _shown(taught: TaughtModel, out: Path) -> Iterator[Part]:
+    yield from show_model(taught.model)
     for title, rows in taught.shown.items():
         if rows:
-            table(title, list(rows[0]), [list(row.values()) for row in rows])
+            yield Rows(title, list(rows[0]), [list(row.values()) for row in rows])
     for one in taught.drivers:
-        click.echo(one.sentence)
+        yield one.sentence
     for signal in taught.left_out:
-        click.echo(f"left out of the alphabet: {signal}, which follows")
-    click.echo(spread_sentence(taught.spread, shown_unit(taught.model.unit)))
+        yield f"left out of the alphabet: {signal}, which follows"
+    yield spread_sentence(taught.spread, shown_unit(taught.model.unit))
     cycles = taught.cycles
-    click.echo(f"familiarity: {f'{cycles} cycles' if cycles else 'unknown, too few cycles with an hour before them'}")
-    click.echo(f"model directory: {out}")
-    show_verdict(taught.verdict)
+    yield f"familiarity: {f'{cycles} cycles' if cycles else 'unknown, too few cycles with an hour before them'}"
+    yield f"model directory: {out}"
+    yield from show_verdict(taught.verdict)
     if taught.acceptance is not None:
         counts = f"{taught.acceptance.accepted} of {taught.acceptance.traces} training traces"
-        click.echo(f"accepted: {counts}, by the observed edges alone")
-        click.echo(f"learning report: {out / (REPORT + '.md')}")
+        yield f"accepted: {counts}, by the observed edges alone"
+        yield f"learning report: {out / (REPORT + '.md')}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

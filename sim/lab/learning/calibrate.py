@@ -75,7 +75,7 @@ def score_forecasts(
     stride = max(sum(trace.times.size for trace in traces) // most_rows, 1)
     scored: list[Scored] = []
     for trace, first in zip(traces, since, strict=True):
-        raw = trace.read(tracker.model.temperature)
+        raw = trace.drawn(tracker.model.temperature)
         outcomes = outcomes_of(trace.times, raw, tracker.model.alphabet.gap)
         rows = np.arange(0, trace.times.size, stride)
         inputs = {name: trace.signals[name][rows].tolist() for name in sorted(tracker.inputs) if name in trace.signals}

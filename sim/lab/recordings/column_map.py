@@ -114,9 +114,10 @@ class SignalColumn(_MapPart):
     `column` is the header's name (in a long file, the name in the column of names); the signal's own name if not given.
     Cells in `bad` (numbers that mean no reading, before scaling; `missing` is its older name) and values outside
     `low`..`high` are of bad quality. A cell that says its own unit is converted to `unit`. `hold`: sent on change, the
-    last value holds until the next reading, a bad one or a gap. `silence`: how long (s) a value holds in a recording that
-    is stored on change, where this signal has another than the map. `on` and `off` are words of a two-valued signal, in any
-    case of their letters, besides those that are known anyway; where they are given, `boolean` need not be.
+    last value holds until the next reading, a bad one or a gap. `silence`: how long (s) a value holds in a recording
+    that is stored on change, where this signal has another than the map. `on` and `off` are words of a two-valued
+    signal, in any case of their letters, besides those that are known anyway; where they are given, `boolean` need not
+    be.
     """
 
     column: Names = ()
@@ -222,7 +223,8 @@ def zone_problem(zone: str) -> str:
 
 
 class QualityColumn(_MapPart):
-    """Which words of a `column` mean that a row's readings are `good`; of several columns each is of those before it."""
+    """Which words of a `column` mean that a row's readings are `good`; of several columns each is of those before
+    it."""
 
     column: Names
     good: Annotated[Names, Field(min_length=1)]

@@ -106,6 +106,10 @@ _LONGEST = 90
 def _formats_of(cell: str) -> tuple[tuple[Order, str], ...]:
     if len(cell) == 14 and cell.isdigit() and _fits(cell, _COMPACT):
         return (("year", _COMPACT),)
+    if len(cell) >= 15 and cell[:8].isdigit() and cell[8] == "T" and _fits(cell.rstrip("Z")[:15], "%Y%m%dT%H%M%S"):
+        rest = cell[15:]
+        suffix = "%z" if rest in ("Z",) or _ZONE.fullmatch(rest) else ""
+        return (("year", f"%Y%m%dT%H%M%S{suffix}"),) if suffix or not rest else ()
     if not 8 <= len(cell) <= 40 or _DATED.match(cell) is None:
         return ()
     if _iso(cell):

@@ -8,7 +8,18 @@ from itertools import combinations
 import numpy as np
 
 from drivers.errors import did_you_mean
-from sim.lab.recordings import KEPT, TraceError, booleans, conversion, known_unit, listed, numbers
+from sim.lab.recordings import (
+    KEPT,
+    ClockColumns,
+    TraceError,
+    booleans,
+    conversion,
+    known_unit,
+    listed,
+    numbers,
+    read_clock,
+    unroll_midnight,
+)
 from sim.lab.recordings.mapping.answers import NONE, Answers, Undecided
 from sim.lab.recordings.mapping.clocks import (
     FoundClock,
@@ -31,7 +42,7 @@ from sim.lab.recordings.mapping.words import (
     running_score,
     temperature_score,
 )
-from sim.sha import Array
+from sim.sha import Array, Mask
 
 _REST_IN_KELVIN = (240.0, 330.0)
 """Where a temperature that nobody calls kelvin rests if it is; no bearing rests at 240 degC."""
@@ -187,12 +198,26 @@ def _no_clock(table: FoundTable, answers: Answers) -> str:
     )
 
 
+def seconds_of(table: FoundTable, clock: FoundClock) -> tuple[Array, Mask]:
+    """The times of the sample's rows as the clock reads them (NaN: none), and which of them are local."""
+    columns = ClockColumns(column="t", date="d" if clock.date is not None else (), formats=clock.formats)
+    cells = [table.column(clock.place), *([] if clock.date is None else [table.column(clock.date)])]
+    times, local = read_clock(columns, cells, clock.decimal)
+    return (unroll_midnight(times) if columns.daily else times), local
+
+
 def _one_order(table: FoundTable, clocks: Sequence[FoundClock], answers: Answers) -> FoundClock:
     """Of readings day first and month first the one that leaves a clock in order, else what the language says."""
     wanted = [clock for clock in clocks if clock.order == answers.dates]
     if wanted or len(clocks) == 1:
         return (wanted or list(clocks))[0]
-    steps = {clock.order: np.diff(clock.times[np.isfinite(clock.times)]) for clock in clocks}
+    # All rows of the sample: the first ones may all be of one day, and a later one of the 13th.
+    whole = {clock.order: seconds_of(table, clock)[0] for clock in clocks}
+    read = {order: int(np.isfinite(times).sum()) for order, times in whole.items()}
+    clocks = [clock for clock in clocks if read[clock.order] == max(read.values())]
+    if len(clocks) == 1:
+        return clocks[0]
+    steps = {clock.order: np.diff(whole[clock.order][np.isfinite(whole[clock.order])]) for clock in clocks}
     in_order = [c for c in clocks if np.all(steps[c.order] >= 0) or np.all(steps[c.order] <= 0)]
     # Days that cross a month's end jump by a month when day and month are exchanged.
     longest = {clock.order: float(np.abs(steps[clock.order]).max(initial=0.0)) for clock in clocks}

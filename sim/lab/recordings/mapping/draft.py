@@ -24,10 +24,18 @@ from sim.lab.recordings import (
 from sim.lab.recordings.mapping.answers import Answers
 from sim.lab.recordings.mapping.clocks import FoundClock
 from sim.lab.recordings.mapping.columns import FoundColumn, column_of, decimal_of
-from sim.lab.recordings.mapping.decide import Parts, check_temperature, clock_of, parts_of, with_units, with_words
+from sim.lab.recordings.mapping.decide import (
+    Parts,
+    check_temperature,
+    clock_of,
+    parts_of,
+    seconds_of,
+    with_units,
+    with_words,
+)
 from sim.lab.recordings.mapping.folder import one_table
 from sim.lab.recordings.mapping.quality import FoundQuality, quality_of
-from sim.lab.recordings.mapping.rows import Rows, Stored, apart, rows_of, seconds_of, stored_of
+from sim.lab.recordings.mapping.rows import Rows, Stored, apart, rows_of, stored_of
 from sim.lab.recordings.mapping.table import FoundTable, find_table, with_rows
 from sim.lab.recordings.mapping.words import current_score, load_score, named_name, named_unit, named_value
 from sim.sha import Alphabet, Array, Bins, Trace
@@ -279,7 +287,7 @@ def _text(found: _Found, alphabet: Alphabet | None = None) -> str:
     if stored.on_change:
         lines += [
             'stored = "on change"    # a value holds until the next one',
-            f"silence = {stored.silence:g}    # s: of the recorder and of each signal that names no other; longer is unknown",
+            f"silence = {stored.silence:g}    # s: of the recorder and of signals that name no other; then unknown",
             f"interval = {stored.interval:g}    # s: how often held values stand in a trace",
         ]
     if long is not None:

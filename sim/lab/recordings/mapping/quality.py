@@ -40,7 +40,9 @@ def quality_of(table: FoundTable, taken: Collection[int | None], answers: Answer
         for place, name in enumerate(table.header)
         if place not in taken and _NAMED.search(name)
     }
-    places = tuple(place for place, own in words.items() if 0 < len(own) <= _MOST_WORDS)
+    # One that stands in rows of its own, as in a file beside, says nothing of the others.
+    least = len(table.rows) / 2
+    places = tuple(place for place, own in words.items() if 0 < len(own) <= _MOST_WORDS and own.total() >= least)
     every = sum((words[place] for place in places), Counter[str]())
     if not places or answers.good == (NONE,):
         return FoundQuality()

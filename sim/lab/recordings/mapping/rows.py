@@ -7,7 +7,7 @@ from itertools import pairwise, product
 
 import numpy as np
 
-from sim.lab.recordings import ClockColumns, listed, longest_rising, numbers, read_clock, to_utc, unroll_midnight
+from sim.lab.recordings import listed, longest_rising, numbers, to_utc
 from sim.lab.recordings.mapping.answers import Answers, Undecided
 from sim.lab.recordings.mapping.clocks import FoundClock
 from sim.lab.recordings.mapping.columns import FoundColumn
@@ -48,6 +48,8 @@ _MARGIN = 1.5
 """Of the longest silence that is seen: another export of the same recorder has a somewhat longer one."""
 _WIDE_MARGIN = 3.0
 """The same where no longest time of the recorder shows: how long a load stays as it is has no limit, but a habit."""
+_FINEST = 10.0
+"""s between held values at least: of the shortest horizon of a forecast, a minute, a sixth."""
 _MOST_HELD = 1_000_000
 """Rows that held values may make of the sample: more take longer to learn from than they teach."""
 _OUTAGE = 6.0
@@ -64,14 +66,6 @@ class Rows:
     clock_back: str
     timezone: str
     said: tuple[str, ...]
-
-
-def seconds_of(table: FoundTable, clock: FoundClock) -> tuple[Array, Mask]:
-    """The times of the sample's rows as the clock reads them (NaN: none), and which of them are local."""
-    columns = ClockColumns(column="t", date="d" if clock.date is not None else (), formats=clock.formats)
-    cells = [table.column(clock.place), *([] if clock.date is None else [table.column(clock.date)])]
-    times, local = read_clock(columns, cells, clock.decimal)
-    return (unroll_midnight(times) if columns.daily else times), local
 
 
 def rows_of(
@@ -168,6 +162,11 @@ def _owners(
     chosen: tuple[int, ...] = ()
     if before > _LEFT * times.size or (before and _falls(times, inside)):
         singles = [place for place in few if left([place]) <= _LEFT * before]
+        # In autumn each machine's clock goes back once, too, for each of its signals.
+        nights = {
+            place: len(set(few[place])) * len(np.unique(inside)) for place in few if surely_machine(header[place])
+        }
+        singles += [place for place, most in nights.items() if place not in singles and left([place]) <= most < before]
         named = [place for place in singles if named_machine(header[place]) or named_session(header[place])]
         if singles:
             chosen = (min(named or singles, key=lambda place: (len(set(few[place])), place)),)
@@ -324,13 +323,14 @@ def stored_of(
     if steps.size < _LEAST_STEPS or answers.stored == "each row":
         return Stored(False)
     looks = {
-        column.header: _looks_stored(own, column, every.size, float(steps.sum()))
+        column.header: _looks_stored(own, column, every.size, steps)
         for column, own in zip(columns, times, strict=True)
         if column.kind in ("number", "switch", "states")
     }
     own = looks[temperature.header]
-    # The temperature's own steps: tags of a scan may stand a second apart.
-    interval = _interval(steps if own is None else own.steps)
+    # A column's own steps: tags of a scan may stand a second apart.
+    scans = [float(np.quantile(look.steps, 0.05)) for look in looks.values() if look is not None]
+    interval = _interval(min(scans, default=0.0), steps)
     kept = Stored(
         True,
         _holds(steps),
@@ -340,20 +340,23 @@ def stored_of(
     if answers.stored:
         return kept
     told = [look for look in looks.values() if look is not None]
-    # One that repeats what it was is polled, and so are all of its scan.
-    if own is None or any(look.repeated >= _REPEATED for look in told):
+    # One that repeats what it was is polled.
+    if own is None or own.repeated >= _REPEATED:
         return Stored(False)
-    if any(look.surely for look in told):
+    if own.surely or (any(look.surely for look in told) and all(look.repeated < _REPEATED for look in told)):
         return replace(
             kept,
             why=f"values stand where they change, repeated in {own.repeated:.0%} of the readings; {own.silent:.0%} "
             "of the time is silence",
         )
-    if not own.may or own.silent < _SILENT:
+    seldom = next((name for name, look in looks.items() if look is not None and look.surely), "")
+    if not seldom and (not own.may or own.silent < _SILENT):
         return Stored(False)
+    name = seldom or temperature.header
+    silent = next(look.silent for header, look in looks.items() if look is not None and header == name)
     raise Undecided(
         table.path,
-        f"{own.silent:.0%} of the time has no reading of {temperature.header!r}, whose values never repeat: it "
+        f"{silent:.0%} of the time has no reading of {name!r}, whose values never repeat: it "
         "may be stored on change, so that silence means as before, or each row may be there and the rest unknown",
         "stored",
         ["on change", "each row"],
@@ -376,8 +379,8 @@ class _Look:
     holds: float
 
 
-def _looks_stored(times: Array, column: FoundColumn, rows: int, span: float) -> _Look | None:
-    """How the readings of a column look, beside so many `rows` of all in `span` s; None for too few."""
+def _looks_stored(times: Array, column: FoundColumn, rows: int, every: Array) -> _Look | None:
+    """How the readings of a column look, beside so many `rows` of all with the steps `every`; None for too few."""
     if column.kind == "number":
         known, values = np.isfinite(column.values), column.values
     else:
@@ -389,24 +392,32 @@ def _looks_stored(times: Array, column: FoundColumn, rows: int, span: float) -> 
         return None
     longest = _longest_silence(steps)
     # What is stored because so long nothing changed may repeat what it was; what comes sooner has changed.
-    soon = steps < SOON * longest
-    told = soon if soon.mean() > _FEW_SOON else np.ones(steps.shape, dtype=bool)
+    soon = steps < SOON * (longest - float(np.quantile(every, 0.05)))
     beats = int((~soon).sum()) >= _LEAST_STEPS
+    # Between the beats of a recorder stands only what moved farther than from beat to beat.
+    between = beats and int(soon.sum()) >= _LEAST_STEPS
+    between = between and float(np.quantile(moves[soon], 0.05)) > float(np.quantile(moves[~soon], 0.9))
+    told = soon if between or soon.mean() > _FEW_SOON else np.ones(steps.shape, dtype=bool)
     repeated, scan = float((moves[told] == 0).mean()), float(np.quantile(steps, 0.05))
+    if told.all() and scan > _LONG_STEPS * float(np.quantile(every, 0.05)):
+        # It is told only when the longest time is over, or polled more slowly than others: neither speaks.
+        repeated = 0.0
     silent = float(steps[steps > _LONG_STEPS * scan].sum() / steps.sum())
     sparse = known.sum() < _SPARSE * rows
     usual = float(np.median(steps[told]))
     uneven = float((np.abs(steps - usual) > 0.5 * usual).mean()) > _UNEVEN
-    may = repeated < _REPEATED and uneven
+    may = repeated < _REPEATED and (uneven or between)
     # Noise makes small steps too, an exception none below its deadband.
     apart = float(np.quantile(moves[told], 0.05)) >= _APART * float(np.median(moves[told]))
     # A switch that is never told anew says by its silence that it did not change, however long that is.
-    holds = _holds(steps, beats=beats) if column.kind == "number" or beats else span
-    return _Look(may, may and ((silent >= _SILENT and apart) or bool(sparse)), repeated, silent, steps, holds)
+    holds = _holds(steps, beats=beats) if column.kind == "number" or beats else float(every.sum())
+    return _Look(
+        may, may and (between or (silent >= _SILENT and apart) or bool(sparse)), repeated, silent, steps, holds
+    )
 
 
-def _interval(steps: Array) -> float:
-    return max(float(f"{max(float(np.quantile(steps, 0.05)), float(steps.sum()) / _MOST_HELD):.3g}"), 1.0)
+def _interval(scan: float, steps: Array) -> float:
+    return float(f"{max(scan, float(steps.sum()) / _MOST_HELD, _FINEST):.3g}")
 
 
 def _holds(steps: Array, *, beats: bool = True) -> float:

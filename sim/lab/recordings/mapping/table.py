@@ -85,6 +85,8 @@ def find_table(path: Path) -> FoundTable:
     first = next((place for place, row in enumerate(rows) if _is_data(row)), None)
     if first is None:
         first = next((place for place, row in enumerate(rows) if place and _mostly_numbers(row)), None)
+    if first is None:
+        first = next((at for at in range(1, len(rows)) if _counts_time(rows[at - 1], rows[at])), None)
     # Words and blanks may stand in the rows above the first one that has numbers only.
     while first and first > 1 and len(rows[first - 1]) == len(rows[first]) and _mostly_numbers(rows[first - 1]):
         first -= 1
@@ -206,6 +208,15 @@ def _is_data(row: Sequence[str]) -> bool:
         return True
     filled = [cell for cell in row if cell]
     return bool(row[0]) and len(filled) > 1 and all(_numeric(cell) for cell in filled)
+
+
+def _counts_time(above: Sequence[str], row: Sequence[str]) -> bool:
+    """Whether a number stands under a name that speaks of time, in a row of names."""
+    return (
+        len(above) == len(row)
+        and not any(map(_numeric, filter(None, above)))
+        and any(named_time(name) and _numeric(cell) for name, cell in zip(above, row, strict=True) if cell)
+    )
 
 
 def _mostly_numbers(row: Sequence[str]) -> bool:
