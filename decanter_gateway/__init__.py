@@ -1,1 +1,34 @@
-"""The program's door: it looks whose packages are about to be imported, then calls the command line."""
+"""The program's door: it looks whose packages are about to be imported, then calls the command line.
+
+From Python it is the laboratory's door, `import decanter_gateway as decanter`: what the commands do, on data frames.
+"""
+
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from gateway.lab.frames import (
+        DiagnosedGap,
+        Judgement,
+        LearnedModel,
+        Recording,
+        check,
+        diagnose,
+        forecast,
+        judge,
+        learn,
+        read,
+        simulate,
+    )
+else:
+
+    def __getattr__(name: str) -> Any:
+        """A function of `gateway.lab.frames`. Raises ImportError where its packages are somebody else's."""
+        from decanter_gateway.start import stranger
+
+        if name.startswith("_") or name in ("start", "__main__"):
+            raise AttributeError(f"module 'decanter_gateway' has no attribute {name!r}")
+        if (reason := stranger(Path(__file__).parents[1])) is not None:
+            raise ImportError(reason)
+        return getattr(import_module("gateway.lab.frames"), name)

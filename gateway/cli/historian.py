@@ -7,11 +7,16 @@ from gateway.entry import LazyGroup, Table
 _COMMANDS = "gateway.cli.plant.records"
 COMMANDS: Table = {
     "export": (f"{_COMMANDS}:export", "Write a table of the records as CSV or Parquet."),
+    "import": (
+        "gateway.lab.ingestion.into_historian:import_command",
+        "Take a recording into a historian; what is there already must agree.",
+    ),
     "query": (f"{_COMMANDS}:query", "Show the newest rows of a table, or a tag's means."),
     "tables": (f"{_COMMANDS}:tables", "List the tables and what their columns mean."),
 }
 EXAMPLES = {
     "export": "historian export samples.parquet --since 7d",
+    "import": "historian import export.csv --map export.toml --historian out/recorded.sqlite",
     "query": "historian query samples --tag TCuscinettiRiduttore --since 10m",
     "tables": "historian tables",
 }
@@ -19,4 +24,4 @@ EXAMPLES = {
 
 @click.group(cls=LazyGroup, table=COMMANDS, examples=EXAMPLES, short_help="The records as tables.")
 def historian() -> None:
-    """Export and query what is on record; a running gateway is not disturbed."""
+    """Export and query what is on record, a running gateway undisturbed; take recordings into a historian."""

@@ -9,5 +9,6 @@ if TYPE_CHECKING:
     from gateway.machine.phase import Phase
     from gateway.machine.pipeline import MODEL_PART, ORDERS, Machine
     from gateway.machine.plant_records import PlantRecords
+    from gateway.machine.records import Keeper
 else:
     __getattr__ = opened_at_use(__name__)

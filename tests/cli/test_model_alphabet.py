@@ -53,7 +53,7 @@ MEETING: dict[str, list[str]] = {
 """Commands that take a model and, by a column map, traces; `diagnose` has a test of its own."""
 FORGETTING = {"model lineage", "model retrain"}
 """Those that take the readings of such traces alone: they encode them for each model (tests/retraining)."""
-LEARNING = {"demo", "model fleet", "model learn", "model tune", "trace ingest", "trace show"}
+LEARNING = {"demo", "historian import", "model fleet", "model learn", "model tune", "trace ingest", "trace show"}
 """Those that meet no model, or only one that they learn from these very traces."""
 
 

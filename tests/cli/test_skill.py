@@ -121,3 +121,20 @@ def test_skill_says_what_cannot_be_scored(plant: Path, tmp_path: Path) -> None:
     misused(decanter(*short, "--horizons", "300,60"), "'300,60': give positive seconds in ascending order")
     misused(decanter(*short, "--rivals"), "--rivals are fitted to traces: name them with --training")
     refused(decanter(*short, "--picture", tmp_path / "x.txt"), 2, "cannot be a picture")
+
+
+def test_a_long_trace_gets_so_many_forecasts_however_fine_the_scan(
+    plant: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rival = Clairvoyant()
+    monkeypatch.setitem(sys.modules, "sim.lab.judge.rivals", SimpleNamespace(rivals=lambda seed: (rival,)))
+    words = ("model", "skill", str(plant / "model"), "--traces", str(plant / "a.csv"), "--horizons", "60")
+    rivals = ("--rivals", "--training", str(plant / "b" / "b.csv"), "--json")
+    counts = []
+    for scan in ("1", "0.01"):
+        rival.asked.clear()
+        found = only_object(decanter(*words, *rivals, "--moments", "10", "--scan", scan).stdout)
+        assert "for no more than 10 moments" in found["notes"][0]
+        counts.append({row["method"]: row["forecasts"] for row in found["by horizon"]} | {"asked": len(rival.asked)})
+    # A scan that is finer than the rows shows nothing more, and costs nothing more.
+    assert counts[0] == counts[1] and 5 <= counts[0]["decanter"] <= 10 and counts[0]["asked"] <= 11

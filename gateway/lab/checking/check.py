@@ -12,6 +12,7 @@ from gateway.console import (
     CommandResult,
     Line,
     Part,
+    Progress,
     Rows,
     conclude,
     finite,
@@ -27,7 +28,7 @@ from gateway.store import newest_scan, reading, to_trace
 from sim.lab.checking.language import parse_query
 from sim.lab.checking.query import Simulation, Symbolic
 from sim.lab.checking.smc import Answer, QuerySettings, Rule, Start, answer, believed, decided, initial
-from sim.lab.formats import find_model
+from sim.lab.formats import FoundModel, find_model
 from sim.lab.pictures import ENDINGS
 from sim.sha import DEGREES, Model, Trace, encoded, shown_unit
 
@@ -149,13 +150,17 @@ def check(
                 )
             trace = traces[0]
             found_model = find_model(model_name, alphabet=column_map.alphabet, temperature=column_map.temperature)
-        query = parse_query(query_text, found_model.model if found_model.model is not None else found_model.structure)
         unit = shown_unit(found_model.model.unit if found_model.model is not None else DEGREES)
-        if isinstance(query, Symbolic):
-            result = decided(query, found_model.structure)
-        else:
-            start = _start(found_model.runnable(), trace, origin=origin, future=future, machine=machine)
-            result = answer(query, start, settings, report)
+        result = answered(
+            query_text,
+            found_model,
+            trace,
+            settings=settings,
+            origin=origin,
+            future=future,
+            machine=machine,
+            report=report,
+        )
         if courses is not None:
             if not result.courses:
                 raise ValueError("--csv writes the courses of a simulate query; this query has none")
@@ -185,6 +190,30 @@ def check(
     holds = result.kind not in ("hypothesis", "comparison", "symbolic") or result.verdict is True
     found = CommandResult(data, ok=holds)
     conclude(found, lambda _: _show(result, query_text, courses, picture, unit=unit), as_json=as_json)
+
+
+def answered(
+    query_text: str,
+    found_model: FoundModel,
+    trace: Trace | None,
+    *,
+    settings: QuerySettings,
+    origin: str = "initial",
+    future: str | None = None,
+    machine: str | None = None,
+    report: Progress = lambda what, share: None,
+) -> Answer:
+    """The answer to a query about a model, whose runs a recorded `trace` drives where there is one.
+
+    `origin` and `future` are the command's --from and --future. Raises ValueError for a query that cannot be read or
+    put to this model.
+    """
+    model = found_model.model
+    query = parse_query(query_text, model if model is not None else found_model.structure)
+    if isinstance(query, Symbolic):
+        return decided(query, found_model.structure)
+    start = _start(found_model.runnable(), trace, origin=origin, future=future, machine=machine)
+    return answer(query, start, settings, report)
 
 
 def _start(model: Model, trace: Trace | None, *, origin: str, future: str | None, machine: str | None) -> Start:

@@ -1,6 +1,7 @@
 """`decanter model skill`: forecasts along held-out traces as the running gateway makes them, beside rivals."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +18,77 @@ from sim.lab.formats import find_model
 from sim.lab.judge import ForecastSkill, SkillRow, common, draw_skill, forecast_skill, machine_of
 from sim.lab.pictures import check_picture
 from sim.lab.recordings import load_map, load_traces
-from sim.sha import shown_unit
+from sim.sha import Model, Trace, shown_unit
 
 OURS = "decanter"
+MOST_MOMENTS = 1000
+"""Forecasts of a trace at most, unless somebody asks for more: each takes some ten milliseconds, rivals as much."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SkillAlong:
+    """What forecasts along traces are worth: `found`, the `rows` that it is made of, what was learned of machines."""
+
+    found: ForecastSkill
+    rows: Sequence[SkillRow]
+    offsets: Sequence[Mapping[str, Any]]
+
+
+def spaced(trace: Trace, period: float, moments: int) -> float:
+    """The seconds between two forecasts of a trace: `period`, or more where there would be more than `moments`."""
+    return max(period, float(trace.times[-1] - trace.times[0]) / moments) if trace.times.size else period
+
+
+def skill_along(
+    ours: Sequence[Model],
+    traces: Sequence[Trace],
+    *,
+    training: Sequence[Trace] | None,
+    forecasts: ForecastSection,
+    scan: float,
+    moments: int = MOST_MOMENTS,
+    report: Callable[[str, float], None] = lambda what, share: None,
+) -> SkillAlong:
+    """Forecasts along traces, of the first of `ours` with the others as its members, beside persistence and rivals.
+
+    Rivals are fitted to `training`; None asks for none. A trace gets a forecast each `forecasts.period` s, or fewer,
+    evenly, where those would be more than `moments`; `scan` is the scan period in s. Raises ValueError where no
+    forecast came due, for a trace that a model cannot follow, and for rivals that cannot be loaded.
+    """
+    first, horizons, seed = ours[0], forecasts.horizons, forecasts.seed
+    if training is not None:
+        report("fitting the rivals", 0.0)
+    others, notes = other_methods(training, first.temperature, first.alphabet, horizons=horizons, scan=scan, seed=seed)
+    rows: list[SkillRow] = []
+    offsets: list[dict[str, Any]] = []
+    for number, trace in enumerate(traces):
+        period = spaced(trace, forecasts.period, moments)
+        if period > forecasts.period:
+            notes.append(
+                f"{trace.name}: a forecast each {period:.4g} s, for no more than {moments} moments; more of them say "
+                "the same more exactly"
+            )
+        own = skill_rows(
+            trace,
+            first.temperature,
+            first.alphabet,
+            models={OURS: ours},
+            others=others,
+            forecasts=forecasts.model_copy(update={"period": period}),
+            scan_period=scan,
+            report=lambda what, share, number=number: report(what, (number + share) / len(traces)),  # type: ignore[misc]
+        )
+        rows += own
+        notes += lacking(trace, own, horizons)
+        learned_offset = machine_offset_along(first, trace, scan_period=scan)
+        if learned_offset is not None:
+            mean, sigma = learned_offset
+            offsets.append({"machine": machine_of(trace), "trace": trace.name, "offset": mean, "sigma": sigma})
+    if not rows:
+        raise ValueError(f"no forecast came due: {'; '.join(notes)}; give longer traces or shorter horizons")
+    return SkillAlong(
+        found=forecast_skill(rows, [OURS], seed=seed, notes=notes, unit=first.unit), rows=rows, offsets=offsets
+    )
 
 
 def _horizons(_: click.Context, __: click.Parameter, text: str) -> tuple[float, ...]:
@@ -46,6 +115,9 @@ def _horizons(_: click.Context, __: click.Parameter, text: str) -> tuple[float, 
     "--scan", type=click.FloatRange(0.0, min_open=True), default=1.0, show_default=True, help="The scan period, s."
 )
 @click.option(
+    "--moments", type=click.IntRange(1), default=MOST_MOMENTS, show_default=True, help="Forecasts of a trace at most."
+)
+@click.option(
     "--picture", type=click.Path(path_type=Path, dir_okay=False), help="Also draw the figures (.png, .pdf, .svg)."
 )
 @seed_option
@@ -60,6 +132,7 @@ def skill(
     period: float,
     horizons: tuple[float, ...],
     scan: float,
+    moments: int,
     picture: Path | None,
     seed: int,
     as_json: bool,
@@ -80,36 +153,19 @@ def skill(
         ours = [
             find_model(name, alphabet=alphabet, temperature=temperature).runnable() for name in (directory, *members)
         ]
-        temperature, alphabet = ours[0].temperature, ours[0].alphabet
         learned = load_traces(list(training), load_map(shipped("traces", map_name)))[0] if training else []
-        others, notes = other_methods(
-            learned if rivals else None, temperature, alphabet, horizons=horizons, scan=scan, seed=seed
+        along = skill_along(
+            ours,
+            traces,
+            training=learned if rivals else None,
+            forecasts=ForecastSection(horizons=horizons, period=period, seed=seed),
+            scan=scan,
+            moments=moments,
+            report=report,
         )
-        forecasts = ForecastSection(horizons=horizons, period=period, seed=seed)
-        rows: list[SkillRow] = []
-        offsets: list[dict[str, Any]] = []
-        for trace in traces:
-            own = skill_rows(
-                trace,
-                temperature,
-                alphabet,
-                models={OURS: ours},
-                others=others,
-                forecasts=forecasts,
-                scan_period=scan,
-                report=report,
-            )
-            rows += own
-            notes += lacking(trace, own, horizons)
-            learned_offset = machine_offset_along(ours[0], trace, scan_period=scan)
-            if learned_offset is not None:
-                mean, sigma = learned_offset
-                offsets.append({"machine": machine_of(trace), "trace": trace.name, "offset": mean, "sigma": sigma})
-        if not rows:
-            raise ValueError(f"no forecast came due: {'; '.join(notes)}; give longer traces or shorter --horizons")
-        found = forecast_skill(rows, [OURS], seed=seed, notes=notes, unit=ours[0].unit)
+        found, offsets = along.found, along.offsets
         if picture is not None:
-            draw_skill({ours[0].sha.name: common(rows)}, picture)
+            draw_skill({ours[0].sha.name: common(along.rows)}, picture)
     data = {"model": ours[0].sha.name, "members": len(members), "period": period, **found.as_plain()}
     data |= {"machine offsets": offsets, "picture": picture and str(picture)}
     conclude(CommandResult(data), lambda _: show(found, offsets, picture), as_json=as_json)

@@ -3,32 +3,46 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from gateway.console import CommandResult, Part, Rows, conclude, json_option, map_option, progress, seed_option
+from gateway.console import (
+    CommandResult,
+    Part,
+    Progress,
+    Rows,
+    conclude,
+    json_option,
+    map_option,
+    progress,
+    seed_option,
+)
 from gateway.entry import sentences
 from gateway.lab.learning.familiar import familiarity_files, trained_familiarity
 from gateway.lab.models.show import show_model, show_verdict, spread_sentence, summary
-from gateway.lab.options import method_option, temperature_option, traces_option
+from gateway.lab.options import method_option, traces_option
 from gateway.lab.traces.load import load_reported, warned_of
-from sim.artefacts import VERDICT_FILE
+from sim.artefacts import VERDICT_FILE, ModelVerdict
 from sim.lab.formats import check_free, write_model_directory
-from sim.lab.judge import judge_learned
-from sim.lab.learning import machine_corrections
+from sim.lab.learning import LearningError, check_data, drivers_of, machine_corrections
 from sim.lab.learning.lsha import FLOW_KINDS, LshaSettings
-from sim.sha import Trace, encoded, shown_unit
+from sim.lab.recordings import driven_by
+from sim.sha import Bins, Model, Trace, encode, encoded, shown_unit
 from sim.strict_json import json_text
 
 if TYPE_CHECKING:
+    from sim.lab.learning import DriverEvidence, MachineSpread
     from sim.lab.learning.bins import Learned
-    from sim.lab.learning.lsha import LearnedLsha
+    from sim.lab.learning.lsha import LearnedLsha, ObservationTable, TraceAcceptance
     from sim.lab.recordings import ColumnMap
 
 REPORT = "learning_report"
+MOST_OTHERS = 16
+"""Signals beside the alphabet's of which it is told whether they drive the temperature."""
 
 
 @click.command(short_help="Learn a model from traces and write its directory.")
@@ -37,7 +51,20 @@ REPORT = "learning_report"
 @map_option
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="The model directory to write.")
 @click.option("--name", default="decanter", show_default=True, help="The model's name, and the artefacts' base name.")
-@temperature_option
+@click.option(
+    "--temperature",
+    "temperatures",
+    multiple=True,
+    metavar="SIGNAL",
+    help="The signal that is predicted; given again, each has its model in a folder of its name.  [default: the map's]",
+)
+@click.option(
+    "--driver",
+    "drivers",
+    multiple=True,
+    metavar="SIGNAL",
+    help="A signal that loads the machine: power, speed, set point; given again, several.  [default: the map's]",
+)
 @seed_option
 @click.option("--delta", type=click.FloatRange(0.0), help="lsha: merge tolerance, share of the parameters' spread.")
 @click.option("--default-flow", type=click.Choice(FLOW_KINDS), help="lsha: the flow of all locations to begin with.")
@@ -55,13 +82,17 @@ def learn(
     map_name: str,
     out: Path,
     name: str,
-    temperature: str | None,
+    temperatures: Sequence[str],
+    drivers: Sequence[str],
     seed: int,
     as_json: bool,
     observed_edges: bool,
     **options: float | str | None,
 ) -> None:
     """Learn a model from traces and write its directory with all artefacts.
+
+    What drives the temperature, and what only follows it, is said with its evidence; of several level signals of the
+    alphabet one that follows it is left out.
 
     `bins`: one location for each combination of running and current bin, fitted by free-run maximum likelihood; the
     held-out likelihood chooses between a constant target and one that the current drives.
@@ -76,62 +107,198 @@ def learn(
             first = next(iter(settings))
             option = {"complete": "observed-edges"}.get(first, first.replace("_", "-"))
             raise ValueError(f"--{option} belongs to --method lsha; leave it out, or choose that method")
-        check_free(out, name)  # nobody waits for a model that cannot be written
+        # Each of several temperatures has its model in a folder of its name.
+        several = len(set(temperatures)) > 1
+        folders = {each: out / each.replace("/", "_") for each in temperatures} if several else {}
+        for folder in folders.values() or (out,):
+            check_free(folder, name)  # nobody waits for a model that cannot be written
         traces, column_map, read = load_reported(paths, map_name)
         warnings = warned_of(traces, column_map.alphabet)
-        if method == "lsha":
-            from sim.lab.learning.lsha import learn_lsha, report_document, report_text
-
-            words_learned = learn_lsha(
+        wanted = list(dict.fromkeys(temperatures)) or [column_map.temperature]
+        for temperature in wanted:
+            check_data(traces, temperature)  # before one of several is learned in vain
+        taught: dict[Path, TaughtModel] = {}
+        for number, temperature in enumerate(wanted):
+            part = partial(_part_of, report, number, len(wanted), temperature)
+            lshas = LshaSettings(**settings) if method == "lsha" else None
+            taught[folders.get(temperature, out)] = taught_model(
                 traces,
-                column_map.alphabet,
-                temperature or column_map.temperature,
+                column_map,
+                temperature=temperature,
+                drivers=drivers,
                 name=name,
                 seed=seed,
-                settings=LshaSettings(**settings),
-                progress=report,
+                lsha=lshas,
+                report=part,
             )
-            account = words_learned.report
-            more = {
-                f"{REPORT}.json": json_text(report_document(account), indent=1) + "\n",
-                f"{REPORT}.md": report_text(account, name),
-            }
-            model, spread = words_learned.model, words_learned.spread
-            values, observations = words_learned.values, account.table
-            shown, acceptance, coverage = lsha_diagnostics(words_learned), account.acceptance, account.coverage
-        else:
-            learned = learn_from(traces, column_map, name=name, seed=seed, report=report, temperature=temperature)
-            model, spread = learned.model, learned.spread
-            values, observations, more = learned.values, None, {}
-            shown, acceptance, coverage = diagnostics(learned), None, learned.coverage
-        # Of several machines it is a model of their type, and has what is each one's own.
-        model = replace(model, machines=machine_corrections(model, traces, spread))
-        familiar = trained_familiarity(model, traces)
-        verdict = judge_learned(model, [encoded(trace, model.alphabet) for trace in traces], coverage)
-        more = more | familiarity_files(familiar) | {VERDICT_FILE: verdict.text()}
-        written = write_model_directory(out, model, values, observations=observations, more=more)
-    data = {"model": str(out), "file": str(written), **summary(model), "diagnostics": shown}
-    cycles = 0 if familiar is None else familiar.reference.held_out.size
-    data |= {"verdict": verdict.plain() | {"sentence": verdict.sentence}}
-    data |= {"familiar_cycles": cycles, "machines": asdict(spread), "warnings": warnings}
+        written = {folder: each.write(folder) for folder, each in taught.items()}
+    documents: list[dict[str, Any]] = [
+        {
+            "model": str(folder),
+            "file": str(written[folder]),
+            **summary(each.model),
+            "diagnostics": each.shown,
+            "verdict": each.verdict.plain() | {"sentence": each.verdict.sentence},
+            "familiar_cycles": each.cycles,
+            "machines": asdict(each.spread),
+            "drivers": [{**asdict(one), "sentence": one.sentence} for one in each.drivers],
+            "left out": list(each.left_out),
+            "warnings": warnings,
+        }
+        for folder, each in taught.items()
+    ]
+
+    data = documents[0] if len(documents) == 1 else {"models": documents}
     data |= {"account": read.account()}
 
     def show() -> Iterator[Part]:
         yield read.account()
-        yield from show_model(model)
-        for title, rows in shown.items():
-            if rows:
-                yield Rows(title, list(rows[0]), [list(row.values()) for row in rows])
-        yield spread_sentence(spread, shown_unit(model.unit))
-        yield f"familiarity: {f'{cycles} cycles' if cycles else 'unknown, too few cycles with an hour before them'}"
-        yield f"model directory: {out}"
-        yield from show_verdict(verdict)
-        if acceptance is not None:
-            counts = f"{acceptance.accepted} of {acceptance.traces} training traces"
-            yield f"accepted: {counts}, by the observed edges alone"
-            yield f"learning report: {out / (REPORT + '.md')}"
+        for folder, each in taught.items():
+            yield from _shown(each, folder)
 
     conclude(CommandResult(data), lambda _: show(), as_json=as_json)
+
+
+def _part_of(report: Progress, number: int, count: int, temperature: str, what: str, share: float) -> None:
+    report(f"{temperature}: {what}" if count > 1 else what, (number + share) / count)
+
+
+def _shown(taught: TaughtModel, out: Path) -> Iterator[Part]:
+    yield from show_model(taught.model)
+    for title, rows in taught.shown.items():
+        if rows:
+            yield Rows(title, list(rows[0]), [list(row.values()) for row in rows])
+    for one in taught.drivers:
+        yield one.sentence
+    for signal in taught.left_out:
+        yield f"left out of the alphabet: {signal}, which follows"
+    yield spread_sentence(taught.spread, shown_unit(taught.model.unit))
+    cycles = taught.cycles
+    yield f"familiarity: {f'{cycles} cycles' if cycles else 'unknown, too few cycles with an hour before them'}"
+    yield f"model directory: {out}"
+    yield from show_verdict(taught.verdict)
+    if taught.acceptance is not None:
+        counts = f"{taught.acceptance.accepted} of {taught.acceptance.traces} training traces"
+        yield f"accepted: {counts}, by the observed edges alone"
+        yield f"learning report: {out / (REPORT + '.md')}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TaughtModel:
+    """A learned `model` and how it came about: tables `shown`, the machines' `spread`, how many `cycles` are familiar.
+
+    `drivers` is what the traces say of each signal; channels of those in `left_out` are not in the model's alphabet.
+    `values`, `observations` and `more` files stand beside it in a model directory; `acceptance` is of `lsha` alone;
+    `verdict` says where the model may be used.
+    """
+
+    model: Model
+    drivers: tuple[DriverEvidence, ...]
+    left_out: tuple[str, ...]
+    shown: Mapping[str, Sequence[Mapping[str, Any]]]
+    spread: MachineSpread
+    cycles: int
+    values: Mapping[str, tuple[float, ...]]
+    observations: ObservationTable | None
+    more: Mapping[str, str]
+    acceptance: TraceAcceptance | None
+    verdict: ModelVerdict
+
+    def write(self, out: Path) -> Path:
+        """Write the model directory; the path of its model.json. Raises ArtefactError where it cannot be written."""
+        return write_model_directory(out, self.model, self.values, observations=self.observations, more=self.more)
+
+
+def taught_model(
+    traces: Sequence[Trace],
+    column_map: ColumnMap,
+    *,
+    temperature: str,
+    drivers: Sequence[str] = (),
+    name: str,
+    seed: int,
+    lsha: LshaSettings | None,
+    report: Progress,
+) -> TaughtModel:
+    """A model of the traces' signal `temperature` by the map's alphabet: L*_SHA with settings, else method `bins`.
+
+    `drivers` are level signals in place of the alphabet's. Raises LearningError, in one sentence, where the traces
+    cannot teach one.
+    """
+    # The judge brings rooms that a command begins without.
+    from sim.lab.judge import judge_learned
+
+    column_map, traces, evidence, left_out = _driven(traces, column_map, temperature, drivers)
+    observations, acceptance, more = None, None, dict[str, str]()
+    if lsha is not None:
+        from sim.lab.learning.lsha import learn_lsha, report_document, report_text
+
+        words_learned = learn_lsha(
+            traces, column_map.alphabet, temperature, name=name, seed=seed, settings=lsha, progress=report
+        )
+        account = words_learned.report
+        more = {
+            f"{REPORT}.json": json_text(report_document(account), indent=1) + "\n",
+            f"{REPORT}.md": report_text(account, name),
+        }
+        model, spread, values = words_learned.model, words_learned.spread, words_learned.values
+        observations, acceptance, shown = account.table, account.acceptance, lsha_diagnostics(words_learned)
+        coverage = account.coverage
+    else:
+        learned = learn_from(traces, column_map, name=name, seed=seed, report=report, temperature=temperature)
+        model, spread, values, shown = learned.model, learned.spread, learned.values, diagnostics(learned)
+        coverage = learned.coverage
+    # Of several machines it is a model of their type, and has what is each one's own.
+    model = replace(model, machines=machine_corrections(model, traces, spread))
+    familiar = trained_familiarity(model, traces)
+    verdict = judge_learned(model, [encoded(trace, model.alphabet) for trace in traces], coverage)
+    return TaughtModel(
+        model=model,
+        drivers=evidence,
+        left_out=left_out,
+        shown=shown,
+        spread=spread,
+        cycles=0 if familiar is None else familiar.reference.held_out.size,
+        values=values,
+        observations=observations,
+        more=more | familiarity_files(familiar) | {VERDICT_FILE: verdict.text()},
+        acceptance=acceptance,
+        verdict=verdict,
+    )
+
+
+def _driven(
+    traces: Sequence[Trace], column_map: ColumnMap, temperature: str, drivers: Sequence[str]
+) -> tuple[ColumnMap, Sequence[Trace], tuple[DriverEvidence, ...], tuple[str, ...]]:
+    """The map and traces by the alphabet that drives the temperature, the evidence, and which signals are left out.
+
+    Raises LearningError for a driver that no trace has.
+    """
+    alphabet = column_map.alphabet
+    known = sorted({name for trace in traces for name in trace.signals})
+    for name in drivers:
+        if name not in known or name == temperature:
+            raise LearningError(f"{name!r} cannot drive {temperature!r}; the signals are {', '.join(known)}")
+    if drivers:
+        alphabet = driven_by(alphabet, list(dict.fromkeys(drivers)), traces)
+    levels = [channel.signal for channel in alphabet.channels if isinstance(channel, Bins)]
+    switches = [channel.signal for channel in alphabet.channels if not isinstance(channel, Bins)]
+    shared = [name for name in known if all(name in trace.signals for trace in traces)]
+    others = [name for name in shared if name not in (temperature, *levels, *switches)]
+    evidence = drivers_of(
+        traces, temperature, [*(name for name in levels if name in shared), *others[:MOST_OTHERS]], gap=alphabet.gap
+    )
+    follow = {one.signal for one in evidence if one.verdict == "follows"} & set(levels) - set(drivers)
+    # A single one is what whoever wrote the map means: it is only said.
+    left_out = tuple(name for name in levels if name in follow) if len(set(levels) - follow) else ()
+    if left_out:
+        alphabet = replace(
+            alphabet, channels=tuple(channel for channel in alphabet.channels if channel.signal not in left_out)
+        )
+    if alphabet is not column_map.alphabet:
+        column_map = column_map.model_copy(update={"alphabet": alphabet})
+        traces = [replace(trace, events=encode(trace, alphabet)) for trace in traces]
+    return column_map, traces, evidence, left_out
 
 
 def learn_from(

@@ -23,8 +23,8 @@ MOST_QUESTIONS = 3
 @click.option("--temperature", default="", help="The column that is modelled.")
 @click.option(
     "--current",
-    default="",
-    help=f"The column of the motor's current, or of what else loads the machine; {NONE} for none.",
+    multiple=True,
+    help=f"The column of the motor's current, or of what else loads the machine; again for several; {NONE} for none.",
 )
 @click.option("--running", default="", help=f"The column that says whether the machine runs; {NONE} for none.")
 @click.option("--on", multiple=True, help="A word of that column that means running; may be given several times.")
@@ -46,6 +46,7 @@ def map_command(
     file: Path,
     out: Path | None,
     overwrite: bool,
+    current: tuple[str, ...],
     on: tuple[str, ...],
     unit: tuple[str, ...],
     good: tuple[str, ...],
@@ -62,7 +63,9 @@ def map_command(
     with sentences():
         if out is not None and out.exists() and not overwrite:
             raise ValueError(f"{out}: is there already; give another name, or --overwrite")
-        answers = Answers(on=on, unit=unit, good=good, **{name: given or "" for name, given in names.items()})
+        answers = Answers(
+            current=current, on=on, unit=unit, good=good, **{name: given or "" for name, given in names.items()}
+        )
         drafted = asked_map(file, answers, yes=yes)
         if out is not None:
             with writing(out):

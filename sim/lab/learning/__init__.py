@@ -8,6 +8,7 @@ if TYPE_CHECKING:
     from sim.lab.learning.calibrate import MOST_WIDENING, Coverage, HeldOutForecasts
     from sim.lab.learning.correction import FORMS, corrected_model, learn_correction
     from sim.lab.learning.data import in_order
+    from sim.lab.learning.drivers import DriverEvidence, drivers_of
     from sim.lab.learning.fleet import (
         FALSE_FINDING_CHANCE,
         GroupTargets,

@@ -98,6 +98,16 @@ def with_thresholds(alphabet: Alphabet, traces: Sequence[Trace]) -> Alphabet:
     return replace(alphabet, channels=tuple(channels))
 
 
+def driven_by(alphabet: Alphabet, signals: Sequence[str], traces: Sequence[Trace]) -> Alphabet:
+    """The alphabet with these level signals in place of its own, each with the thresholds of the traces."""
+    levels = [
+        AutoBins(signal, (), (f"{chr(ord('A') + place)}_0",), prefix=f"{chr(ord('A') + place)}_")
+        for place, signal in enumerate(signals)
+    ]
+    switches = [channel for channel in alphabet.channels if not isinstance(channel, Bins)]
+    return with_thresholds(replace(alphabet, channels=(*switches, *levels)), traces)
+
+
 def levels_of(traces: Sequence[Trace], signal: str, gap: float) -> Levels:
     """The levels of a signal over all traces; `gap` (s) is the time beyond which a reading says nothing of the next.
 
@@ -116,7 +126,7 @@ def levels_of(traces: Sequence[Trace], signal: str, gap: float) -> Levels:
         weights.append(np.append(np.where(steps > gap, usual, steps), usual))
         jumps.append(np.abs(np.diff(readings))[steps <= gap])
     readings, times = np.concatenate(values), np.concatenate(weights)
-    if np.unique(readings).size < 2 or not times.sum() > 0:
+    if not readings.size or np.ptp(readings) == 0 or not times.sum() > 0:
         return Levels()
     moved = np.concatenate(jumps)
     # Of steps between readings, most are noise and few are moves: the median knows only the former. 1.4826 makes it a
@@ -125,8 +135,19 @@ def levels_of(traces: Sequence[Trace], signal: str, gap: float) -> Levels:
     # Held values do not move from one row to the next: their noise is the scatter within a level.
     held = noise == 0.0
     parts = np.arange(readings.size) * _STRETCHES // readings.size % _PARTS
+    # A million readings are put in order once, not for each number of levels and each part that is left out.
+    order = np.argsort(readings, kind="stable")
+    whole = _points(readings[order], times[order], times.sum())
+    fewer: dict[int, Array] = {}
+
+    def without(part: int) -> Array:
+        if part not in fewer:
+            kept = order[parts[order] != part]
+            fewer[part] = _points(readings[kept], times[kept], times[parts != part].sum())
+        return fewer[part]
+
     for count in range(MOST_LEVELS, 1, -1):
-        cuts, centres = _clusters(readings, times, count)
+        cuts, centres = _clusters(whole, count)
         apart = np.diff(centres)
         level = np.searchsorted(cuts, readings, side="right")
         shares = np.bincount(level, times, count) / times.sum()
@@ -134,7 +155,7 @@ def levels_of(traces: Sequence[Trace], signal: str, gap: float) -> Levels:
             noise = _WITHIN * float(np.sqrt(np.average((readings - centres[level]) ** 2, weights=times)))
         if cuts.size != count - 1 or shares.min() < _LEAST_SHARE or apart.min() < _LEAST_NOISES * noise:
             continue
-        others = (_clusters(readings[parts != part], times[parts != part], count)[0] for part in range(_PARTS))
+        others = (_clusters(without(part), count)[0] for part in range(_PARTS))
         if all(other.size == cuts.size and np.all(np.abs(other - cuts) <= _MOST_MOVE * apart) for other in others):
             thresholds = tuple(dict.fromkeys(round_to(float(c), float(apart.min()) / 10) for c in cuts))
             quarter = float(apart.min()) / 4
@@ -142,11 +163,16 @@ def levels_of(traces: Sequence[Trace], signal: str, gap: float) -> Levels:
     return Levels()
 
 
-def _clusters(readings: Array, times: Array, count: int) -> tuple[Array, Array]:
+def _points(readings: Array, times: Array, total: float) -> Array:
+    """The quantiles of ascending readings that each stand for a time, `total` in all."""
+    reached = np.cumsum(times) / total
+    return np.asarray(
+        readings[np.searchsorted(reached, (np.arange(_POINTS) + 0.5) / _POINTS).clip(max=readings.size - 1)]
+    )
+
+
+def _clusters(points: Array, count: int) -> tuple[Array, Array]:
     """(count - 1 thresholds, count centres) of the clusters of least squares, fewer if there are fewer values."""
-    order = np.argsort(readings, kind="stable")
-    reached = np.cumsum(times[order]) / times.sum()
-    points = readings[order][np.searchsorted(reached, (np.arange(_POINTS) + 0.5) / _POINTS).clip(max=order.size - 1)]
     sums, squares = (np.concatenate(([0.0], np.cumsum(points**power))) for power in (1, 2))
     size = np.arange(_POINTS + 1)
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -34,7 +34,7 @@ _BOOLEANS = {
 def _plain_floats(cells: Sequence[str]) -> Array | None:
     """All cells at once, if each is a plain number; exact to the last bit, as Python reads it."""
     try:
-        values = np.array(list(map(float, cells)), dtype=float)
+        values = np.fromiter(map(float, cells), dtype=float, count=len(cells))
     except ValueError:
         return None
     # Python reads 1_000 as a number; a plant's file does not mean one by it.
@@ -89,11 +89,17 @@ def numbers(cells: Sequence[str], decimal: Decimal = "auto", unit: str = "") -> 
     plain = _plain_floats(cells)
     if plain is not None:
         return plain, np.zeros(plain.shape, dtype=bool)
-    stripped = [cell.strip() for cell in cells]
+    stripped = list(map(str.strip, cells))
     decimal = decimal_mark(stripped) if decimal == "auto" else decimal
-    values = np.array([_number(cell, decimal) if cell else np.nan for cell in stripped], dtype=float)
+    filled = np.fromiter(map(bool, stripped), dtype=bool, count=len(stripped))
+    texts = list(filter(None, stripped))
+    # Blank cells among plain numbers, or decimal commas where nothing else has a mark, need no look at each cell.
+    joined = "\n".join(texts)
+    whole = texts if decimal == "." else joined.replace(",", ".").split("\n") if "." not in joined else []
+    plain = _plain_floats(whole) if len(whole) == len(texts) else None
+    values = np.full(len(stripped), np.nan)
+    values[filled] = plain if plain is not None else [_number(cell, decimal) for cell in texts]
     values[np.isinf(values)] = np.nan
-    filled = np.array([bool(cell) for cell in stripped], dtype=bool)
     for index in np.flatnonzero(np.isnan(values) & filled).tolist() if unit else ():
         value, own = measured(stripped[index], decimal)
         scale, offset = conversion(own, unit)
@@ -114,4 +120,6 @@ def booleans(cells: Sequence[str], on: Sequence[str] = (), off: Sequence[str] = 
         as_number = _number(word.replace(",", "."), ".")
         table[cell] = words[word] if word in words else counts.get(as_number, np.nan)
     values = np.array([table[cell] for cell in cells], dtype=float)
-    return values, np.isnan(values) & np.array([bool(cell.strip()) for cell in cells], dtype=bool)
+    wrong = np.isnan(values)
+    wrong[[index for index in np.flatnonzero(wrong).tolist() if not cells[index].strip()]] = False
+    return values, wrong

@@ -29,8 +29,11 @@ def codes_in(values: Array) -> dict[float, int]:
     finite = values[np.isfinite(values)]
     found: dict[float, int] = {}
     known = np.zeros(finite.shape, dtype=bool)
+    least, most = finite.min(initial=np.inf), finite.max(initial=-np.inf)
     for code in CODES:
-        known |= np.abs(finite - code) <= _SAME * max(1.0, abs(code))
+        width = _SAME * max(1.0, abs(code))
+        if least - width <= code <= most + width:
+            known |= np.abs(finite - code) <= width
     others = finite[~known]
     if not known.any() or others.size < 2 or known.mean() > _MOST:
         return {}

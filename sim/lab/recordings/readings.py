@@ -51,14 +51,31 @@ class FileReadings:
 
 @dataclass(frozen=True, slots=True)
 class _Chunk:
-    """Rows with a time under one header: their lines, times, whether these are local yet, and whose they are."""
+    """Rows with a time under one header: their lines, cells by column, times, which are local yet, and whose.
+
+    `whose` is empty where no column says it.
+    """
 
     header: tuple[str, ...]
-    lines: list[int]
-    rows: list[list[str]]
+    lines: Rows
+    columns: list[list[str]]
     seconds: Array
     local: Mask
     whose: list[Whose]
+
+    def at(self, rows: Rows) -> "_Chunk":
+        """Some of the rows."""
+        kept = rows.tolist()
+        columns = [[column[index] for index in kept] for column in self.columns]
+        whose = [self.whose[index] for index in kept] if self.whose else []
+        return replace(
+            self,
+            lines=self.lines[rows],
+            columns=columns,
+            seconds=self.seconds[rows],
+            local=self.local[rows],
+            whose=whose,
+        )
 
 
 def read_file(path: Path, column_map: ColumnMap, report: FileReport) -> list[FileReadings]:
@@ -92,11 +109,11 @@ def unread_hash(path: Path, column_map: ColumnMap) -> str:
     # What a long file says of signals that are not in the map stands in the columns that the map does read.
     others = [index for index in range(len(layout.header)) if column_map.long is not None or index not in read]
     digests = {index: sha256(f"{layout.header[index]}\n".encode()) for index in others}
-    for current, _, rows in read_rows(path, layout, column_map.comment, report):
+    for current, lines, columns in read_rows(path, layout, column_map.comment, report):
         places = {index: place_of(current.header, (layout.header[index],)) for index in others}
         for index, digest in digests.items():
             place = places[index]
-            cells = [""] * len(rows) if place is None else [row[place] for row in rows]
+            cells = [""] * lines.size if place is None else columns[place]
             values, _ = numbers(cells, column_map.decimal)
             pairs = zip(cells, values.tolist(), strict=True)
             plain = [repr(value) if value == value else cell.strip() for cell, value in pairs]
@@ -128,39 +145,37 @@ def _aliases(path: Path, column_map: ColumnMap, signal: str) -> Names:
 
 def _chunks(path: Path, layout: TextLayout, column_map: ColumnMap, report: FileReport) -> Iterator[_Chunk]:
     """The rows with a time. What has none is refused."""
-    for current, lines, rows in read_rows(path, layout, column_map.comment, report):
+    for current, lines, columns in read_rows(path, layout, column_map.comment, report):
         header = current.header
         places = [_needed(header, names) for names in clock_columns(column_map.clock)]
-        cells = [[row[place] for row in rows] for place in places]
-        seconds, local = read_clock(column_map.clock, cells, column_map.decimal)
+        seconds, local = read_clock(column_map.clock, [columns[place] for place in places], column_map.decimal)
+        chunk = _Chunk(header, lines, columns, seconds, local, whose=[])
         timeless = np.flatnonzero(np.isnan(seconds)).tolist()
         if timeless:
-            shown = ["'" + " ".join(column[index].strip() for column in cells)[:60] + "'" for index in timeless[:20]]
-            report.refuse([lines[index] for index in timeless], "it has no time that the map's formats fit", shown)
-            report.refuse_cells(sum(_filled(rows[index]) for index in timeless))
-            kept = np.flatnonzero(~np.isnan(seconds)).tolist()
-            lines, rows = [lines[index] for index in kept], [rows[index] for index in kept]
-            seconds, local = seconds[kept], local[kept]
+            shown = ["'" + " ".join(columns[at][index].strip() for at in places)[:60] + "'" for index in timeless[:20]]
+            report.refuse(lines[timeless].tolist(), "it has no time that the map's formats fit", shown)
+            report.refuse_cells(sum(_filled([column[index] for index in timeless]) for column in columns))
+            chunk = chunk.at(np.flatnonzero(~np.isnan(seconds)))
         by = [place_of(header, names) if names else None for names in column_map.by_column]
-        whose: list[Whose] = []
         if any(place is not None for place in by):
-            machine, session = ([("" if at is None else row[at].strip()) for row in rows] for at in by)
-            whose = list(zip(machine, session, strict=True))
-            nobodys = {
-                index for index, row in enumerate(rows) if any(at is not None and not row[at].strip() for at in by)
-            }
-            if nobodys:
-                report.refuse([lines[index] for index in sorted(nobodys)], "it does not say its machine or session")
-                report.refuse_cells(sum(_filled(rows[index]) for index in nobodys))
-                kept = [index for index in range(len(rows)) if index not in nobodys]
-                lines, rows, whose = [lines[i] for i in kept], [rows[i] for i in kept], [whose[i] for i in kept]
-                seconds, local = seconds[kept], local[kept]
-        if lines:
-            report.cells += sum(map(_filled, rows))
-            yield _Chunk(header, lines, rows, seconds, local, whose=whose)
+            machine, session = (
+                [""] * chunk.lines.size if at is None else list(map(str.strip, chunk.columns[at])) for at in by
+            )
+            owned = [column for column, at in ((machine, by[0]), (session, by[1])) if at is not None]
+            somebodys = np.array([all(whose) for whose in zip(*owned, strict=True)], dtype=bool)
+            chunk = replace(chunk, whose=list(zip(machine, session, strict=True)))
+            if not somebodys.all():
+                nobodys = np.flatnonzero(~somebodys).tolist()
+                report.refuse(chunk.lines[nobodys].tolist(), "it does not say its machine or session")
+                report.refuse_cells(sum(_filled([column[index] for index in nobodys]) for column in chunk.columns))
+                chunk = chunk.at(np.flatnonzero(somebodys))
+        if chunk.lines.size:
+            report.cells += sum(map(_filled, chunk.columns))
+            yield chunk
 
 
 def _filled(cells: Sequence[str]) -> int:
+    """How many of some cells hold something."""
     return sum(map(bool, map(str.strip, cells)))
 
 
@@ -197,15 +212,15 @@ def _convert(
     return values, {f"{name} is {why}": mask for why, mask in faults.items() if mask.any()}
 
 
-def _not_good(header: Sequence[str], place: int, rows: Sequence[Sequence[str]], column_map: ColumnMap) -> Mask:
+def _not_good(header: Sequence[str], place: int, columns: Sequence[Sequence[str]], column_map: ColumnMap) -> Mask:
     """(n,) the rows whose reading in the column at `place` is not good, by the column that says so."""
     quality = column_map.quality
     places = [] if quality is None else _quality_places(header, column_map)
     if quality is None or not places:
-        return np.zeros(len(rows), dtype=bool)
+        return np.zeros(len(columns[place]), dtype=bool)
     at = next((each for each in places if each > place), places[-1])
     good = {word.casefold() for word in quality.good}
-    return np.array([row[at].strip().casefold() not in good for row in rows], dtype=bool)
+    return np.array([cell.strip().casefold() not in good for cell in columns[at]], dtype=bool)
 
 
 def _distrusted(name: str, values: Array, not_good: Mask) -> dict[str, Mask]:
@@ -218,7 +233,7 @@ def _distrusted(name: str, values: Array, not_good: Mask) -> dict[str, Mask]:
 def _qualities(chunk: _Chunk, column_map: ColumnMap, report: FileReport) -> set[int]:
     """The places of the columns that say how good readings are, whose cells are used up by that."""
     places = _quality_places(chunk.header, column_map)
-    report.used_cells += sum(bool(row[place].strip()) for row in chunk.rows for place in places)
+    report.used_cells += sum(_filled(chunk.columns[place]) for place in places)
     return set(places)
 
 
@@ -227,12 +242,12 @@ def _quality_places(header: Sequence[str], column_map: ColumnMap) -> list[int]:
     return sorted({place for name in names if (place := place_of(header, (name,))) is not None})
 
 
-def _count_faults(report: FileReport, lines: Sequence[int], cells: Sequence[str], faults: Mapping[str, Mask]) -> Mask:
+def _count_faults(report: FileReport, lines: Rows, cells: Sequence[str], faults: Mapping[str, Mask]) -> Mask:
     """Count the faults; the mask of all bad cells."""
-    bad = np.zeros(len(lines), dtype=bool)
+    bad = np.zeros(lines.size, dtype=bool)
     for reason, mask in faults.items():
         where = np.flatnonzero(mask).tolist()
-        report.bad([lines[index] for index in where], reason, [repr(cells[index][:60]) for index in where[:20]])
+        report.bad(lines[where].tolist(), reason, [repr(cells[index][:60]) for index in where[:20]])
         bad |= mask
     return bad
 
@@ -255,24 +270,22 @@ def _read_wide(path: Path, layout: TextLayout, column_map: ColumnMap, report: Fi
             aliases |= {chunk.header[index]: (chunk.header[index],) for index in others}
         seen: set[int] = set()
         for name, place in places.items():
-            cells = [row[place] for row in chunk.rows]
+            cells = chunk.columns[place]
             column, faults = _convert(name, signals[name], cells, column_map, report)
-            faults |= _distrusted(name, column, _not_good(chunk.header, place, chunk.rows, column_map))
+            faults |= _distrusted(name, column, _not_good(chunk.header, place, chunk.columns, column_map))
             # Rows of the chunks before, under headers that did not have it.
             values.setdefault(name, [np.full(each.seconds.size, np.nan) for each in chunks]).append(column)
             own = bad.setdefault(name, [np.zeros(each.seconds.size, dtype=bool) for each in chunks])
             own.append(_count_faults(report, chunk.lines, cells, faults))
             if place in seen:
-                report.cells += sum(map(bool, map(str.strip, cells)))  # one cell read as two signals counts twice
+                report.cells += _filled(cells)  # one cell read as two signals counts twice
             seen.add(place)
         for name in values.keys() - places.keys():
             values[name].append(np.full(chunk.seconds.size, np.nan))
             bad[name].append(np.zeros(chunk.seconds.size, dtype=bool))
         for place in set(range(len(chunk.header))) - seen - taken:
-            report.unused[chunk.header[place] or f"column {place + 1}"] += sum(
-                bool(r[place].strip()) for r in chunk.rows
-            )
-        chunk.rows.clear()
+            report.unused[chunk.header[place] or f"column {place + 1}"] += _filled(chunk.columns[place])
+        chunk.columns.clear()
         chunks.append(chunk)
     # Of parts that have one tag each, a file is not asked for the tags of the others.
     if chunks and not (column_map.parts and len(values) == 1):
@@ -280,11 +293,13 @@ def _read_wide(path: Path, layout: TextLayout, column_map: ColumnMap, report: Fi
             names = " or ".join(map(repr, column_map.names_of(name)))
             report.notes.append(f"there is no column {names}: no {name}")
     series = {}
-    for name in values:
-        column, fault = np.concatenate(values[name]), np.concatenate(bad[name])
+    every = np.arange(sum(chunk.seconds.size for chunk in chunks))
+    for name in list(values):
+        column, fault = np.concatenate(values.pop(name)), np.concatenate(bad.pop(name))
         # An empty cell is no reading; one that holds something unusable is a reading of bad quality.
-        present = np.flatnonzero(fault | ~np.isnan(column))
-        series[name] = Series(present, column[present], fault[present])
+        present = fault | ~np.isnan(column)
+        rows = every if present.all() else np.flatnonzero(present)
+        series[name] = Series(rows, *((column, fault) if rows is every else (column[rows], fault[rows])))
     return _finished(chunks, series, layout, column_map, report)
 
 
@@ -297,7 +312,7 @@ def _read_long(
     unmapped: Counter[str] = Counter()
     start = 0
     for chunk in _chunks(path, layout, column_map, report):
-        header, rows, lines = chunk.header, chunk.rows, chunk.lines
+        header, columns, lines = chunk.header, chunk.columns, chunk.lines
         name_at, value_at = _needed(header, long.name), _needed(header, long.value)
         object_at = _needed(header, long.object) if long.objects else None
         taken = {_needed(header, each) for each in clock_columns(column_map.clock)}
@@ -305,32 +320,33 @@ def _read_long(
         taken |= _qualities(chunk, column_map, report)
         for place in set(range(len(header))) - taken - {value_at}:
             # What says which reading a row is of is no reading itself.
-            report.unused[header[place] or f"column {place + 1}"] += sum(bool(row[place].strip()) for row in rows)
+            report.unused[header[place] or f"column {place + 1}"] += _filled(columns[place])
         groups: defaultdict[str, list[int]] = defaultdict(list)
-        for index, row in enumerate(rows):
-            known = object_at is None or row[object_at].strip() in long.objects
-            groups[row[name_at].strip() if known else ""].append(index)
+        for index, field in enumerate(map(str.strip, columns[name_at])):
+            known = object_at is None or columns[object_at][index].strip() in long.objects
+            groups[field if known else ""].append(index)
+        not_good = _not_good(header, value_at, columns, column_map)
         for field, where in groups.items():
             if field not in names:
                 report.aside += len(where)
                 what = field or "another object"
                 unmapped[what] += len(where)
-                cells = sum(bool(rows[index][value_at].strip()) for index in where)
+                cells = _filled([columns[value_at][index] for index in where])
                 owners = len(clock_columns(column_map.clock)) + sum(map(bool, column_map.by_column))
                 report.unused[what] += cells + len(where) * owners
                 continue
-            name, cells_ = names[field], [rows[index][value_at] for index in where]
+            name, cells_ = names[field], [columns[value_at][index] for index in where]
             values, faults = _convert(name, column_map.signals[name], cells_, column_map, report)
-            faults |= _distrusted(name, values, _not_good(header, value_at, [rows[i] for i in where], column_map))
+            faults |= _distrusted(name, values, not_good[where])
             # A row of a long file is there to say something: a blank value says that there was none to be had.
             blank = np.array([not cell.strip() for cell in cells_], dtype=bool)
             if blank.any():
                 faults[f"{name} is blank"] = blank
                 report.cells += int(blank.sum())  # counted as bad, so counted as a cell
-            bad = _count_faults(report, [lines[index] for index in where], cells_, faults)
+            bad = _count_faults(report, lines[where], cells_, faults)
             pieces.setdefault(name, []).append(Series(np.array(where, dtype=np.intp) + start, values, bad))
-        start += len(lines)
-        chunk.rows.clear()
+        start += lines.size
+        chunk.columns.clear()
         chunks.append(chunk)
     if unmapped:
         report.notes.append(f"rows of {listed(unmapped)} are not in the map")
@@ -356,7 +372,7 @@ def _finished(
     """By machine and session: local times to UTC, without rows whose local time never was or that no signal has."""
     if not chunks:
         return []
-    lines = np.concatenate([np.array(chunk.lines, dtype=np.intp) for chunk in chunks])
+    lines = np.concatenate([chunk.lines for chunk in chunks])
     seconds = np.concatenate([chunk.seconds for chunk in chunks])
     local = np.concatenate([chunk.local for chunk in chunks])
     if local.any() and not local.all():
@@ -441,6 +457,8 @@ def _newest_first(seconds: Array) -> bool:
 
 def select(readings: FileReadings, order: Rows) -> FileReadings:
     """The rows `order` in that order; readings of other rows are left out."""
+    if order.size == readings.times.size and np.array_equal(order, np.arange(order.size)):
+        return readings  # all of them, as they are: a copy of a million rows would cost their memory again
     place = np.full(readings.times.shape, -1, dtype=np.intp)
     place[order] = np.arange(order.size)
     series = {}
@@ -457,6 +475,8 @@ def select(readings: FileReadings, order: Rows) -> FileReadings:
 
 def joined(parts: Sequence[FileReadings]) -> FileReadings:
     """The readings of several files, one after the other."""
+    if len(parts) == 1:
+        return parts[0]
     starts = np.cumsum([0, *(part.times.size for part in parts)])
     pieces: dict[str, list[Series]] = {}
     for part, start in zip(parts, starts.tolist(), strict=False):

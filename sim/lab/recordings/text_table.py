@@ -9,11 +9,12 @@ import csv
 import io
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
-from itertools import islice
+from dataclasses import dataclass, field, replace
+from itertools import islice, pairwise
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from drivers.csv_rows import unguarded
 from drivers.errors import did_you_mean
@@ -22,9 +23,11 @@ from sim.lab.recordings.column_map import ColumnMap, Names
 from sim.lab.recordings.load_report import FileReport, TraceError, listed
 from sim.lab.recordings.sources import head_of, opened
 
+Lines = NDArray[np.intp]
+"""Numbers of lines of a file, from 1."""
 SEPARATORS = {",": ",", ";": ";", "tab": "\t", "|": "|"}
 _HEAD = 262_144
-_CHUNK = 100_000
+_CHUNK = 50_000
 _BLOCK = 500
 """Lines that are split in one call where none of them has a quotation mark. One mark costs its block the short way."""
 MOST_LINES = 50
@@ -37,6 +40,8 @@ _LONG_NAME = 3
 """Letters of a name that hardly stands in a row by chance."""
 MOST_BEFORE = 60
 """Lines among which a header is looked for, comments not counted."""
+UNNAMED = "column 1"
+"""What a first column without a name is called: an index that a program has written beside its table."""
 _BOMS = ((codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"))
 
 
@@ -56,7 +61,8 @@ class TextLayout:
 
     def begins_anew(self, cells: Sequence[str]) -> bool:
         """Whether a row is a header."""
-        if tuple(cell.strip() for cell in cells) == self.header:
+        names = tuple(cell.strip() for cell in cells)
+        if names == self.header or (self.header[:1] == (UNNAMED,) and names == ("", *self.header[1:])):
             return True
         return bool(self.clock) and all(place_of(cells, names) is not None for names in self.clock)
 
@@ -73,6 +79,18 @@ def told_apart(names: Sequence[str]) -> list[str]:
         count = 1 + sum(name == before for before in names[: len(apart)])
         apart.append(f"{name}_{count}" if name and count > 1 and f"{name}_{count}" not in names else name)
     return apart
+
+
+def with_row_names(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    """A header with a name for the numbers of the rows, where the `rows` below begin with such and have one cell more.
+
+    R writes them so. A decimal comma makes a cell more too, but no count.
+    """
+    first = [row[0] for row in rows if row]
+    counts = [int(cell) for cell in first if cell.isdecimal()]
+    counted = len(counts) == len(first) > 1 and all(after == before + 1 for before, after in pairwise(counts))
+    longer = all(len(row) == len(header) + 1 for row in rows)
+    return [UNNAMED, *header] if counted and longer and UNNAMED not in header else list(header)
 
 
 def rows_mark(lines: Sequence[str], width: int, mark: str) -> str:
@@ -166,6 +184,9 @@ def find_layout(
         report.notes.append(f"its separator is {separator!r}, not {column_map.separator!r} as the map says")
     if not fits:
         report.notes.append(f"it has no header; its columns are taken for {listed(column_map.columns)}")
+    if fits:
+        shown = [cells for line in lines[skip : skip + _SHOWN_ROWS] if (cells := _header([line], separator)[0])]
+        header = tuple(with_row_names(header, shown))
     named = tuple(told_apart(header))
     if named != tuple(header):
         report.warn(f"columns have the same name; they are told apart as {listed(set(named) - set(header))}")
@@ -204,11 +225,11 @@ def _header(lines: Sequence[str], separator: str) -> tuple[tuple[str, ...], int]
 
 
 def _trimmed(cells: Sequence[str]) -> list[str]:
-    """The names of a header, without blank ones at its end."""
+    """The names of a header, without blank ones at its end; a first one that is blank is that of an index."""
     names = [cell.strip() for cell in cells]
     while names and not names[-1]:
         names.pop()
-    return names
+    return [names[0] or UNNAMED, *names[1:]] if len(names) > 1 else names
 
 
 def _no_header(
@@ -230,15 +251,38 @@ def _no_header(
     )
 
 
+@dataclass(slots=True)
+class _Gathered:
+    """Rows under one header, not handed on yet: their line numbers and, column by column, their cells."""
+
+    width: int
+    lines: list[Lines] = field(default_factory=list)
+    columns: list[list[str]] = field(default_factory=list)
+    count: int = 0
+
+    def add(self, lines: Lines, columns: Iterable[Sequence[str]]) -> None:
+        if not self.columns:
+            self.columns = [[] for _ in range(self.width)]
+        self.lines.append(lines)
+        for known, more in zip(self.columns, columns, strict=True):
+            known += more
+        self.count += lines.size
+
+    def taken(self) -> tuple[Lines, list[list[str]]]:
+        """What is there, which is not there any more then."""
+        lines, columns = np.concatenate(self.lines), self.columns
+        self.lines, self.columns, self.count = [], [], 0
+        return lines, columns
+
+
 def read_rows(
     path: Path, layout: TextLayout, comment: str, report: FileReport
-) -> Iterator[tuple[TextLayout, list[int], list[list[str]]]]:
-    """The rows of a file in chunks: the layout with the header above them, line numbers (from 1) and cells.
+) -> Iterator[tuple[TextLayout, Lines, list[list[str]]]]:
+    """The rows of a file in chunks: the layout with the header above them, line numbers (from 1), cells by column.
 
     Each row has as many cells as that header; the others are refused. `report` counts the cells that are filled.
     """
-    numbers_: list[int] = []
-    rows: list[list[str]] = []
+    rows = _Gathered(len(layout.header))
     # A byte that does not decode makes its cell no number, which is then reported; it must not end the reading.
     with io.TextIOWrapper(opened(path), encoding=layout.encoding, errors="replace", newline=None) as stream:
         lines = islice(stream, layout.skip, None)
@@ -251,18 +295,16 @@ def read_rows(
                 yield below - 1, line
 
         # No block is longer than the room in the chunk, so that chunks end at the same rows whatever way they came.
-        while block := list(islice(lines, min(_BLOCK, _CHUNK - len(rows)))):
-            # Most files have no quotation mark: their lines are rows, and one call of the reader splits a whole block.
-            # Where anything is unusual, each row is looked at by itself.
+        while block := list(islice(lines, min(_BLOCK, _CHUNK - rows.count))):
+            # Most files have no quotation mark: their lines are rows, and one call splits a whole block. Where anything
+            # is unusual, each row is looked at by itself.
             first, below = below, below + len(block)
-            plain = _plain_rows(block, layout, comment)
+            plain = _plain_columns(block, layout, comment)
             if plain is not None:
-                report.rows += len(plain)
-                numbers_ += range(first, below)
-                rows += plain
-                if len(rows) == _CHUNK:
-                    yield layout, numbers_, rows
-                    numbers_, rows = [], []
+                report.rows += len(block)
+                rows.add(np.arange(first, below), plain)
+                if rows.count == _CHUNK:
+                    yield layout, *rows.taken()
                 continue
             width = [len(layout.header)]
             singly = split_rows(
@@ -280,50 +322,69 @@ def read_rows(
                         report.refuse([number], "it is the header again")
                         continue
                     report.refuse([number], "a header of other names, or in another order, begins here")
-                    if rows:
-                        yield layout, numbers_, rows
-                        numbers_, rows = [], []
+                    if rows.count:
+                        yield layout, *rows.taken()
                     layout = replace(layout, header=header)
                     report.columns += tuple(name for name in header if place_of(report.columns, (name,)) is None)
-                    width[0] = len(header)
+                    width[0] = rows.width = len(header)
                 elif len(cells) != len(layout.header):
                     detail = f"{len(cells)}, not {len(layout.header)}"
                     report.refuse([number], "it has another number of cells than the header", [detail])
                     report.refuse_cells(filled)
                 else:
-                    numbers_.append(number)
-                    rows.append(cells)
-                if len(rows) == _CHUNK:
-                    yield layout, numbers_, rows
-                    numbers_, rows = [], []
-    if rows:
-        yield layout, numbers_, rows
+                    rows.add(np.array([number]), [[cell] for cell in cells])
+                if rows.count == _CHUNK:
+                    yield layout, *rows.taken()
+    if rows.count:
+        yield layout, *rows.taken()
 
 
-def _plain_rows(lines: Sequence[str], layout: TextLayout, comment: str) -> list[list[str]] | None:
-    """The rows of lines of which each is a row of the header's width; None where one may be anything else."""
-    text = "".join(lines)
-    if '"' in text or (comment and comment in text) or any(map(str.isspace, lines)):
+def _plain_columns(lines: Sequence[str], layout: TextLayout, comment: str) -> Sequence[Sequence[str]] | None:
+    """The columns of lines of which each is a row of the header's width; None where one may be anything else."""
+    text, mark, width = "".join(lines), layout.separator, len(layout.header)
+    if (comment and comment in text) or any(map(str.isspace, lines)):
         return None
+    if '"' in text:
+        return _quoted_columns(lines, text, layout)
+    # A row of another width is refused, or loses blank cells; a header may come again. Both are looked at singly.
+    if {line.count(mark) for line in lines} != {width - 1} or max(map(len, lines)) > csv.field_size_limit():
+        return None
+    flat = text.replace("\n", mark).split(mark)
+    columns = [flat[place : len(lines) * width : width] for place in range(width)]
+    if mark + " " in text or text.startswith(" ") or "\n " in text:
+        columns = [list(map(_without_first_blanks, column)) for column in columns]
+    if _names_a_column(columns, text, layout):
+        return None
+    return [unguarded(column) for column in columns] if "'" in text else columns
+
+
+def _quoted_columns(lines: Sequence[str], text: str, layout: TextLayout) -> Sequence[Sequence[str]] | None:
+    """The same of lines with quotation marks: None also where a cell goes on over lines, or a mark is amiss."""
     try:
         rows = list(csv.reader(lines, delimiter=layout.separator, skipinitialspace=True, strict=True))
-    except csv.Error:  # a cell beyond csv.field_size_limit
+    except csv.Error:
         return None
-    # A row of another width is refused, or loses blank cells; a header may come again. Both are looked at singly.
-    if set(map(len, rows)) != {len(layout.header)} or _names_a_column(rows, text, layout):
+    if len(rows) != len(lines) or set(map(len, rows)) != {len(layout.header)}:
         return None
-    return list(map(unguarded, rows)) if "'" in text else rows
+    columns = list(zip(*rows, strict=True))
+    if _names_a_column(columns, text, layout):
+        return None
+    return [unguarded(column) for column in columns] if "'" in text else columns
 
 
-def _names_a_column(rows: Sequence[Sequence[str]], text: str, layout: TextLayout) -> bool:
+def _without_first_blanks(cell: str) -> str:
+    return cell.lstrip(" ")
+
+
+def _names_a_column(columns: Sequence[Sequence[str]], text: str, layout: TextLayout) -> bool:
     """Whether a header may be among the rows: one has the first column's name, or one that the clock's may have."""
-    if any(row[0] == layout.header[0] for row in rows):
+    if layout.header[0] in columns[0]:
         return True
     small = text.casefold()
     for names in layout.clock[:1]:
         for name in names:
             words = folded(name).split() or [""]
-            if words[0] in small and (len(words[0]) >= _LONG_NAME or any(name in row for row in rows)):
+            if words[0] in small and (len(words[0]) >= _LONG_NAME or any(name in column for column in columns)):
                 return True
     return False
 

@@ -264,8 +264,10 @@ def _merged(
         known, at = column_map.signals.get(name), group[series.rows]
         # Of good readings of one cell place the last is used: each of the others is merged.
         good = ~series.bad
-        kept = np.zeros(at.shape, dtype=bool)
-        kept[np.flatnonzero(good)[::-1][np.unique(at[good][::-1], return_index=True)[1]]] = True
+        kept = good
+        if not first.all():
+            kept = np.zeros(at.shape, dtype=bool)
+            kept[np.flatnonzero(good)[::-1][np.unique(at[good][::-1], return_index=True)[1]]] = True
         for index, file in enumerate(files):
             own = readings.files[series.rows] == index
             file.used_cells += int((kept & own).sum())

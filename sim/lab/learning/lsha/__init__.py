@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 from sim.doors import opened_at_use
 
 if TYPE_CHECKING:
-    from sim.lab.learning.lsha.hypothesis import ObservationTable, TableRow
+    from sim.lab.learning.lsha.hypothesis import ObservationTable, TableRow, TraceAcceptance
     from sim.lab.learning.lsha.learn import LearnedLsha, learn_lsha
     from sim.lab.learning.lsha.report import report_document, report_text
     from sim.lab.learning.lsha.settings import FLOW_KINDS, LshaSettings

@@ -16,13 +16,13 @@ DUPLICATES = ("average", "last", "keep", "spread")
 class Answers:
     """What a person has decided; "" is left to what the file shows.
 
-    `dates` is the order of dates, day or month; `on` the words of a switch or of states that mean running; `unit` are
-    texts NAME=UNIT; `good` the words of good readings; `machine` and `session` are columns; the others are the map's
-    own keys.
+    `current` are the columns of what loads the machine; `dates` is the order of dates, day or month; `on` the words of
+    a switch or of states that mean running; `unit` are texts NAME=UNIT; `good` the words of good readings; `machine`
+    and `session` are columns; the others are the map's own keys.
     """
 
     temperature: str = ""
-    current: str = ""
+    current: tuple[str, ...] = ()
     running: str = ""
     time: str = ""
     dates: str = ""

@@ -59,17 +59,19 @@ class FoundColumn:
 def decimal_of(columns: Sequence[Sequence[str]], separator: str) -> Literal["auto", ".", ","]:
     """The decimal mark of a file; "auto" where nothing shows it."""
     cells = [cell for column in columns for cell in column]
-    comma = sum(_is_number(cell, ",") for cell in cells if "," in cell) if separator != "," else 0
-    point = sum(_is_number(cell, ".") for cell in cells if "." in cell and "," not in cell)
+    comma = _numbers_among([cell for cell in cells if "," in cell], ",") if separator != "," else 0
+    point = _numbers_among([cell for cell in cells if "." in cell and "," not in cell], ".")
     # 1.234,5 has both: a comma that stands after a point is the decimal one.
     if comma > 0 and comma >= point:
         return ","
     return "." if point else "auto"
 
 
-def _is_number(cell: str, decimal: Literal[".", ","]) -> bool:
-    finite = np.isfinite(numbers([cell], decimal)[0][0]) or np.isfinite(measured(cell, decimal)[0])
-    return bool(finite) and cell.strip() != ""
+def _numbers_among(cells: Sequence[str], decimal: Literal[".", ","]) -> int:
+    """How many cells are numbers under a decimal mark, alone or with a unit."""
+    values = numbers(cells, decimal)[0]
+    others = [cells[index] for index in np.flatnonzero(np.isnan(values)).tolist()]
+    return int(np.isfinite(values).sum()) + sum(bool(np.isfinite(measured(cell, decimal)[0])) for cell in others)
 
 
 def column_of(

@@ -67,6 +67,8 @@ class Parts:
     running: FoundColumn | None
     standstill: FoundColumn | None
     reasons: dict[str, str]
+    others: tuple[FoundColumn, ...] = ()
+    """What loads the machine besides `current`, by a person's word."""
 
 
 def clock_of(table: FoundTable, answers: Answers) -> FoundClock:
@@ -147,6 +149,12 @@ _PARTS_OF_TIME = re.compile(
 )
 
 
+_PARTS_OF_DATE = re.compile(
+    rf"year|yyyy|jahr|anno|année|año|month|monat|mese|mois|mes|day|tag|giorno|jour|d[ií]a|{_PARTS_OF_TIME.pattern}",
+    re.IGNORECASE,
+)
+
+
 def _check_one_column(table: FoundTable, clock: FoundClock) -> None:
     """Raises TraceError for a clock whose hours, minutes and seconds are columns of their own: none is a clock."""
     parts = [name for name in table.header if _PARTS_OF_TIME.fullmatch(name.strip())]
@@ -164,6 +172,12 @@ _COUNTS = ("seconds", "minutes", "hours", "days")
 
 def _no_clock(table: FoundTable, answers: Answers) -> str:
     """Why no column is a clock, with a cell of the one that is named like a time."""
+    parts = [name for name in table.header if _PARTS_OF_DATE.fullmatch(name.strip())]
+    if len(parts) > 1 and not answers.time:
+        return (
+            f"{table.path}: its clock stands in columns of their own, {listed(parts)}: no column alone is a clock; "
+            "join them to one, such as 2024-03-13 09:58:00"
+        )
     wanted = answers.time or next(filter(named_time, table.header), "")
     if wanted not in table.header:
         remedy = did_you_mean(wanted, table.header) if wanted else ""
@@ -245,13 +259,14 @@ def parts_of(where: object, columns: Sequence[FoundColumn], answers: Answers) ->
                 else "no column is named like one temperature, or moves like one",
                 "temperature",
                 [column.header for column in slow or counted],
-                guess=slow[0].header if len(slow) == 1 else "",
+                guess=slow[0].header if len(slow) == 1 else counted[0].header if len(counted) == 1 else "",
             )
         temperature, reasons["temperature"] = slow[0], "the only column of numbers"
     others = [column for column in counted if column is not temperature]
     load = _load(where, others, columns, answers, reasons)
+    more = [_named(where, "current", name, others, reasons) for name in answers.current[1:]]
     running, standstill = _switch(where, columns, load, answers, reasons)
-    return Parts(temperature, load, running, standstill, reasons)
+    return Parts(temperature, load, running, standstill, reasons, tuple(each for each in more if each is not None))
 
 
 def _load(
@@ -262,10 +277,10 @@ def _load(
     reasons: dict[str, str],
 ) -> FoundColumn | None:
     """What loads the machine: its current, else power, speed or torque by name; by movement only if a person says."""
-    if answers.current == NONE:
+    if NONE in answers.current:
         return None
     moving = [column for column in others if column.moves]
-    found = _named(where, "current", answers.current, others, reasons) or _best(
+    found = _named(where, "current", next(iter(answers.current), ""), others, reasons) or _best(
         where, "current", moving, lambda column: current_score(column.name, column.unit), reasons
     )
     if found is not None:

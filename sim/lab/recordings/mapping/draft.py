@@ -9,13 +9,12 @@ from pathlib import Path
 import numpy as np
 
 from sim.lab.recordings import (
+    UNNAMED,
     LoadReport,
     TraceError,
     codes_in,
     csv_files,
-    gap_of,
     known_unit,
-    levels_of,
     listed,
     load_traces,
     parse_map,
@@ -39,7 +38,7 @@ from sim.lab.recordings.mapping.quality import FoundQuality, quality_of
 from sim.lab.recordings.mapping.rows import Rows, Stored, apart, rows_of, stored_of
 from sim.lab.recordings.mapping.table import FoundTable, find_table, with_rows
 from sim.lab.recordings.mapping.words import current_score, load_score, named_name, named_unit, named_value
-from sim.sha import Array, Trace
+from sim.sha import Alphabet, Array, Bins, Trace
 
 RUNNING = "Running"
 """The name of the switch that is derived where no column says whether the machine runs."""
@@ -140,7 +139,7 @@ def draft_map(path: Path, answers: Answers, names: Mapping[str, str] | None = No
     if any(now is not before for now, before in zip(coded, columns, strict=True)):
         found = replace(found, columns=coded)
         traces, report = _loaded(path, _text(found))
-    text = _text(found, traces, gap_of(traces, stored.interval or None))
+    text = _text(found, report.alphabet)
     parse_map(text, str(path))
     said = report.sentences() if report.refused or report.errors else list(report.warnings)
     return DraftedMap(
@@ -191,7 +190,7 @@ def _columns(
 ) -> tuple[list[FoundColumn], list[Array], str]:
     """What each column, or each signal of a long file, holds, and the times of its cells; the file's decimal mark."""
     if long is None:
-        places = [p for p in range(len(table.header)) if p not in taken and table.header[p]]
+        places = [p for p in range(len(table.header)) if p not in taken and table.header[p] not in ("", UNNAMED)]
         decimal = decimal_of([table.column(place) for place in places], table.separator)
         found = [column_of(table.header[p], table.titles[p], table.units[p], table.column(p), decimal) for p in places]
         return found, [times] * len(found), decimal
@@ -259,8 +258,8 @@ def _named_apart(columns: Sequence[FoundColumn]) -> list[FoundColumn]:
     return apart
 
 
-def _text(found: _Found, traces: Sequence[Trace] = (), gap: float | None = None) -> str:
-    """The map in TOML. Without traces its thresholds are left to the readings."""
+def _text(found: _Found, alphabet: Alphabet | None = None) -> str:
+    """The map in TOML, with the thresholds and gap of an alphabet, else left to the readings."""
     quoted = _quoted
     table, clock, long, parts = found.table, found.clock, found.long, found.parts
     temperature, rows, stored = parts.temperature, found.rows, found.stored
@@ -315,7 +314,7 @@ def _text(found: _Found, traces: Sequence[Trace] = (), gap: float | None = None)
     lines += ["", "[effects]    # for `decanter diagnose`"]
     role = _role(parts.current)
     lines += [f"{role} = {quoted(parts.current.name)}"] if role and parts.current is not None else []
-    lines += _alphabet(found, traces, gap)
+    lines += _alphabet(found, alphabet)
     return "\n".join(lines) + "\n"
 
 
@@ -383,11 +382,11 @@ def _derived(parts: Parts, name: str) -> list[str]:
     ]
 
 
-def _alphabet(found: _Found, traces: Sequence[Trace], gap: float | None) -> list[str]:
+def _alphabet(found: _Found, alphabet: Alphabet | None) -> list[str]:
     parts, derived = found.parts, found.derived
-    running, current = parts.running, parts.current
+    running = parts.running
     lines = ["", "[alphabet]    # the events that a model learns from"]
-    lines += [f"gap = {gap:g}", "channels = ["] if gap is not None else ["channels = ["]
+    lines += [f"gap = {alphabet.gap:g}", "channels = ["] if alphabet is not None else ["channels = ["]
     name = derived if running is None else running.name
     # Held values stand in each row, as polled ones do.
     polled = found.stored.on_change or running is None or np.isfinite(running.values).mean() > 0.5
@@ -396,8 +395,9 @@ def _alphabet(found: _Found, traces: Sequence[Trace], gap: float | None) -> list
     lines.append(
         f'    {{ kind = "switch", signal = {_quoted(name)}, rising = "W_ON", falling = "W_OFF"{change} }},    # {why}'
     )
-    if current is not None:
-        levels = levels_of(traces, current.name, gap) if gap is not None else None
+    for current in (each for each in (parts.current, *parts.others) if each is not None):
+        channels = () if alphabet is None else alphabet.channels
+        levels = next((each for each in channels if isinstance(each, Bins) and each.signal == current.name), None)
         if levels is not None and levels.thresholds:
             cuts = ", ".join(repr(float(f"{cut:g}")) for cut in levels.thresholds)
             how = f"thresholds = [{cuts}], hysteresis = {levels.hysteresis:g}"

@@ -1,7 +1,7 @@
 """A CSV that nobody has described: its separator, where its header stands, what lies before and under it, its rows."""
 
 import csv
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -11,6 +11,7 @@ from drivers.csv_rows import unguarded
 from sim.lab.recordings import (
     SEPARATORS,
     UNITS,
+    UNNAMED,
     TraceError,
     decode_head,
     folded,
@@ -19,6 +20,7 @@ from sim.lab.recordings import (
     numbers,
     rows_mark,
     told_apart,
+    with_row_names,
 )
 from sim.lab.recordings.mapping.clocks import is_rounded, is_time, pure_date, pure_time
 from sim.lab.recordings.mapping.words import bare_unit, named_time
@@ -26,6 +28,8 @@ from sim.lab.recordings.mapping.words import bare_unit, named_time
 _HEAD = 1 << 20
 _SINCE_1970 = (10, 13, 16, 19)
 """Digits of a time since 1970 in s, ms, us and ns."""
+_SHOWN_ROWS = 5
+"""Rows under a header that show whether they are numbered."""
 _SEARCHED = 60
 """Lines in which a header is looked for: titles, annotations and column lists of exports are shorter."""
 
@@ -104,6 +108,12 @@ def find_table(path: Path) -> FoundTable:
         others = [_cells(usable[header_at][1], mark) for mark in SEPARATORS.values()]
         below = [line for _, line in usable[first:_SEARCHED]]
         header = next((o for o in others if len(o) == width and rows_mark(below, width, ",") != ","), header)
+    named_rows = with_row_names(header, rows[first : first + _SHOWN_ROWS])
+    if len(named_rows) > len(header):
+        # The rows between the names and the readings, and that of units, have no cell for the rows' numbers either.
+        header, units = named_rows, ["", *units[: width - 1]]
+        rows = [["", *row] if header_at <= place < first else row for place, row in enumerate(rows)]
+    header[0] = header[0] or UNNAMED
     header += [""] * (width - len(header))
     while header and not header[-1]:
         header.pop()
@@ -152,10 +162,11 @@ def _tables(header: Sequence[str], rows: Sequence[Sequence[str]]) -> tuple[list[
     names, own = list(header), list(header)
     places = list(range(len(own)))
     sample: list[tuple[str, ...]] = []
+    words = {folded(name) for name in own if not _numeric(name)}
+    begins = {name[:1] for name in words}
     for row in rows:
-        filled = {folded(cell) for cell in row if cell}
-        words = {folded(name) for name in own if not _numeric(name)}
-        if len(filled & words) >= max(2, len(filled) / 2):
+        # Most rows are numbers, whose first character begins no name.
+        if any(cell[:1].casefold() in begins for cell in row) and _is_header(row, words):
             own = told_apart([*row])
             while own and not own[-1]:
                 own.pop()
@@ -163,6 +174,8 @@ def _tables(header: Sequence[str], rows: Sequence[Sequence[str]]) -> tuple[list[
             names += [name for name in own if folded(name) not in known]
             known = list(map(folded, names))
             places = [known.index(folded(name)) for name in own]
+            words = {folded(name) for name in own if not _numeric(name)}
+            begins = {name[:1] for name in words}
         elif len(row) >= len(own) and not any(row[len(own) :]):
             cells = [""] * len(names)
             for place, cell in zip(places, row, strict=False):
@@ -170,6 +183,12 @@ def _tables(header: Sequence[str], rows: Sequence[Sequence[str]]) -> tuple[list[
             sample.append(tuple(cells))
     width = len(names)
     return names, [(*row, *[""] * (width - len(row))) for row in sample]
+
+
+def _is_header(row: Sequence[str], words: Set[str]) -> bool:
+    """Whether half of a row's cells, two at least, are names of columns."""
+    filled = {folded(cell) for cell in row if cell}
+    return len(filled & words) >= max(2, len(filled) / 2)
 
 
 def with_rows(table: FoundTable, kept: Sequence[bool]) -> FoundTable:

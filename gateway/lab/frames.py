@@ -1,0 +1,565 @@
+"""The laboratory from Python: what its commands do, on plain objects, with pandas data frames in and out.
+
+Each function calls what the command of its name calls. Bad input raises a ValueError of one sentence.
+"""
+
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field
+from math import inf
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from time import time as now
+from typing import TYPE_CHECKING, Literal, overload
+
+import pandas as pd
+
+from gateway.console import shipped
+from gateway.entry import sentence
+from gateway.lab.checking.simulate import simulate_traces
+from gateway.lab.gap.diagnose import DiagnosisRequest, roles_of, run
+from gateway.lab.judging.skill import MOST_MOMENTS, skill_along, spaced
+from gateway.lab.learning.learn import TaughtModel, taught_model
+from gateway.machine.model import forecasts_along
+from gateway.settings import ForecastSection
+from sim.engine import Policy, Start
+from sim.forecast import LEVELS
+from sim.lab.discrepancy import Diagnosis
+from sim.lab.formats import FoundModel, find_model, write_model_directory
+from sim.lab.judge import ForecastSkill
+from sim.lab.learning.lsha import LshaSettings
+from sim.lab.recordings import ColumnMap, TraceError, channel_uses, load_map, load_traces, parse_map
+from sim.lab.recordings.mapping import Answers, Undecided, draft_map
+from sim.sha import Array, Model, Trace, encoded
+
+if TYPE_CHECKING:
+    from sim.lab.checking.smc import Answer
+
+Progress = Callable[[str, float], None]
+"""Takes what is being done, and the share of the work that is done (0 to 1)."""
+Frame = pd.DataFrame
+_FRAME = Path("recording") / "frame.csv"
+"""What a data frame is called; the folder is the machine of traces that say none."""
+_SINCE_1970 = 1e8
+"""s: a clock beyond it counts since 1970, any other since its beginning."""
+_OPTION = re.compile(r"--([a-z][a-z-]*)")
+
+
+def _quiet(what: str, share: float) -> None:
+    """Tell nobody."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Recording:
+    """Recorded traces: `traces`, the `column_map` by which they were read with its thresholds, and the map's `text`.
+
+    `account` is a line for each file that adds up: cells used, refused, merged, not used; `said` what else a person
+    should know of how it was understood.
+    """
+
+    traces: tuple[Trace, ...]
+    column_map: ColumnMap
+    text: str
+    account: tuple[str, ...]
+    said: tuple[str, ...]
+
+    @property
+    def temperature(self) -> str:
+        """The signal that is modelled."""
+        return self.column_map.temperature
+
+    def frame(self) -> Frame:
+        """The readings as a data frame, one row a time: `trace`, `machine`, `time`, then each signal in its unit.
+
+        `time` is UTC where the clock counts since 1970, else seconds from its beginning; NaN where nothing was read.
+        """
+        parts = [
+            pd.DataFrame(
+                {"trace": trace.name, "machine": trace.machine, "time": _moments(trace.times), **trace.signals}
+            )
+            for trace in self.traces
+        ]
+        return pd.concat(parts, ignore_index=True)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LearnedModel:
+    """A learned `model`, and how it came about.
+
+    `tables` are the learner's own by title: candidates, fits, held-out forecasts (degC, s). `drivers` has a row for
+    each signal: its verdict, the shares (0 to 1) of the temperature's rises that it explains alone and beyond the other
+    drivers, its gain in the end (degC per unit), the share of its own moves that the temperature foretells, and all of
+    it as a sentence. `verdict` says where the model may be used ("": nobody has judged it), `warnings` what of the
+    alphabet the traces cannot teach.
+    """
+
+    model: Model
+    tables: Mapping[str, Frame] = field(default_factory=dict)
+    drivers: Frame = field(default_factory=pd.DataFrame)
+    verdict: str = ""
+    warnings: tuple[str, ...] = ()
+    taught: TaughtModel | None = None
+
+    def save(self, folder: str | Path) -> Path:
+        """Write the model directory that every command takes; the path of its model.json.
+
+        Raises ArtefactError where the folder holds something else or cannot be written.
+        """
+        if self.taught is not None:
+            return self.taught.write(Path(folder))
+        return write_model_directory(Path(folder), self.model)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Judgement:
+    """What forecasts are worth: `by_horizon` and `by_machine`, a row for each horizon (s) and method, `differences`.
+
+    CRPS, MAE, bias and half width are in the temperature's unit, coverage of the 90 % band is 0 to 1. `sentences` are
+    the verdicts, `notes` say what could not be scored.
+    """
+
+    by_horizon: Frame
+    by_machine: Frame
+    differences: Frame
+    sentences: tuple[str, ...]
+    notes: tuple[str, ...]
+    skill: ForecastSkill
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DiagnosedGap:
+    """Where model and recording disagree: the `verdict` and its `sentence`, a row for each of the `effects` named.
+
+    `places` are where heat is unexplained (degC/h, s, share 0 to 1). `model` is the one that has what was missing, None
+    where nothing was named; `refused` says why that may not be deployed.
+    """
+
+    verdict: str
+    sentence: str
+    effects: Frame
+    places: Frame
+    model: LearnedModel | None
+    refused: tuple[str, ...]
+    diagnosis: Diagnosis
+
+
+ModelLike = LearnedModel | Model | str | Path
+"""A learned model, or the path of a model directory, a store or a model.json."""
+
+
+def read(
+    source: Frame | str | Path | Sequence[str | Path],
+    column_map: ColumnMap | str | Path | None = None,
+    *,
+    temperature: str = "",
+    current: str | Sequence[str] = (),
+    running: str = "",
+    on: Sequence[str] = (),
+    good: Sequence[str] = (),
+    time: str = "",
+    dates: str = "",
+    timezone: str = "",
+    machine: str = "",
+    session: str = "",
+    stored: str = "",
+    duplicates: str = "",
+    clock_back: str = "",
+    unit: Sequence[str] = (),
+    guess: bool = False,
+) -> Recording:
+    """A recording from a data frame, a file, a folder or a pattern, as `decanter trace map` and `trace show` read it.
+
+    A data frame has a row for each time and a column for each signal, or a row for each reading; its clock is a column
+    of times or its index. `column_map` is a map, its file, or a name in config/traces; without one it is drafted, and
+    what the recording leaves open is answered by the other arguments, each as the option of that name of `trace map`:
+    columns by their headers, `unit` as "COLUMN=UNIT". `guess` takes the most likely answer.
+
+    Raises TraceError (a ValueError) with one sentence: nothing that can be used, or a question with its answers.
+    """
+    answers = Answers(
+        temperature=temperature,
+        current=(current,) if isinstance(current, str) and current else tuple(current),
+        running=running,
+        time=time,
+        dates=dates,
+        on=tuple(on),
+        good=tuple(good),
+        timezone=timezone,
+        machine=machine,
+        session=session,
+        stored=stored,
+        duplicates=duplicates,
+        clock_back=clock_back,
+        unit=tuple(unit),
+    )
+    if column_map is not None and answers != Answers():
+        raise TraceError("a column map says it all; give either column_map or what is to be found out")
+    if not isinstance(source, pd.DataFrame):
+        return _read(source, column_map, answers, guess=guess, shown="")
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / _FRAME
+        _write(source, path)
+        return _read(path, column_map, answers, guess=guess, shown=str(path))
+
+
+def _read(
+    source: str | Path | Sequence[str | Path],
+    column_map: ColumnMap | str | Path | None,
+    answers: Answers,
+    *,
+    guess: bool,
+    shown: str,
+) -> Recording:
+    """As `read`; `shown` is the path that stands for a data frame."""
+    with _said_in_python(shown):
+        said: list[str] = []
+        if column_map is None:
+            if not isinstance(source, str | Path):
+                raise TraceError("of several files somebody has to say how they are read; give column_map")
+            text, told = _drafted(Path(source), answers, guess=guess)
+            column_map, said = parse_map(text, str(source)), [_plain(each, shown) for each in told]
+        elif isinstance(column_map, ColumnMap):
+            text = ""
+        else:
+            file = shipped("traces", str(column_map))
+            column_map, text = load_map(file), file.read_text(encoding="utf-8")
+        traces, report = load_traces(source, column_map)
+    said += [
+        _plain(each, shown) for each in (report.sentences() if report.refused or report.errors else report.warnings)
+    ]
+    return Recording(
+        traces=tuple(traces),
+        column_map=column_map.model_copy(update={"alphabet": report.alphabet}),
+        text=text,
+        account=tuple(file.account() for file in report.files if not file.error),
+        said=tuple(dict.fromkeys(said)),
+    )
+
+
+def _drafted(path: Path, answers: Answers, *, guess: bool) -> tuple[str, list[str]]:
+    taken: list[str] = []
+    while True:
+        try:
+            drafted = draft_map(path, answers)
+        except Undecided as question:
+            if not (guess and question.guess):
+                raise
+            taken.append(f"taken: {question.field} {question.guess!r}: {question.question}")
+            answers = answers.with_answer(question.field, question.guess)
+            continue
+        return drafted.text, [*taken, *drafted.report]
+
+
+def _write(frame: Frame, path: Path) -> None:
+    """The frame as the file that a recording is read from. Raises TraceError for one without rows or columns."""
+    if frame.empty:
+        raise TraceError(
+            f"the data frame has {len(frame)} rows and {len(frame.columns)} columns; give one with readings"
+        )
+    index = frame.index
+    if index.name is not None or isinstance(index, pd.DatetimeIndex):
+        frame = frame.rename_axis(str(index.name or "time")).reset_index()
+    if len(frame.columns) < 2:
+        raise TraceError(f"the data frame has one column, {frame.columns[0]!r}; it needs a clock and a temperature")
+    path.parent.mkdir()
+    frame.to_csv(path, index=False)
+
+
+@contextmanager
+def _said_in_python(shown: str) -> Iterator[None]:
+    """Have what is wrong told in the words of these functions, where the command would name its options."""
+    try:
+        yield
+    except Undecided as question:
+        name = question.field.replace("-", "_")
+        choices = " or ".join(f"{name}={choice!r}" for choice in question.choices)
+        likely = f" (most likely {question.guess!r}, which guess=True takes)" if question.guess else ""
+        raise TraceError(_plain(f"{question.question}{likely}; give {choices}", shown)) from None
+    except TraceError as error:
+        raise TraceError(_plain(str(error), shown), error.report) from None
+    except OSError as error:
+        raise TraceError(sentence(error)) from None
+
+
+def _plain(text: str, shown: str) -> str:
+    text = _OPTION.sub(lambda match: match[1].replace("-", "_") + "=", text)
+    return text.replace(shown, "the data frame") if shown else text
+
+
+@overload
+def learn(
+    recording: Recording,
+    *,
+    temperature: str | None = None,
+    drivers: Sequence[str] = (),
+    method: Literal["bins", "lsha"] = "bins",
+    settings: LshaSettings | None = None,
+    name: str = "decanter",
+    seed: int = 0,
+    progress: Progress = _quiet,
+) -> LearnedModel: ...
+
+
+@overload
+def learn(
+    recording: Recording,
+    *,
+    temperature: list[str] | tuple[str, ...],
+    drivers: Sequence[str] = (),
+    method: Literal["bins", "lsha"] = "bins",
+    settings: LshaSettings | None = None,
+    name: str = "decanter",
+    seed: int = 0,
+    progress: Progress = _quiet,
+) -> dict[str, LearnedModel]: ...
+
+
+def learn(
+    recording: Recording,
+    *,
+    temperature: str | list[str] | tuple[str, ...] | None = None,
+    drivers: Sequence[str] = (),
+    method: Literal["bins", "lsha"] = "bins",
+    settings: LshaSettings | None = None,
+    name: str = "decanter",
+    seed: int = 0,
+    progress: Progress = _quiet,
+) -> LearnedModel | dict[str, LearnedModel]:
+    """A model of a recording, as `decanter model learn` learns it; of several temperatures a model each, by signal.
+
+    `temperature` is the map's where none is given. `drivers` are the signals that load the machine, in place of those
+    of the map's alphabet: power, speed, a set point. `settings` are those of method `lsha`. The result depends on the
+    readings and the `seed`, not on the order of the traces. Raises LearningError (a ValueError) where the recording
+    cannot teach a model.
+    """
+    if settings is not None and method != "lsha":
+        raise ValueError('settings belong to method="lsha"; leave them out, or choose that method')
+    lsha = (settings or LshaSettings()) if method == "lsha" else None
+    warnings = tuple(
+        use.sentence for use in channel_uses(recording.traces, recording.column_map.alphabet) if use.sentence
+    )
+
+    def one(signal: str) -> LearnedModel:
+        taught = taught_model(
+            recording.traces,
+            recording.column_map,
+            temperature=signal,
+            drivers=drivers,
+            name=name,
+            seed=seed,
+            lsha=lsha,
+            report=progress,
+        )
+        rows = [{**asdict(each), "sentence": each.sentence} for each in taught.drivers]
+        tables = {title: pd.DataFrame(list(own)) for title, own in taught.shown.items()}
+        return LearnedModel(
+            model=taught.model,
+            tables=tables,
+            drivers=pd.DataFrame(rows),
+            verdict=taught.verdict.sentence,
+            warnings=warnings,
+            taught=taught,
+        )
+
+    if temperature is None or isinstance(temperature, str):
+        return one(temperature or recording.temperature)
+    return {signal: one(signal) for signal in temperature}
+
+
+def forecast(
+    model: ModelLike,
+    recording: Recording,
+    *,
+    horizons: Sequence[float] = (60.0, 300.0, 900.0),
+    period: float = 30.0,
+    moments: int = MOST_MOMENTS,
+    since: float = -inf,
+    limit: float = inf,
+    scan: float = 1.0,
+    seed: int = 0,
+) -> Frame:
+    """What the running gateway would have forecast along a recording: a row for each moment and horizon.
+
+    `horizons` (s, ascending) are asked for each `period` s, or less often, evenly, where a trace would have more than
+    `moments`; none before `since` (s of the trace's clock). Columns: `trace`, `machine`, `time`, `horizon` (s), `due`;
+    the quantiles `q05`, `q25`, `q50`, `q75`, `q95` of the reading then (the temperature's unit); `p_limit`, the
+    probability that `limit` is reached by then. Nothing of what comes after a moment is known to its forecast. Raises
+    ValueError for a trace without a signal that the model reads.
+    """
+    chosen = _runnable(model, recording)
+    rows = []
+    for trace in recording.traces:
+        section = ForecastSection(horizons=tuple(horizons), period=spaced(trace, period, moments), seed=seed)
+        for made in forecasts_along([chosen], trace, section, scan_period=scan, since=since, limit=limit):
+            for column, horizon in enumerate(made.horizons.tolist()):
+                quantiles = dict(zip(made.levels, made.quantiles[:, column].tolist(), strict=True))
+                rows.append({
+                    "trace": trace.name,
+                    "machine": trace.machine,
+                    "time": made.time,
+                    "horizon": horizon,
+                    "due": made.time + horizon,
+                    **{f"q{round(100 * level):02d}": quantiles[level] for level in LEVELS},
+                    "p_limit": made.exceedance[column].probability,
+                })  # fmt: skip
+    if not rows:
+        raise ValueError("there is no moment to forecast from; give a longer recording or an earlier since")
+    frame = pd.DataFrame(rows)
+    return frame.assign(time=_moments(frame["time"].to_numpy()), due=_moments(frame["due"].to_numpy()))
+
+
+def judge(
+    model: ModelLike,
+    recording: Recording,
+    *,
+    training: Recording | None = None,
+    horizons: Sequence[float] = (60.0, 300.0, 900.0),
+    period: float = 30.0,
+    moments: int = MOST_MOMENTS,
+    scan: float = 1.0,
+    seed: int = 0,
+    progress: Progress = _quiet,
+) -> Judgement:
+    """What a model's forecasts are worth along a held-out recording, as `decanter model skill` scores them.
+
+    Beside persistence, and beside the statistical rivals fitted to `training` where that is given. Times as those of
+    `forecast`. Raises ValueError where no forecast came due.
+    """
+    along = skill_along(
+        [_runnable(model, recording)],
+        recording.traces,
+        training=None if training is None else training.traces,
+        forecasts=ForecastSection(horizons=tuple(horizons), period=period, seed=seed),
+        scan=scan,
+        moments=moments,
+        report=progress,
+    )
+    found = along.found
+    frames = {name: pd.DataFrame([dict(row) for row in rows]) for name, rows in found.tables.items()}
+    return Judgement(
+        by_horizon=frames["by horizon"],
+        by_machine=frames["by machine"],
+        differences=frames["differences"],
+        sentences=tuple(found.sentences),
+        notes=found.notes,
+        skill=found,
+    )
+
+
+def diagnose(
+    model: ModelLike,
+    recording: Recording,
+    *,
+    out: str | Path | None = None,
+    most: int = 3,
+    seed: int = 0,
+    progress: Progress = _quiet,
+) -> DiagnosedGap:
+    """Where a model and a recording disagree and what is missing, as `decanter diagnose` finds it.
+
+    `most` effects are named at most. With `out` its folder gets report, pictures and the new model. Raises ValueError
+    for a recording without what the model needs.
+    """
+    chosen = _runnable(model, recording)
+    with TemporaryDirectory() as folder:
+        where = str(model) if isinstance(model, str | Path) else chosen.sha.name
+        request = DiagnosisRequest(
+            where=where,
+            out=Path(folder) / "diagnosis" if out is None else Path(out),
+            source="a recording",
+            seed=seed,
+            most=most,
+            created=now(),
+            report=out is not None,
+        )
+        result = run(request, chosen, recording.traces, roles_of(recording.column_map), progress)
+    diagnosis = result.diagnosis
+    return DiagnosedGap(
+        verdict=diagnosis.verdict,
+        sentence=diagnosis.sentence,
+        effects=pd.DataFrame([asdict(effect) for effect in diagnosis.effects]),
+        places=pd.DataFrame([asdict(place) for place in diagnosis.places]),
+        model=None if result.model is None else LearnedModel(model=result.model),
+        refused=result.verification or (),
+        diagnosis=diagnosis,
+    )
+
+
+def simulate(
+    model: ModelLike,
+    recording: Recording,
+    *,
+    runs: int = 1000,
+    policy: Policy = "resync",
+    start: Start = "measured",
+    seed: int = 0,
+    progress: Progress = _quiet,
+) -> Frame:
+    """How far off a model comes out that runs along a recording's events and inputs, as `decanter model simulate` says.
+
+    A row for each trace: errors in the temperature's unit, the 90 % band's coverage (0 to 1) over `runs` stochastic
+    runs; a trace that the model cannot follow has the reason in `error`.
+    """
+    chosen = _runnable(model, recording)
+    traces = [encoded(trace, chosen.alphabet) for trace in recording.traces]
+    rows = simulate_traces(
+        chosen, traces, runs=runs, policy=policy, start=start, seed=seed, picture=None, report=progress
+    )
+    return pd.DataFrame(rows)
+
+
+def check(
+    model: ModelLike,
+    query: str,
+    recording: Recording | None = None,
+    *,
+    start: str = "initial",
+    runs: int | None = None,
+    rare: bool = False,
+    seed: int = 0,
+    progress: Progress = _quiet,
+) -> "Answer":
+    """The answer to a query such as `Pr[<=600](<> Temp >= 80)`, as `decanter model check` gives it.
+
+    Runs are driven by the events of the recording's only trace where there is one; `start` is that command's --from,
+    `runs` asks for so many, `rare` for importance splitting. Times in s, temperatures in the model's unit. Raises
+    ValueError for a query that cannot be read.
+    """
+    # An installation may be without queries, which nothing else here needs.
+    from gateway.lab.checking.check import answered
+    from sim.lab.checking.smc import QuerySettings
+
+    traces = () if recording is None else recording.traces
+    if len(traces) > 1:
+        raise ValueError(f"the recording has {len(traces)} traces; a query takes one, whose events drive the runs")
+    if isinstance(model, str | Path):
+        found = _found(model, recording)
+    else:
+        own = model.model if isinstance(model, LearnedModel) else model
+        found = FoundModel(own.sha.name, own.sha, own)
+    return answered(
+        query,
+        found,
+        traces[0] if traces else None,
+        settings=QuerySettings(runs=runs, rare=rare, seed=seed),
+        origin=start,
+        report=progress,
+    )
+
+
+def _found(where: str | Path, recording: Recording | None) -> FoundModel:
+    if recording is None:
+        return find_model(where)
+    return find_model(where, alphabet=recording.column_map.alphabet, temperature=recording.temperature)
+
+
+def _runnable(model: ModelLike, recording: Recording) -> Model:
+    if isinstance(model, LearnedModel):
+        return model.model
+    return model if isinstance(model, Model) else _found(model, recording).runnable()
+
+
+def _moments(seconds: Array) -> pd.DatetimeIndex | Array:
+    """Times in UTC where they count since 1970, else as they are."""
+    return pd.to_datetime(seconds, unit="s", utc=True) if seconds.size and seconds[0] > _SINCE_1970 else seconds

@@ -1,0 +1,217 @@
+"""`decanter historian import`: a recording as rows of a historian, as if a gateway had watched it."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from itertools import pairwise
+from math import isfinite
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+
+from drivers.tag import DType, Quality, Sample, Tag
+from gateway.console import CommandResult, Part, conclude, json_option, map_option, progress
+from gateway.entry import sentences
+from gateway.lab.traces.load import load_reported
+from gateway.machine import Keeper
+from gateway.machine.reading import Scan
+from gateway.settings import HistorianSection
+from gateway.store import Historian, HistorianError, machines, newest_scan, open_historian, reading, to_trace
+from sim.sha import Trace
+
+TOGETHER = 5_000
+"""Scans that are put before the disk is waited for: the queues are never full."""
+PATIENCE_S = 120.0
+"""How long the disk may take for them."""
+SINCE_1970 = 1e8
+"""s: a clock below it counts from its own beginning, and no row of a historian can have its time."""
+STEPS_STORED = 5
+"""Usual steps between rows after which a value that has not changed is stored again."""
+SAME = 1e-6
+"""s between two times that are one."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ImportedRows:
+    """What became of a machine's `rows`: those `there` already, those `stored`, and the `samples` that they make."""
+
+    machine: str
+    rows: int
+    there: int
+    stored: int
+    samples: int
+
+
+@click.command("import", short_help="Take a recording into a historian; what is there already must agree.")
+@click.argument("paths", nargs=-1, required=True)
+@map_option
+@click.option(
+    "--historian", "path", type=click.Path(path_type=Path), required=True, help="The historian's file; made if absent."
+)
+@click.option("--machine", default="", help="The machine that the rows are of.  [default: as the map says]")
+@json_option
+def import_command(paths: Sequence[str], map_name: str, path: Path, machine: str, as_json: bool) -> None:
+    """Take recordings (files, a folder or a glob), read as `trace show` reads them, into a historian.
+
+    Retraining, cycles, familiarity and diagnosis can then be used on them. A sample is stored by the law of a running
+    gateway. A second import of the same stores nothing; rows that contradict what is there are refused, and so are
+    those before the machine's newest ones.
+    """
+    with sentences(), progress("importing") as report:
+        traces, column_map, account = load_reported(paths, map_name)
+        named = [replace(trace, machine=machine or trace.machine) for trace in traces]
+        done = imported(path, named, column_map.temperature, report)
+    data: dict[str, Any] = {"historian": str(path), "account": account.account()}
+    data |= {"machines": [{"machine": each.machine, "rows": each.rows, "already there": each.there,
+             "stored": each.stored, "samples": each.samples} for each in done]}  # fmt: skip
+
+    def show() -> Iterator[Part]:
+        yield account.account()
+        for each in done:
+            yield (
+                f"{each.machine}: {each.rows} rows = {each.stored} stored (in {each.samples} samples) + {each.there} "
+                "there already"
+            )
+        yield f"historian: {path}"
+
+    conclude(CommandResult(data), lambda _: show(), as_json=as_json)
+
+
+def imported(
+    path: Path,
+    traces: Sequence[Trace],
+    temperature: str,
+    report: Callable[[str, float], None] = lambda what, share: None,
+) -> list[ImportedRows]:
+    """The traces as rows of the historian at `path`, machine by machine.
+
+    Raises ValueError, before anything is stored, for rows that contradict what is there, that are before it, or that
+    have no time in UTC; HistorianError where another gateway has it or it cannot be written.
+    """
+    by_machine: dict[str, list[Trace]] = {}
+    for trace in traces:
+        by_machine.setdefault(trace.machine, []).append(trace)
+    recordings = {name: _one_after_another(own) for name, own in by_machine.items()}
+    there = {name: _there(path, recording) for name, recording in recordings.items()}
+    historian = open_historian(path)
+    try:
+        done = []
+        for name, recording in recordings.items():
+            samples = _put(historian, recording, there[name], temperature, report)
+            rows = int(recording.times.size)
+            stored = rows - there[name]
+            done.append(ImportedRows(machine=name, rows=rows, there=there[name], stored=stored, samples=samples))
+    finally:
+        complete = historian.close()
+    if not complete or historian.dropped or historian.refused:
+        raise HistorianError(f"{path}: not all rows could be stored ({historian.complaint}); make room, import again")
+    return done
+
+
+def _one_after_another(traces: Sequence[Trace]) -> Trace:
+    """A machine's traces as one. Raises ValueError where they overlap, or count from their own beginning."""
+    ordered = sorted(traces, key=lambda trace: float(trace.times[0]))
+    for trace in ordered:
+        if trace.times[0] < SINCE_1970:
+            raise ValueError(
+                f"{trace.origin}: its times count from its own beginning, and a historian's are of days and hours; "
+                "give a recording with dates"
+            )
+    for before, after in pairwise(ordered):
+        if after.times[0] <= before.times[-1]:
+            raise ValueError(
+                f"{after.origin}: the traces {before.name} and {after.name} are of one machine, {after.machine!r}, at "
+                "the same time; name the machines in the column map"
+            )
+    times = np.concatenate([trace.times for trace in ordered])
+    names = list(dict.fromkeys(name for trace in ordered for name in trace.signals))
+    signals = {
+        name: np.concatenate([t.signals.get(name, np.full(t.times.size, np.nan)) for t in ordered]) for name in names
+    }
+    bad = {
+        name: np.concatenate([t.bad.get(name, np.zeros(t.times.size, dtype=bool)) for t in ordered]) for name in names
+    }
+    twice = np.concatenate([[False], np.diff(times) <= 0])
+    if twice.any():
+        keep = ~np.concatenate([twice[1:], [False]])
+        times = times[keep]
+        signals, bad = ({n: v[keep] for n, v in signals.items()}, {n: v[keep] for n, v in bad.items()})
+    return replace(ordered[0], times=times, signals=signals, bad=bad, events=())
+
+
+def _there(path: Path, recording: Trace) -> int:
+    """How many of the recording's first rows the historian has. Raises ValueError where it contradicts them."""
+    if not path.exists():
+        return 0
+    machine = recording.machine
+    with reading(path) as connection:
+        if machine not in dict(machines(connection)):
+            return 0
+        newest = newest_scan(connection, machine=machine)
+    if newest is None:
+        return 0
+    first, count = float(recording.times[0]), int(np.searchsorted(recording.times, newest + SAME, side="right"))
+    if not count:
+        return 0
+    own = recording.times[:count]
+    stored = to_trace(path, start=first - SAME, end=float(own[-1]) + SAME, machine=machine)
+    if stored.times.size != count or np.any(np.abs(stored.times - own) > SAME):
+        raise ValueError(
+            f"{recording.origin}: from {_utc(first)} to {_utc(float(own[-1]))} the historian has {stored.times.size} "
+            f"other rows of {machine!r}, and the recording {count}; import recordings in the order of their times, or "
+            "into a historian of their own"
+        )
+    for name, values in recording.signals.items():
+        known = stored.signals.get(name, np.full(count, np.nan))
+        unequal = np.flatnonzero(~((known == values[:count]) | (np.isnan(known) & np.isnan(values[:count]))))
+        if unequal.size:
+            at = int(unequal[0])
+            raise ValueError(
+                f"{recording.origin}: {name} is {values[at]:g} at {_utc(float(own[at]))}, and the historian has "
+                f"{known[at]:g} there ({unequal.size} such readings); one of them is wrong, or they are of two machines"
+            )
+    return count
+
+
+def _put(
+    historian: Historian, recording: Trace, first: int, temperature: str, report: Callable[[str, float], None]
+) -> int:
+    """Put the rows from `first` on; how many samples they make."""
+    times = recording.times.tolist()[first:]
+    if not times:
+        return 0
+    tags = {name: Tag(name, "", DType.FLOAT64, unit=recording.units.get(name, "")) for name in recording.signals}
+    view = historian.of(recording.machine, tags.values())
+    usual = float(np.median(np.diff(recording.times))) if recording.times.size > 1 else 1.0
+    # A gateway's interval is some of its scans: so many of the recording's are as long as its rows want it.
+    interval = max(HistorianSection().max_interval, STEPS_STORED * usual)
+    followed = historian.of(recording.machine, temperature=temperature)
+    followed.put("runs", [(times[0], temperature, "", usual, interval)])
+    keeper, samples = Keeper(tags, interval), 0
+    columns = [(name, values.tolist()[first:]) for name, values in recording.signals.items()]
+    faults = {name: mask.tolist()[first:] for name, mask in recording.bad.items()}
+    for begin in range(0, len(times), TOGETHER):
+        for number in range(begin, min(begin + TOGETHER, len(times))):
+            time = times[number]
+            read = {}
+            for name, values in columns:
+                value = values[number]
+                if isfinite(value):
+                    read[name] = Sample(name, value, Quality.GOOD, time)
+                else:
+                    fault = name in faults and faults[name][number]
+                    read[name] = Sample(name, None, Quality.BAD if fault else Quality.NO_DATA, time)
+            rows = keeper.rows(Scan(number, time, read, 0, 0.0))
+            samples += len(rows)
+            view.put("scans", [(time, 0.0, 0)])
+            view.put("samples", rows)
+        if not historian.flush(PATIENCE_S):
+            raise HistorianError(f"{historian.path}: the disk takes no more rows ({historian.stuck}); make room")
+        report(recording.machine, min(begin + TOGETHER, len(times)) / len(times))
+    return samples
+
+
+def _utc(time: float) -> str:
+    return datetime.fromtimestamp(time, UTC).strftime("%Y-%m-%d %H:%M:%S")

@@ -1,0 +1,121 @@
+"""The page on Python is run as it stands, and the door says what the commands say, in its own words."""
+
+import re
+import runpy
+from dataclasses import fields
+from inspect import signature
+from pathlib import Path
+from tempfile import gettempdir
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import decanter_gateway as decanter
+from decanter_gateway import start
+from gateway.lab import frames
+from sim.lab.recordings import load_traces, parse_map
+from sim.lab.recordings.mapping import Answers, draft_map
+from tests.rig.no_bands import without_bands
+from tests.traces.exports import recording, wide
+
+PAGE = Path(__file__).parents[2] / "docs" / "python.md"
+
+
+@pytest.fixture(scope="module")
+def export(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Three hours of the plant."""
+    folder = tmp_path_factory.mktemp("python")
+    return wide(folder / "export.csv", of=recording(times=4))
+
+
+@pytest.fixture(scope="module")
+def frame(export: Path) -> pd.DataFrame:
+    return pd.read_csv(export, parse_dates=["Time"], index_col="Time")
+
+
+@pytest.fixture(scope="module")
+def names(export: Path) -> dict[str, Any]:
+    """What the page's blocks leave behind."""
+    blocks = re.findall(r"^```python\n(.*?)^```", PAGE.read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE)
+    script = export.with_name("page.py")
+    script.write_text("\n".join(blocks), encoding="utf-8")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(export.parent)
+        without_bands(patch)
+        return runpy.run_path(str(script))
+
+
+def test_the_page_runs_and_its_first_block_is_ten_lines(names: dict[str, Any], export: Path) -> None:
+    first = re.findall(r"^```python\n(.*?)^```", PAGE.read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE)[0]
+    assert len([line for line in first.splitlines() if "decanter." in line]) == 6
+    assert len([line for line in first.splitlines() if line and not line.startswith("import")]) <= 10
+    ahead = names["ahead"]
+    assert set(ahead["horizon"]) == {60.0, 300.0} and (ahead["q05"] <= ahead["q95"]).all()
+    assert ((ahead["due"] - ahead["time"]).dt.total_seconds() == ahead["horizon"]).all()
+    assert set(names["worth"].by_horizon["method"]) == {"decanter", "persistence"} and names["worth"].sentences
+    assert names["gap"].verdict and (export.parent / "bearing" / "model.json").is_file()
+    assert names["answer"].numbers["probability"] == 0.0 and names["errors"]["rmse"].iloc[0] < 2.0
+    drivers = names["model"].drivers.set_index("signal")
+    assert drivers.loc["Motor_current", "verdict"] == "drives"
+    # What is driven by 0.3 degC for each ampere.
+    assert drivers.loc["Motor_current", "gain"] == pytest.approx(0.3, rel=0.1)
+
+
+def test_a_data_frame_is_read_as_its_file_is(frame: pd.DataFrame, export: Path) -> None:
+    drafted = draft_map(export, Answers())
+    (trace,), _ = load_traces(export, parse_map(drafted.text, "map"))
+    for given in (frame, frame.reset_index(), frame.tz_localize("UTC"), frame.astype(str)):
+        read = decanter.read(given)
+        (own,) = read.traces
+        assert np.array_equal(own.times, trace.times) and own.events == trace.events and own.machine == "recording"
+        assert {name: column.tobytes() for name, column in own.signals.items()} == {
+            name: column.tobytes() for name, column in trace.signals.items()
+        }
+        assert read.account[0] in drafted.account[0]
+    back = decanter.read(frame).frame()
+    assert back["Bearing_temperature"].tolist() == frame["Bearing temperature"].tolist()
+    assert list(back["time"]) == list(frame.index.tz_localize("UTC"))
+
+
+def test_a_question_names_the_arguments_that_answer_it(frame: pd.DataFrame) -> None:
+    doubled = frame.rename(columns={"Bearing temperature": "T 1", "Motor current": "T 2"})
+    with pytest.raises(ValueError, match=r"temperature='T 1' or temperature='T 2'$") as raised:
+        decanter.read(doubled)
+    assert "--" not in str(raised.value)
+    assert decanter.read(doubled, temperature="T 1", current="T 2").temperature == "T_1"
+    # Each answer that a question may want is an argument of its name.
+    known = set(signature(decanter.read).parameters)
+    assert {field.name for field in fields(Answers)} <= known
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        (pd.DataFrame(), "the data frame has 0 rows and 0 columns; give one with readings"),
+        (pd.DataFrame({"a": [1.0, 2.0]}), "the data frame has one column, 'a'; it needs a clock and a temperature"),
+        (pd.DataFrame({"a": [1.0, 3.0], "b": [2.0, 1.0]}), "give time= COLUMN"),
+        ("nowhere.csv", "nowhere.csv: no such file or directory"),
+        (["a.csv", "b.csv"], "give column_map"),
+    ],
+)
+def test_what_cannot_be_read_is_one_sentence(given: object, said: str) -> None:
+    with pytest.raises(ValueError, match=re.escape(said)) as raised:
+        decanter.read(given)  # type: ignore[arg-type]
+    assert "\n" not in str(raised.value) and gettempdir() not in str(raised.value)
+
+
+def test_a_map_and_answers_are_one_too_many(frame: pd.DataFrame) -> None:
+    with pytest.raises(ValueError, match="give either column_map or"):
+        decanter.read(frame, "decanter", temperature="T")
+    with pytest.raises(ValueError, match="settings belong to"):
+        decanter.learn(decanter.read(frame), settings=frames.LshaSettings())
+
+
+def test_what_is_not_handed_out_is_said_and_a_strangers_package_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(AttributeError, match="nothing_of_this_name"):
+        _ = decanter.nothing_of_this_name  # type: ignore[attr-defined]
+    monkeypatch.setattr(start, "stranger", lambda home: "another one's")
+    with pytest.raises(ImportError, match="another one's"):
+        _ = decanter.simulate
