@@ -101,5 +101,5 @@ def test_learn_and_ingest_say_the_line_too(tmp_path: Path) -> None:
     learn = ["model", "learn", "--traces", str(tmp_path / "in" / "a.csv"), "--out", str(tmp_path / "model")]
     done = CliRunner().invoke(main, learn)
     assert done.exit_code == 0 and line in done.stdout, done.output
-    done = CliRunner().invoke(main, ["trace", "ingest", str(tmp_path / "in"), "--archive", str(tmp_path / "archive")])
+    done = CliRunner().invoke(main, ["trace", "ingest", str(tmp_path / "in"), "--into", str(tmp_path / "archive")])
     assert done.exit_code == 0 and line in done.stdout, done.output
