@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from gateway.lab.frames import (
+    from gateway.lab.python.frames import (
         DiagnosedGap,
         Judgement,
         LearnedModel,
@@ -24,11 +24,11 @@ if TYPE_CHECKING:
 else:
 
     def __getattr__(name: str) -> Any:
-        """A function of `gateway.lab.frames`. Raises ImportError where its packages are somebody else's."""
+        """A function of `gateway.lab.python.frames`. Raises ImportError where its packages are somebody else's."""
         from decanter_gateway.start import stranger
 
         if name.startswith("_") or name in ("start", "__main__"):
             raise AttributeError(f"module 'decanter_gateway' has no attribute {name!r}")
         if (reason := stranger(Path(__file__).parents[1])) is not None:
             raise ImportError(reason)
-        return getattr(import_module("gateway.lab.frames"), name)
+        return getattr(import_module("gateway.lab.python.frames"), name)

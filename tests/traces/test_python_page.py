@@ -14,7 +14,7 @@ import pytest
 
 import decanter_gateway as decanter
 from decanter_gateway import start
-from gateway.lab import frames
+from gateway.lab.python import frames
 from sim.lab.recordings import load_traces, parse_map
 from sim.lab.recordings.mapping import Answers, draft_map
 from tests.rig.no_bands import without_bands

@@ -1,0 +1,1 @@
+"""The laboratory from Python: what its commands do, on data frames."""
