@@ -6,7 +6,7 @@ Where one explains more than every name does, the gap is described and stays wit
 
 from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
-from itertools import product
+from itertools import combinations, product
 
 import numpy as np
 
@@ -117,14 +117,23 @@ def _weekend_words(p: Params) -> str:
     return f"heat that comes with the weekday, more {'at weekends' if p['gain'] > 0 else 'on working days'}"
 
 
+AGAIN = "again"
+"""The parameter that is the moment at which what fades comes a second time."""
+
+
 def _fading(p: Params, view: RecordView) -> Array:
-    """gain exp(-u / tau) while the machine runs, u its running seconds since `at`."""
-    run = np.maximum(view.run_since(p["at"]), 0.0)
-    return np.asarray(np.where(view.time >= p["at"], p["gain"] * np.exp(-run / p["tau"]), 0.0) * view.running)
+    """gain exp(-u / tau) while the machine runs, u its running seconds since `at`; that of `again` too, if there is."""
+    heat = np.zeros_like(view.time)
+    for at in (p[name] for name in ("at", AGAIN) if name in p):
+        run = np.maximum(view.run_since(at), 0.0)
+        heat += np.where(view.time >= at, np.exp(-run / p["tau"]), 0.0)
+    return np.asarray(p["gain"] * heat * view.running)
 
 
 def _fading_words(p: Params) -> str:
-    return f"heat after an event at {moment_words(p['at'])}, fading over {p['tau'] / HOUR:.1f} running hours"
+    first, *further = sorted(p[name] for name in ("at", AGAIN) if name in p)
+    events = f"an event at {moment_words(first)}" + "".join(f" and again at {moment_words(each)}" for each in further)
+    return f"heat after {events}, fading over {p['tau'] / HOUR:.1f} running hours"
 
 
 def _since(p: Params, view: RecordView) -> Array:
@@ -135,6 +144,15 @@ def _since(p: Params, view: RecordView) -> Array:
 def _since_words(p: Params) -> str:
     while_ = " while the machine runs," if p["turning"] else ""
     return f"{'heat' if p['gain'] > 0 else 'less heat'}{while_} since {moment_words(p['at'])}"
+
+
+def _surroundings(p: Params, view: RecordView) -> Array:
+    """rise k from `at` on, k the model's own rate: what it tends to is by `rise` (degC) warmer, running or at rest."""
+    return np.asarray(p["rise"] * view.rate * (view.time >= p["at"]))
+
+
+def _surroundings_words(p: Params) -> str:
+    return f"{'warmer' if p['rise'] > 0 else 'cooler'} surroundings since {moment_words(p['at'])}"
 
 
 def _less_cooling(effect: Effect, view: RecordView) -> tuple[Array, Array]:
@@ -167,10 +185,11 @@ SECONDS = Parameter(unit="s", positive=True, rescaled="stays")
 CHOICE = Parameter(unit="1", low=0.0, high=1.0, whole=True, rescaled="stays")
 PARAMETERS: Mapping[str, Parameter] = {
     "gain": Parameter(unit="degC/s, for each unit of the signal where one is read", rescaled="scaled"),
+    "rise": Parameter(unit="degC", rescaled="scaled"),
     "sigma": Parameter(unit="degC/s", positive=True, rescaled="scaled"),
     "loss": Parameter(unit="1/s", low=0.0, rescaled="stays"),
     "sink": Parameter(unit="degC", rescaled="mapped"),
-    "at": Parameter(unit=ABSOLUTE_SECONDS, rescaled="stays"),
+    **dict.fromkeys(("at", AGAIN), Parameter(unit=ABSOLUTE_SECONDS, rescaled="stays")),
     "over": Parameter(unit="s", low=0.0, rescaled="stays"),
     **dict.fromkeys(("lag", "period", "length", "tau", "memory"), SECONDS),
     **dict.fromkeys(("both", "turning"), CHOICE),
@@ -239,6 +258,25 @@ def _cooling(name: str, meaning: str, shapes: Callable[[MachineLog], Sequence[Pa
     )
 
 
+def _event(
+    name: str, meaning: str, moments: tuple[str, ...], shapes: Callable[[MachineLog], Sequence[Params]]
+) -> EffectKind:
+    """A heat that fades with the hours run since one or two moments, each of which was looked for."""
+    return _rival(
+        name,
+        meaning,
+        _heat_only(_fading),
+        _fading_words,
+        parameters=("gain", "tau", *moments),
+        shapes=shapes,
+        refine={"tau": (0.5 * HOUR, 60 * HOUR), **dict.fromkeys(moments, ANY_TIME)},
+        widths=dict.fromkeys(moments, 4 * HOUR),
+        burden=len(moments) * BURDEN,
+        experiment="do again what was done then, and watch the same load for as many hours",
+        look="what was done to the machine then: greasing, a new part, a cleaning",
+    )
+
+
 RIVAL_KINDS = (
     _rival(
         "heat-after-load-steps",
@@ -303,17 +341,19 @@ RIVAL_KINDS = (
         experiment="run the same load on a working day and at a weekend",
         look="what is different at weekends: feed, staff, ventilation, other machines",
     ),
-    _rival(
+    _event(
         "heat-after-an-event",
         "heat after an event, fading over running hours",
-        _heat_only(_fading),
-        _fading_words,
-        parameters=("gain", "at", "tau"),
-        shapes=lambda log: [{"at": at, "tau": hours * HOUR} for at, hours in product(_moments(log), (2.0, 6.0))],
-        refine={"tau": (0.5 * HOUR, 60 * HOUR), "at": ANY_TIME},
-        widths={"at": 4 * HOUR},
-        experiment="do again what was done then, and watch the same load for as many hours",
-        look="what was done to the machine then: greasing, a new part, a cleaning",
+        ("at",),
+        lambda log: [{"at": at, "tau": hours * HOUR} for at, hours in product(_moments(log), (2.0, 6.0))],
+    ),
+    _event(
+        "heat-after-two-events",
+        "heat after an event that came twice, fading over running hours",
+        ("at", AGAIN),
+        lambda log: [
+            {"at": first, AGAIN: second, "tau": 4.0 * HOUR} for first, second in combinations(_moments(log)[::2], 2)
+        ],
     ),
     _rival(
         "heat-since-a-moment",
@@ -328,6 +368,20 @@ RIVAL_KINDS = (
         widths={"at": 4 * HOUR},
         experiment="look up what was changed then, and undo it for a day",
         look="what was changed at the machine then: a bearing, a belt, a setting, the load's kind",
+    ),
+    _rival(
+        "other-surroundings",
+        "surroundings that are warmer or cooler from some moment on",
+        _heat_only(_surroundings),
+        _surroundings_words,
+        parameters=("rise", "at"),
+        sign=0.0,
+        acts="anywhere",
+        shapes=lambda log: [{"at": at} for at in _moments(log)],
+        refine={"at": ANY_TIME},
+        widths={"at": 4 * HOUR},
+        experiment="log the room's temperature for three days, with a night at rest",
+        look="what changed around the machine then: weather, heating, a door, another machine, its enclosure",
     ),
     _cooling(
         "less-cooling",
