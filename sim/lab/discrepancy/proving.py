@@ -285,8 +285,7 @@ def _judge_path(proof: Proof, path: NamingResult, shorter: NamingResult | None) 
     floor = proof.floor
     foreseen = foreseen_better(first, second)
     if path.taken and foreseen >= proof.rules.margin_nats:
-        fitted = np.unique(path.base.frame.record.window_cycle).size
-        floor = with_what_is_left(floor, held.rmse_after, held.pieces / (held.pieces + fitted))
+        floor = with_what_is_left(floor, held.rmse_after, proof.rules)
         held, *_ = compared(path.base, path.fitted, proof.held_out, proof.seed, floor, runs=proof.runs, second=second)
     left = ceiling(path.fitted, proof.seed) if path.taken else proof.ceiling
     # What a free learner still finds says that the shapes are not quite right, and by so little one may beat another.

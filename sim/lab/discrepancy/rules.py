@@ -114,6 +114,9 @@ class DecisionRules:
     # ---- the floor
     floor_interval_share: float = 0.99
     """Of the errors that chance makes, what the floor's interval holds: of 200 clean machines one is beyond it."""
+    left_by_names_log_sd: float = 0.18
+    """By which what right names leave of held-out cycles differs, in logarithms, from what an ideal judge's fit leaves
+    of them: of 54 the middle half lies between 0.83 and 1.06 times of it."""
     stated_noise_log_sd: float = 0.35
     """By which the noise of a machine differs from what its model states, in logarithms: machines of one type differ
     by a factor of 1.4 in what is rough about them."""
