@@ -154,9 +154,8 @@ def test_what_names_leave_of_held_out_cycles_is_noise_where_chance_makes_as_much
     alike = replace(RULES, left_by_names_log_sd=np.log(0.3 / 0.1) / (2.0 * 2.5758))
     told = with_what_is_left(made, left, alike)
     assert (told.error, told.source) == (pytest.approx(error, rel=1e-4), source)
-    assert told.interval == pytest.approx((0.5 * error, 1.5 * error)) and told.per_cycle == pytest.approx(
-        np.full(4, error)
-    )
+    assert told.interval == pytest.approx((0.5 * error, 1.5 * error), rel=1e-4)
+    assert told.per_cycle == pytest.approx(np.full(4, error))
 
 
 def test_a_name_that_begins_half_way_is_none_that_acts_all_along(
