@@ -31,6 +31,8 @@ DATED = 1e8
 """Seconds from which a trace's clock is taken for that of the world (1973)."""
 MOMENTS = 24
 """Moments of a record at which something is tried to begin, at most."""
+TWICE = 16
+"""The same of what comes twice, where every two of them are tried."""
 REFUSED = EffectRefusal("it has no name")
 BURDEN = 3.0
 """Nats that looking at a dozen moments or hours costs."""
@@ -48,10 +50,10 @@ def _hour_words(seconds: float) -> str:
     return f"{minutes // 60:02d}:{minutes % 60:02d} UTC"
 
 
-def _moments(log: MachineLog) -> list[float]:
+def _moments(log: MachineLog, count: int = MOMENTS) -> list[float]:
     """Moments inside the record, evenly over what it ran (at rest hardly anything begins to show), none at its ends."""
     ran = np.cumsum(log.dt * (log.running if log.running.any() else 1.0))
-    shares = (np.arange(MOMENTS) + 1.0) / (MOMENTS + 1)
+    shares = (np.arange(count) + 1.0) / (count + 1)
     return [float(time) for time in np.interp(shares * ran[-1], ran, log.time)]
 
 
@@ -214,6 +216,7 @@ def _rival(
     refine: Mapping[str, tuple[float, float]] | None = None,
     widths: Mapping[str, float] | None = None,
     burden: float = BURDEN,
+    special: tuple[str, ...] = (),
 ) -> EffectKind:
     """A row of the table; the first of its parameters is the strength."""
     return EffectKind(
@@ -234,6 +237,7 @@ def _rival(
             refine=refine or {},
             widths=widths or {},
             burden=burden,
+            special=special,
             words=words,
         ),
     )
@@ -259,7 +263,11 @@ def _cooling(name: str, meaning: str, shapes: Callable[[MachineLog], Sequence[Pa
 
 
 def _event(
-    name: str, meaning: str, moments: tuple[str, ...], shapes: Callable[[MachineLog], Sequence[Params]]
+    name: str,
+    meaning: str,
+    moments: tuple[str, ...],
+    shapes: Callable[[MachineLog], Sequence[Params]],
+    special: tuple[str, ...] = (),
 ) -> EffectKind:
     """A heat that fades with the hours run since one or two moments, each of which was looked for."""
     return _rival(
@@ -272,6 +280,7 @@ def _event(
         refine={"tau": (0.5 * HOUR, 60 * HOUR), **dict.fromkeys(moments, ANY_TIME)},
         widths=dict.fromkeys(moments, 4 * HOUR),
         burden=len(moments) * BURDEN,
+        special=special,
         experiment="do again what was done then, and watch the same load for as many hours",
         look="what was done to the machine then: greasing, a new part, a cleaning",
     )
@@ -352,8 +361,9 @@ RIVAL_KINDS = (
         "heat after an event that came twice, fading over running hours",
         ("at", AGAIN),
         lambda log: [
-            {"at": first, AGAIN: second, "tau": 4.0 * HOUR} for first, second in combinations(_moments(log)[::2], 2)
+            {"at": first, AGAIN: second, "tau": 4.0 * HOUR} for first, second in combinations(_moments(log, TWICE), 2)
         ],
+        special=("heat-after-an-event",),
     ),
     _rival(
         "heat-since-a-moment",

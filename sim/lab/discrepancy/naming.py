@@ -133,13 +133,20 @@ def step(
     for each in likely:
         told(each.entry.name)
         confirmed = _slim_but_best([*confirmed, confirm(before, each)])
-    # What would lead if the cycles scattered less is fitted too: it may be what they differ by. The joint fit decides.
-    for number in list(quiet.best().values())[:SCATTERED]:
-        each = _evidence(quiet, number)
+    # What would lead if the cycles scattered less is fitted too, and what it is a special case of: it may be what they
+    # differ by. The joint fit decides.
+    differing = [_evidence(quiet, number) for number in quiet.best().values()]
+    leading = {each.entry.name for each in differing[:SCATTERED]}
+    done = {each.entry.name for each in confirmed}
+    wider = [
+        each
+        for each in differing[SCATTERED:]
+        if each.entry.name not in done and leading & {*each.entry.candidate.special}
+    ]
+    for each in (*differing[:SCATTERED], *wider):
         if each.gain >= WORTH:
             told(each.entry.name)
-            again = confirm(quieter(before), each)
-            confirmed = _slim_but_best(_with(confirmed, again))
+            confirmed = _slim_but_best(_with(confirmed, confirm(quieter(before), each)))
     # What could win is weighed against its special cases: they are fitted too, wherever the screen has them.
     top = max((each.gain for each in confirmed), default=0.0)
     near = top - margin_of_class(top, rules)

@@ -47,6 +47,8 @@ class DecisionRules:
     margin_share: float = 0.01
     """Of a gain, the margin for one of its class where that is more: by so little a shape that is not quite the plant's
     may win over its twin."""
+    named_least_confidence: float = 0.5
+    """That a name has, by all that it is stated with: one that is less likely than not is none."""
     told_apart_times: float = 2.0
     """Of the margin, up to which an effect that lies behind on the fitted cycles is held against the best on the
     held-out ones too."""
