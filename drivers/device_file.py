@@ -225,9 +225,16 @@ class DeviceFile(Section):
     writeback: BlockTable | None = Field(None, description="a [writeback] table")
 
 
+_OF_A_PLANT = frozenset({"alarms", "historian", "log", "machine", "model", "scan", "temperature"})
+"""Sections that a plant file has, and no device file."""
+
+
 def read_device_file(path: Path) -> DeviceFile:
     """The device file in `path`. Raises ConfigError with one sentence for each thing that is wrong."""
-    content = checked(DeviceFile, read_toml(path), path)
+    data = read_toml(path)
+    if "tags" not in data and not _OF_A_PLANT.isdisjoint(data):
+        raise ConfigError([f"{path}: is a plant file and no device file; give it with --config"])
+    content = checked(DeviceFile, data, path)
     # What no single key shows: doubled names, ranges upside down, a heartbeat that is no tag, a block without CRC.
     names = [row.name for row in content.tags]
     problems = [

@@ -1,5 +1,9 @@
 """A text that people read: English, and what it is in the other languages that the page speaks."""
 
+import re
+
+_DECIMAL = re.compile(r"-?\d+\.\d+")
+
 
 class Phrase(str):
     """An English text with its translations; one that is missing ("") is the English one, marked as such.
@@ -15,6 +19,16 @@ class Phrase(str):
         phrase = super().__new__(cls, en)
         phrase.it, phrase.de = it, de
         return phrase
+
+    def filled(self, **parts: object) -> "Phrase":
+        """It with its parts in their places in every language; a part that is a phrase is said in that language, and a
+        number written with its decimal sign."""
+
+        def said(language: str) -> dict[str, str]:
+            own = {name: getattr(part, language, str(part)) for name, part in parts.items()}
+            return {name: text.replace(".", ",") if _DECIMAL.fullmatch(text) else text for name, text in own.items()}
+
+        return Phrase(self.format_map(parts), it=self.it.format_map(said("it")), de=self.de.format_map(said("de")))
 
     @property
     def whole(self) -> bool:

@@ -11,7 +11,6 @@ import click
 
 from drivers.driver import Cautions
 from drivers.errors import DriverError
-from drivers.settings import ConfigError
 from drivers.survey import read_plan
 from drivers.tag import Quality, Sample
 from gateway.clock_sync import clock_error
@@ -35,8 +34,8 @@ from gateway.commission.writeback.write_plan import problems_of
 from gateway.console import CommandResult, Line, Part
 from gateway.entry import Exit, exit_code, sentences
 from gateway.machine.model import load_model
-from gateway.outside.northbound import check_northbound
-from gateway.settings import load_plant, load_secrets
+from gateway.plant import check_plant
+from gateway.settings import Config, load_plant
 
 _SAYS_SO = frozenset({Quality.NO_DATA, Quality.SENSOR_FAILURE})
 _DEAD = frozenset({Quality.NOT_CONNECTED, Quality.COMMUNICATION_ERROR, Quality.NO_COMMUNICATION, Quality.TIMEOUT})
@@ -48,8 +47,7 @@ async def check_configuration(sites: Mapping[str, Site], *, offline: bool) -> Co
     `sites` are the device over each of its links, by the links' names.
     """
     first = next(iter(sites.values()))
-    steps = [*_files(first), *_models(first), *_contract(first), *_messages(first)]
-    steps += [*_northbound(first), *_clock(first)]
+    steps = [*_files(first), *_models(first), *_contract(first), *_found(first), *_clock(first)]
     rows: list[dict[str, Any]] = []
     absent: list[DriverError] = []
     for name, site in sites.items():
@@ -93,31 +91,35 @@ def _files(site: Site) -> list[CheckStep]:
     return steps
 
 
-def _messages(site: Site) -> list[CheckStep]:
-    """Whether who is to be told of alarms can be: the file of secrets; nothing is sent."""
+def _found(site: Site) -> list[CheckStep]:
+    """What the judge of the plant file finds beside what has a step of its own."""
     config = site.target.config
-    if config is None or not config.notify.to:
+    if config is None:
         return []
-    try:
-        load_secrets(config.notify)
-    except ConfigError as error:
-        return [failed("messages", problem) for problem in error.problems]
-    return [ok("messages", f"alarms are told to {', '.join(row.name for row in config.notify.to)}")]
+    found = [
+        finding
+        for finding in check_plant(load_plant(config.path))
+        if finding.machine in (config.machine, "" if config.leads else config.machine)
+        and finding.part not in _STEP_OF_ITS_OWN
+    ]
+    steps = [(failed if finding.grave else warning)(finding.part, finding.sentence) for finding in found]
+    return steps + [step for step in _told(config) if step.name not in {one.part for one in found}]
 
 
-def _northbound(site: Site) -> list[CheckStep]:
-    """Whether other systems can be told: what has to be installed, and the file of secrets; nothing is sent."""
-    config = site.target.config
-    if config is None or not config.northbound.enabled:
-        return []
-    try:
-        check_northbound(config)
-    except ConfigError as error:
-        return [failed("northbound", problem) for problem in error.problems]
-    names = [row.name for row in config.northbound.sinks]
-    names += ["Prometheus"] if config.northbound.metrics.port is not None else []
-    names += ["OPC UA's clients"] if config.northbound.opcua.port is not None else []
-    return [ok("northbound", f"what is on record is told to {', '.join(names)}")]
+_STEP_OF_ITS_OWN = frozenset({"device", "places", "model"})
+
+
+def _told(config: Config) -> list[CheckStep]:
+    """Who is told of alarms and of what is on record; nothing is sent."""
+    steps = []
+    if config.notify.to:
+        steps.append(ok("messages", f"alarms are told to {', '.join(row.name for row in config.notify.to)}"))
+    if config.northbound.enabled:
+        names = [row.name for row in config.northbound.sinks]
+        names += ["Prometheus"] if config.northbound.metrics.port is not None else []
+        names += ["OPC UA's clients"] if config.northbound.opcua.port is not None else []
+        steps.append(ok("northbound", f"what is on record is told to {', '.join(names)}"))
+    return steps
 
 
 def _clock(site: Site) -> list[CheckStep]:
@@ -168,6 +170,11 @@ def _models(site: Site) -> list[CheckStep]:
         own = f", with what it knows of the machine {machine}" if machine else ""
         own = f", as a new machine of the type of {', '.join(loaded.model.machines)}" if loaded.model.machines else own
         sentence = f"{loaded.model.sha.name} ({loaded.hash[:12]}) predicts {tag}{own}"
+        if (verdict := loaded.verdict) is not None:
+            sentence = f"{sentence}; it is {verdict.sentence}"
+            if verdict.word != "fit":
+                steps.append((failed if verdict.word == "unfit" else warning)("model", sentence))
+                continue
         steps.append(warning("model", f"{sentence}; {loaded.warning}") if loaded.warning else ok("model", sentence))
     return steps
 

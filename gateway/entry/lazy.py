@@ -80,7 +80,13 @@ class LazyGroup(click.Group):
         """The command that the words begin with. Raises UsageError, with the name that may have been meant."""
         name = args[0]
         if self.get_command(ctx, name) is None and not ctx.resilient_parsing and not name.startswith("-"):
-            ctx.fail(f"No such command {name!r}; {did_you_mean(name, self.list_commands(ctx))}".rstrip("; "))
+            there = [
+                f"`{ctx.find_root().info_name} {group} {name}`"
+                for group, commands in self.commands.items()
+                if isinstance(commands, LazyGroup) and name in (*commands.table, *commands.elsewhere)
+            ]
+            meant = f"there is {' and '.join(there)}" if there else did_you_mean(name, self.list_commands(ctx))
+            ctx.fail(f"No such command {name!r}; {meant}".rstrip("; "))
         return super().resolve_command(ctx, args)
 
     def invoke(self, ctx: click.Context) -> Any:

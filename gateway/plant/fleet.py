@@ -25,9 +25,10 @@ from gateway.outside.serving import DeviceImage
 from gateway.outside.status import ControlError, GatewayStatus
 from gateway.plant.control import ControlScope, answer
 from gateway.plant.device import make_driver, scans_on_change
+from gateway.plant.plant_check import check_plant, limit_doubts
 from gateway.plant.service import ScanProgress
 from gateway.plant.shared_connections import on_one_connection
-from gateway.plant.shortfalls import MESSAGES, checked_notify, of_machines, of_plant
+from gateway.plant.shortfalls import MESSAGES, checked_notify
 from gateway.plant.status import snapshot
 from gateway.settings import Config, changed_machines, load_plant
 
@@ -128,6 +129,8 @@ class Fleet:
         if without:
             self._go_without(f"{config.machine}: {MODEL_PART}", without)
         log = self.log if alone else self.log.bind(machine=config.machine)
+        for doubt in limit_doubts(config, models):
+            log.warning("a limit is worth a look", reason=doubt)
         supervisor = self.supervisor if alone else Supervisor()
         if not alone:
             self.supervisor.include(config.machine, supervisor)
@@ -172,7 +175,7 @@ class Fleet:
         """Read the plant file anew and take over what it changes; a machine that it does not touch loses no scan.
 
         Gives the changes as sentences by machine, whether they were taken over, and what the next start would go
-        without. Raises ControlError, and everything
+        without or do to no use. Raises ControlError, and everything
         goes on as it was, for a file that cannot be used and for a change of what all machines have in common.
         """
         async with self._reloading:
@@ -182,11 +185,11 @@ class Fleet:
                 changes |= self._newly_shared(changes, configs)
                 # Those of machines that are begun anew are read when they are examined, and refuse the file.
                 stay = [config for name, config in configs.items() if name not in changes]
-                shortfalls = await asyncio.to_thread(of_machines, stay)
+                known = await asyncio.to_thread(lambda: {config.machine: models_at_start(config) for config in stay})
                 changes |= {
                     name: (MENDED,)
                     for name, one in self.machines.items()
-                    if one.without and name in configs and name not in changes and name not in shortfalls
+                    if one.without and name in configs and name not in changes and name in known and not known[name][1]
                 }
                 models = await self.examine([configs[name] for name in changes if name in configs], list(changes))
             except ConfigError as error:
@@ -198,11 +201,17 @@ class Fleet:
                     self.log.warning("the plant file was read anew", machines=", ".join(changes))
                     await asyncio.to_thread(self.on_taken_over, list(configs.values()))
             raise_failures(failed)
-            shortfalls |= await asyncio.to_thread(of_plant, next(iter(configs.values())))
+            known |= {name: (tuple(loaded), "") for name, loaded in models.items()}
+            found = await asyncio.to_thread(check_plant, list(configs.values()), known)
             return {
                 "changes": {name: list(sentences) for name, sentences in changes.items()},
                 "applied": apply,
-                "next_start": next_start_sentences(shortfalls),
+                "next_start": [
+                    f"{one.machine or one.part}: "
+                    + ("the next start would go without: " if one.grave else "")
+                    + one.sentence
+                    for one in found
+                ],
             }
 
     def _newly_shared(self, changes: Collection[str], configs: Mapping[str, Config]) -> dict[str, tuple[str, ...]]:
@@ -490,11 +499,6 @@ def _notifier_at_start(config: Config) -> tuple[Callable[..., Notifier] | None, 
         return checked_notify(config), ""
     except ConfigError as error:
         return None, error.in_one_line
-
-
-def next_start_sentences(shortfalls: Mapping[str, str]) -> list[str]:
-    """What the next start would go without, a sentence each, of a machine or of a part of the whole gateway."""
-    return [f"{name}: the next start would go without: {problem}" for name, problem in shortfalls.items()]
 
 
 class _Stop(asyncio.Event):

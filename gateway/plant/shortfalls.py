@@ -7,11 +7,10 @@ its next start would go without.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from drivers.settings import ConfigError
-from gateway.machine.model import models_at_start
 from gateway.settings import Config, NorthboundSecrets, load_secrets
 
 if TYPE_CHECKING:
@@ -69,9 +68,3 @@ def of_plant(config: Config) -> dict[str, str]:
         except ConfigError as error:
             found[part] = error.in_one_line
     return found
-
-
-def of_machines(configs: Sequence[Config]) -> dict[str, str]:
-    """The models that machines would go without if they started now, and why, by the machines' names."""
-    found = {config.machine: models_at_start(config)[1] for config in configs}
-    return {name: problem for name, problem in found.items() if problem}

@@ -214,6 +214,15 @@ def _over_limit(at: AlarmPlace) -> Mapping[str, Any]:
     return {"deadband": a.deadband, "on_delay": a.on_delay, "temperature": whose}
 
 
+UNFORESEEN_PERIODS, UNFORESEEN_S = 6.0, 60.0
+"""For so many periods of the forecast (of scans, where these are rarer), and so long (plant s), none may be usable."""
+
+
+def _unforeseen(at: AlarmPlace) -> Mapping[str, Any]:
+    period = max(at.config.forecast.period, at.config.scan.period)
+    return {"on_delay": max(UNFORESEEN_PERIODS * period, UNFORESEEN_S), "off_delay": 0.0}
+
+
 def _drift(at: AlarmPlace) -> Mapping[str, Any]:
     """When the model drifts the operator gets the command that diagnoses the historian's recent cycles."""
     config = at.config
@@ -357,6 +366,25 @@ ALARM_KINDS: Mapping[str, AlarmKind] = {
             "geändert hat",
         ),
         consequence="the forecast is wrong by more than it says, in one direction",
+    ),
+    "no forecast": AlarmKind(
+        subject="predicted",
+        title=Phrase("nothing is foreseen", it="nessuna previsione", de="keine Vorhersage"),
+        past=Phrase("nothing was foreseen", it="non c'era previsione", de="es gab keine Vorhersage"),
+        applies=_has_model,
+        limit=yes_or_no,
+        more=_unforeseen,
+        watches="whether there is a usable forecast while all that the model reads is good, for six of its periods and "
+        "a minute at least",
+        response=Phrase(
+            "no usable forecast of {tag} comes although the readings are good: see model and parts in the status for "
+            "the cause, and watch {tag} itself meanwhile",
+            it="non arriva una previsione valida di {tag} anche se le letture sono buone: vedere modello e parti nello "
+            "stato per la causa, e intanto sorvegliare {tag}",
+            de="es kommt keine brauchbare Vorhersage von {tag}, obwohl die Messwerte gut sind: siehe Modell und Teile "
+            "im Status, und solange {tag} selbst beobachten",
+        ),
+        consequence="the limit comes without a warning; only the alarm at the limit is left",
     ),
     "rising": AlarmKind(
         subject="watched",

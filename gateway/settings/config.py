@@ -571,6 +571,8 @@ def read_plant(path: Path, overrides: Mapping[str, Any] | None = None) -> tuple[
     stamp = path.stat().st_mtime if path.is_file() else 0.0
     # Overrides come before the check, so that they are held to the same rules as the file.
     data = {key: dict(value) if isinstance(value, dict) else value for key, value in read_toml(path).items()}
+    if "tags" in data:
+        raise ConfigError([f"{path}: is a device file and no plant file; give it with --device"])
     _take_out_workers(data, path)
     rows = data.pop("machine", None)
     for key, value in (overrides or {}).items():
@@ -773,14 +775,18 @@ def _machine_config(
         links=links,
         **own,
     )
-    if shared := _one_file_for_two(config):
+    if shared := _shared_places(config):
         raise ConfigError([f"{place}: {problem}" for problem in shared])
     return config
 
 
-def _one_file_for_two(config: Config) -> list[str]:
-    """Which files of the gateway would be one and the same: each writes as if it were the only one."""
-    named = {
+def _shared_places(config: Config) -> list[str]:
+    """Files and ports that would be one and the same.
+
+    Each file that the gateway writes is written as if it were the only one: a log in a device file would spoil it, and
+    records in a plant file would set it aside as a damaged database.
+    """
+    written = {
         "historian.path": config.historian.path,
         "writeback.audit": config.audit,
         "writeback.audit_key": config.audit_key,
@@ -789,12 +795,42 @@ def _one_file_for_two(config: Config) -> list[str]:
         "log.path": config.log.path,
         "control.path": config.control_socket,
     }
-    problems, known = [], dict[Path, str]()
-    for key, path in named.items():
+    known = {config.path.resolve(): "the plant file itself"}
+    for place, link in enumerate(config.links):
+        known.setdefault(link.map.path.resolve(), "device.file" if len(config.links) == 1 else f"device.links[{place}]")
+        for key in capabilities(link.map.driver).files:
+            if isinstance(named := link.settings.get(key), str) and named:
+                known.setdefault(Path(named).resolve(), f"the device's {key}")
+    for row in config.temperatures:
+        if row.model is not None:
+            known.setdefault(row.model.resolve(), f"the model of {row.tag}")
+    problems = []
+    for key, path in written.items():
         other = key if path is None else known.setdefault(path.resolve(), key)
         if other != key:
             problems.append(f"{key}: {path} is the file of {other} too; give each a path of its own")
+    metrics, opcua = config.northbound.metrics, config.northbound.opcua
+    served = {
+        "page.port": (config.page.host, config.page.port if config.page.enabled else None),
+        "serve.port": (config.serve.host, config.serve.port),
+        "northbound.metrics.port": (metrics.host, metrics.port),
+        "northbound.opcua.port": (opcua.host, opcua.port),
+    }
+    listening = [(key, host, port) for key, (host, port) in served.items() if port]
+    problems += [
+        f"{key}: {port} is {other} too, at the same address; give each server a port of its own"
+        for place, (key, host, port) in enumerate(listening)
+        for other, its_host, its_port in listening[:place]
+        if port == its_port and (host == its_host or _is_every_address(host) or _is_every_address(its_host))
+    ]
     return problems
+
+
+def _is_every_address(host: str) -> bool:
+    try:
+        return ip_address(host).is_unspecified
+    except ValueError:  # a name
+        return False
 
 
 def _only(model: ModelSection) -> TemperatureSection:

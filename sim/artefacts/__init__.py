@@ -28,5 +28,6 @@ if TYPE_CHECKING:
         version_directory,
         versions,
     )
+    from sim.artefacts.verdict_file import FORECAST, VERDICT_FILE, JudgedCriterion, ModelVerdict, read_verdict, word_of
 else:
     __getattr__ = opened_at_use(__name__)

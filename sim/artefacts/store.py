@@ -4,7 +4,7 @@
     STORE/versions/0001-1f2e3d4c/   number and start of the model's hash; a model directory with its manifest
     STORE/current             the name of the promoted version
     STORE/promoted.json       the names of the versions that ran, in the order of their promotions
-    STORE/forced.json         who promoted which version although it does not verify, when and why
+    STORE/forced.json         who promoted which version although it does not verify or is unfit, when and why
     STORE/.lock               held while a version is written or promoted
 
 A version is written under a name that begins with a dot and renamed when all of it is on the disk; `current` is
@@ -28,6 +28,7 @@ from sim.artefacts.model_directory import (
     read_model_directory,
 )
 from sim.artefacts.model_json import read_model_file
+from sim.artefacts.verdict_file import read_verdict
 from sim.files import at, read_text, refused, replace_durably
 from sim.sha import Model
 
@@ -40,7 +41,7 @@ VERSIONS = "versions"
 
 @dataclass(frozen=True, slots=True)
 class Force:
-    """Who promoted a version that does not verify, why, and when (seconds UTC)."""
+    """Who promoted a version that does not verify or is unfit, why, and when (seconds UTC)."""
 
     by: str
     reason: str
@@ -82,22 +83,30 @@ def version_directory(store: Path, version: str | None = None) -> Path:
 
 
 def promote(store: Path, version: str, force: Force | None = None) -> None:
-    """Makes a version the current one, if its files are as they were written and its model verifies as deployable.
+    """Makes a version the current one, if its files are as they were written, its model verifies as deployable, and it
+    was not judged unfit where it was learned.
 
-    `force` promotes one that can be run but is not deployable; it is recorded in the store. Raises ArtefactError.
+    `force` promotes one that can be run all the same; it is recorded in the store. Raises ArtefactError.
     """
     # Only a promotion proves; the running gateway reads what was promoted.
     from sim.proof import verify
 
     verification = verify(load(store, version))
-    reason = "; ".join(verification.reasons)
+    verdict = read_verdict(version_directory(store, version))
+    why = [f"it does not verify: {'; '.join(verification.reasons)}"] if verification.reasons else []
+    why += [f"it is {verdict.sentence}"] if verdict is not None and verdict.word == "unfit" else []
+    reason = "; and ".join(why)
     if not verification.executable:
-        raise at(store / VERSIONS / version, None, f"is not promoted, as it cannot be run at all: {reason}")
+        raise at(
+            store / VERSIONS / version,
+            None,
+            f"is not promoted, as it cannot be run at all: {'; '.join(verification.reasons)}",
+        )
     if reason and force is None:
         raise at(
             store / VERSIONS / version,
             None,
-            f"is not promoted, as it does not verify: {reason}; see `decanter model prove {store}@{version}`, learn "
+            f"is not promoted, as {reason}; see `decanter model prove {store}@{version}`, learn "
             "another model, or force it with a name and a reason",
         )
     try:

@@ -44,7 +44,7 @@ def test_a_learned_model_is_deployable_and_accepts_the_trace_that_it_was_learned
         for b in ("0-100", "100-200", "200-300", "300+", "?")
     }
     text = decanter("model", "prove", model).stdout
-    assert "fit: every check that decides" in text and "unfit" not in text and len(text.splitlines()) < 40
+    assert "proven: every check that decides" in text and "unfit" not in text and len(text.splitlines()) < 40
 
 
 def test_a_model_that_diverges_leaves_with_1_and_the_printed_word_really_leaves(tmp_path: Path) -> None:
@@ -116,7 +116,8 @@ def test_promotion_refuses_what_does_not_verify_and_keeps_the_current_version(tm
     bad = save(shelf, HOT, created=1.0)
     refused(decanter("model", "promote", shelf, bad), 2, bad, "is not promoted, as it does not verify", "without bound")
     assert current(shelf) == first
-    assert decanter("model", "promote", shelf, first).stdout == f"{shelf}: {first} is current\n"
+    said = decanter("model", "promote", shelf, first).stdout
+    assert said == f"{first}: not judged where it was made\n{shelf}: {first} is current\n"
 
 
 def test_a_forced_promotion_is_recorded_with_name_and_reason(tmp_path: Path) -> None:

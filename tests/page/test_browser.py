@@ -399,3 +399,41 @@ def test_a_stream_that_is_cut_leaves_the_last_state_and_its_age_in_large_letters
         assert set(qualities.all_inner_texts()) == {"not known"}
     finally:
         page.close()
+
+
+CONTRASTS = """() => {
+  const rgb = (text) => (text.match(/[\\d.]+/g) || []).map(Number);
+  const light = ([r, g, b]) => {
+    const part = (c) => ((c /= 255) <= 0.03928 ? c / 12.92 : ((c + 0.055) / 1.055) ** 2.4);
+    return 0.2126 * part(r) + 0.7152 * part(g) + 0.0722 * part(b);
+  };
+  const behind = (node) => {
+    for (let at = node; at; at = at.parentElement) {
+      const colour = rgb(getComputedStyle(at).backgroundColor);
+      if (colour.length === 3 || colour[3] > 0) return colour;
+    }
+    return [255, 255, 255];
+  };
+  const own = (node) => [...node.childNodes].some((child) => child.nodeType === 3 && child.data.trim());
+  const apart = "svg, .hidden, .skip, button:disabled";
+  return [...document.querySelectorAll("body *")]
+    .filter((node) => own(node) && node.checkVisibility() && !node.closest(apart))
+    .map((node) => {
+      const [a, b] = [light(rgb(getComputedStyle(node).color)), light(behind(node))].sort((x, y) => y - x);
+      return [(a + 0.05) / (b + 0.05), `${node.tagName}.${node.className} ${node.textContent.slice(0, 30)}`];
+    }).filter(([contrast]) => contrast < 4.5).map(([contrast, what]) => `${contrast.toFixed(1)} ${what}`);
+}"""
+"""Texts whose contrast is below that of WCAG 2.2, 1.4.3 (4.5 to 1)."""
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_every_text_can_be_read_by_day_and_by_night(browser: Browser, gateway: Served, scheme: Any) -> None:
+    context = browser.new_context(color_scheme=scheme, base_url=f"http://127.0.0.1:{gateway.port}/")
+    context.set_default_timeout(WAIT_MS)
+    page, faint = context.new_page(), dict[str, list[str]]()
+    for view in VIEWS:
+        page.goto(f"/#/{'' if view == 'plant' else view}")
+        expect(page.locator("main > *").first).to_be_visible(timeout=WAIT_MS)
+        faint[view] = page.evaluate(CONTRASTS)
+    assert {view: texts for view, texts in faint.items() if texts} == {}
+    context.close()

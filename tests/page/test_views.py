@@ -202,3 +202,28 @@ def test_a_temperature_that_is_only_watched_has_a_row_without_a_forecast() -> No
 )
 def test_the_browser_is_answered_in_the_language_that_it_prefers(accepted: str, language: str) -> None:
     assert preferred(accepted) == language
+
+
+def test_what_is_found_of_model_and_blocks_is_said_in_the_readers_language() -> None:
+    bad = {"verdict": "unfit", "verdict_sentence": "unfit: worse than the last reading held"}
+    plain = picture()
+    unfit = read_status(plain | {"model": plain["model"] | bad})
+    refused = {"mode": "armed", "last_verdict": "not permitted", "last_reason": ""}
+    cases = {
+        "model": (unfit, "das Modell ist unbrauchbar: worse", "il modello non è idoneo: worse"),
+        "write-back": (
+            read_status(plain | {"writeback": plain["writeback"] | refused}),
+            "scharf, und der neueste Block wurde nicht geschrieben (not permitted): kein Grund",
+            "armato, e l'ultimo blocco non è stato scritto (not permitted): nessun motivo",
+        ),
+    }
+    for check, (status, german, italian) in cases.items():
+        for language, wanted in (("de", german), ("it", italian)):
+            found = machine_view(all_words()[language], {}, status)["findings"]
+            assert any(each["check"] == check and each["sentence"].startswith(wanted) for each in found), found
+
+
+def test_a_phrase_is_filled_in_every_language_with_its_own_decimal_sign() -> None:
+    inner = Phrase("late", it="tardi", de="spät")
+    said = Phrase("{what} by {s} s", it="{what} di {s} s", de="{what} um {s} s").filled(what=inner, s="1.5")
+    assert (str(said), said.it, said.de) == ("late by 1.5 s", "tardi di 1,5 s", "spät um 1,5 s")

@@ -6,7 +6,7 @@ from typing import Any
 import click
 
 from gateway.cli.plant.plant_file import config_option
-from gateway.commission.files import DRY_RUN, Edit, commit, with_machine, without_machine
+from gateway.commission.files import DRY_RUN, Edit, commit, plant_findings, with_machine, without_machine
 from gateway.console import emit, json_option, table
 from gateway.entry import sentences
 from gateway.outside.status import ControlError, connect, health_of, read_status
@@ -109,11 +109,15 @@ def remove(name: str, path: Path, dry_run: bool, as_json: bool) -> None:
 
 def _carry_out(edit: Edit, *, dry_run: bool, as_json: bool) -> None:
     backup = None if dry_run else commit(edit, load_plant)
+    findings = [] if dry_run else plant_findings(edit.path)
 
     def show() -> None:
         for line in edit.diff().splitlines():
             click.secho(line, fg={"+": "green", "-": "red", "@": "cyan"}.get(line[:1]))
         click.echo("dry run: nothing was written" if dry_run else f"written (before: {backup}); {RELOAD}")
+        for finding in findings:
+            click.secho(finding, fg="yellow")
 
     data = {"ok": True, "diff": edit.diff(), "written": not dry_run, "backup": backup and str(backup)}
+    data["findings"] = findings
     emit(data, show, as_json_line=as_json)

@@ -19,6 +19,7 @@ from gateway.commission.files import (
     Reading,
     find_files,
     pairs,
+    plant_findings,
     read_io_list,
     template,
 )
@@ -118,6 +119,7 @@ def init(given: SharedOptions, folder: Path, **options: Any) -> None:
         warnings.append("no heartbeat is known: a PLC that stands still would look alive; give --heartbeat TAG")
     if io_list is not None:
         warnings += [f"left out: {problem}" for problem in io_list.problems]
+    warnings += plant_findings(folder / "plant.toml")
     following = _next(folder, trace, temperatures)
 
     def show() -> None:

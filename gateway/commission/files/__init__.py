@@ -1,7 +1,7 @@
 """The files that commissioning reads and changes: I/O lists, device files, plant files."""
 
 from gateway.commission.files.cells import ListError, key_of, read_sheet
-from gateway.commission.files.change import Binding, BlockPlace, FileChange, carry_out
+from gateway.commission.files.change import Binding, BlockPlace, FileChange, carry_out, plant_findings
 from gateway.commission.files.device_file import ENCODING
 from gateway.commission.files.edit_command import DRY_RUN, HEARTBEAT, KEEP, edit_files, pairs, template
 from gateway.commission.files.first_folder import FirstFolder

@@ -19,6 +19,8 @@ from gateway.commission.files.device_file import (
 )
 from gateway.commission.files.plan_files import Files, device_edit, plant_edit, save
 from gateway.commission.files.toml_edit import put
+from gateway.plant import check_plant
+from gateway.settings import load_plant
 
 _TIMER_S = 5.0
 _MOST_WORDS = 123
@@ -81,8 +83,14 @@ def put_block(document: tomlkit.TOMLDocument, block: BlockPlace, template: Path)
     set_block(document, head, names, template)
 
 
+def plant_findings(plant: Path) -> list[str]:
+    """What the judge of a plant file says of one that could be loaded, each with the machine or part that it is of."""
+    return [f"{one.machine or one.part}: {one.sentence}" for one in check_plant(load_plant(plant))]
+
+
 def carry_out(files: Files, wanted: FileChange, template: Path, *, dry_run: bool) -> dict[str, Any]:
-    """Change the files; gives the diff and the backups. With `dry_run` nothing is written, and nothing is checked.
+    """Change the files; gives the diff, the backups, and what is not in order then. With `dry_run` nothing is
+    written, and nothing is checked.
 
     `template` is the shipped register map, whose block's fields are the pattern. Raises ConfigError or OSError.
     """
@@ -113,4 +121,5 @@ def carry_out(files: Files, wanted: FileChange, template: Path, *, dry_run: bool
         "changes": [{"file": str(edit.path), "new": edit.before is None, "diff": edit.diff()} for edit in edits],
         "backups": [str(path) for path in backups],
         "written": bool(edits) and not dry_run,
+        "findings": [] if dry_run or files.plant is None else plant_findings(files.plant),
     }

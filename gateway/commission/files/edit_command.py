@@ -89,7 +89,9 @@ def _view(data: Mapping[str, Any]) -> Iterator[Part]:
             yield f"... and {len(lines) - len(shown)} lines more, as the table above says"
     if data["written"]:
         kept = f" (before: {', '.join(data['backups'])})" if data["backups"] else ""
-        yield f"written and in order: {', '.join(data['files'])}{kept}"
+        in_order = "" if data["findings"] else " and in order"
+        yield f"written{in_order}: {', '.join(data['files'])}{kept}"
+        yield from (Line(finding, "yellow") for finding in data["findings"])
     elif data["files"]:
         yield "dry run: nothing was written"
     elif not data.get("problems"):

@@ -12,6 +12,7 @@ from click.core import ParameterSource
 from drivers.named_files import writing
 from gateway.console import emit, finite, json_option, map_option, shipped, table
 from gateway.entry import Exit, sentences
+from gateway.lab.models.show import show_verdict
 from gateway.lab.traces.load import load
 from sim.engine import Policy
 from sim.lab.formats import FoundModel, find_model
@@ -21,6 +22,7 @@ from sim.sha import encoded
 
 GROWS = "A flow that relaxes cannot grow: learn with --method bins, or with --method lsha --default-flow exponential."
 NEXT = "Read the evidence above; learn anew with more traces, or with another --method."
+UNJUDGED = "what it foresees was not judged where it was made: `decanter model validate` or `skill` say it"
 STAYS, CASES, WIDTH = 12, 4, 150
 """What the text shows of a counterexample and of a check's cases, and signs a case; --json has all of them."""
 
@@ -104,8 +106,9 @@ def prove(
 ) -> None:
     """Verify a model's structure, and what its temperature can do under any sequence of events.
 
-    Every check is proven, refuted with its evidence, or not decided. Leaves with 1 when the model is not deployable; a
-    range given by --bounds must be proven too. `decanter model simulate MODEL --word ...` replays a counterexample.
+    Every check is proven, refuted with its evidence, or not decided. Leaves with 1 when the model is not deployable or
+    was judged unfit where it was learned; a range given by --bounds must be proven too.
+    `decanter model simulate MODEL --word ...` replays a counterexample.
     """
     with sentences():
         traces, column_map = load(paths, map_name) if paths else ([], None)
@@ -146,7 +149,7 @@ def prove(
             with writing(out):
                 out.write_text(word_text(worst[1]) + "\n", encoding="utf-8")
     emit(plain(result, found), lambda: _show(result, found, model, out), as_json_line=as_json)
-    if not result.deployable:
+    if not result.deployable or (found.verdict is not None and found.verdict.word == "unfit"):
         sys.exit(Exit.CHECK_FAILED)
 
 
@@ -166,7 +169,9 @@ def plain(result: Verification, found: FoundModel) -> dict[str, Any]:
     ]
     return {
         "model": found.name,
-        "fitness": "fit" if result.deployable else "unfit",
+        # What is proven may foresee nothing: that is the verdict's, where one was kept.
+        "fitness": "unfit" if not result.deployable else "not known" if found.verdict is None else found.verdict.word,
+        "verdict": None if found.verdict is None else found.verdict.plain() | {"sentence": found.verdict.sentence},
         "deployable": result.deployable,
         "reasons": list(result.reasons),
         "assumptions": list(result.assumptions),
@@ -206,8 +211,12 @@ def _show(result: Verification, found: FoundModel, model: str, out: Path | None)
             click.echo(f"a counterexample to {name}, of {size}, was found; --word FILE writes it, for model simulate")
     against = [each.name for each in result.checks if each.blocking and each.verdict != "proven"]
     # What is not decided is not proven: promotion refuses both alike.
-    sentence = f"unfit: not proven: {', '.join(against)}" if against else "fit: every check that decides is proven"
+    sentence = f"unfit: not proven: {', '.join(against)}" if against else "proven: every check that decides"
     click.secho(sentence, fg="red" if against else "green", bold=True)
+    if found.verdict is not None:
+        show_verdict(found.verdict)
+    elif not against:
+        click.echo(UNJUDGED)
     if "growth" in against and result.executable:
         click.echo(f"next: {GROWS}")
     elif against:

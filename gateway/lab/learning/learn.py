@@ -12,12 +12,14 @@ import click
 from gateway.console import emit, json_option, map_option, progress, seed_option, table
 from gateway.entry import sentences
 from gateway.lab.learning.familiar import familiarity_files, trained_familiarity
-from gateway.lab.models.show import show_model, spread_sentence, summary
+from gateway.lab.models.show import show_model, show_verdict, spread_sentence, summary
 from gateway.lab.traces.load import load, warned_of
+from sim.artefacts import VERDICT_FILE
 from sim.lab.formats import check_free, write_model_directory
+from sim.lab.judge import judge_learned
 from sim.lab.learning import machine_corrections
 from sim.lab.learning.lsha import FLOW_KINDS, LshaSettings
-from sim.sha import Trace, shown_unit
+from sim.sha import Trace, encoded, shown_unit
 from sim.strict_json import json_text
 
 if TYPE_CHECKING:
@@ -95,19 +97,21 @@ def learn(
             }
             model, spread = words_learned.model, words_learned.spread
             values, observations = words_learned.values, account.table
-            shown, acceptance = lsha_diagnostics(words_learned), account.acceptance
+            shown, acceptance, coverage = lsha_diagnostics(words_learned), account.acceptance, account.coverage
         else:
             learned = learn_from(traces, column_map, name=name, seed=seed, report=report, temperature=temperature)
             model, spread = learned.model, learned.spread
             values, observations, more = learned.values, None, {}
-            shown, acceptance = diagnostics(learned), None
+            shown, acceptance, coverage = diagnostics(learned), None, learned.coverage
         # Of several machines it is a model of their type, and has what is each one's own.
         model = replace(model, machines=machine_corrections(model, traces, spread))
         familiar = trained_familiarity(model, traces)
-        more = more | familiarity_files(familiar)
+        verdict = judge_learned(model, [encoded(trace, model.alphabet) for trace in traces], coverage)
+        more = more | familiarity_files(familiar) | {VERDICT_FILE: verdict.text()}
         written = write_model_directory(out, model, values, observations=observations, more=more)
     data = {"model": str(out), "file": str(written), **summary(model), "diagnostics": shown}
     cycles = 0 if familiar is None else familiar.reference.held_out.size
+    data |= {"verdict": verdict.plain() | {"sentence": verdict.sentence}}
     data |= {"familiar_cycles": cycles, "machines": asdict(spread), "warnings": warnings}
 
     def show() -> None:
@@ -120,6 +124,7 @@ def learn(
             f"familiarity: {f'{cycles} cycles' if cycles else 'unknown, too few cycles with an hour before them'}"
         )
         click.echo(f"model directory: {out}")
+        show_verdict(verdict)
         if acceptance is not None:
             counts = f"{acceptance.accepted} of {acceptance.traces} training traces"
             click.echo(f"accepted: {counts}, by the observed edges alone")

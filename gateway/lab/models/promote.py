@@ -7,7 +7,16 @@ import click
 
 from gateway.console import emit, json_option
 from gateway.entry import sentences
-from sim.artefacts import FAMILIARITY_FILE, Force, forced, read_familiarity
+from sim.artefacts import (
+    FAMILIARITY_FILE,
+    VERDICT_FILE,
+    Force,
+    forced,
+    ran,
+    read_familiarity,
+    read_verdict,
+    version_directory,
+)
 from sim.artefacts import promote as promote_version
 from sim.lab.formats import find_model, save
 
@@ -16,7 +25,7 @@ from sim.lab.formats import find_model, save
 @click.argument("store", type=click.Path(path_type=Path, file_okay=False))
 @click.argument("version", required=False)
 @click.option("--add", "model", help="Save this model (a directory or JSON file) as a new version and promote that.")
-@click.option("--force", "reason", metavar="REASON", help="Promote a model that is not deployable; recorded.")
+@click.option("--force", "reason", metavar="REASON", help="Promote one that is not deployable or unfit; recorded.")
 @click.option("--by", help="Who forces it; recorded.")
 @json_option
 def promote(
@@ -24,7 +33,8 @@ def promote(
 ) -> None:
     """Make VERSION of STORE the current one: what a gateway runs whose model.path is the store.
 
-    A model that does not verify (see `decanter model prove`) is refused, in one sentence with the reasons. --force
+    A model that does not verify (see `decanter model prove`), or that was judged unfit where it was learned, is
+    refused, in one sentence with the reasons. Its verdict is shown beside that of the version that ran before. --force
     with --by promotes it all the same, if it can be run at all: name and reason are kept in the store, the gateway
     warns at each start, and it does not run armed on such a model.
     """
@@ -36,11 +46,22 @@ def promote(
         now = time.time()
         if model is not None:
             familiar = read_familiarity(Path(model)) if Path(model).is_dir() else None
+            judged = read_verdict(Path(model)) if Path(model).is_dir() else None
             more = {} if familiar is None else {FAMILIARITY_FILE: familiar.text()}
+            more |= {} if judged is None else {VERDICT_FILE: judged.text()}
             version = save(store, find_model(model).runnable(), created=now, more=more)
-        chosen = str(version)
+        chosen, before = str(version), ran(store)[-1:]
         promote_version(store, chosen, Force(str(by), reason, now) if reason is not None else None)
         force = forced(store)
+        verdicts = {name: read_verdict(version_directory(store, name)) for name in (*before, chosen)}
     data = {"store": str(store), "current": chosen, "forced": force is not None}
     sentence = f"{store}: {chosen} is current" + (f", forced by {force.by}: {force.reason}" if force else "")
-    emit(data, lambda: click.echo(sentence), as_json_line=as_json)
+    said = {name: "not judged where it was made" if own is None else own.sentence for name, own in verdicts.items()}
+    data["verdicts"] = said
+
+    def show() -> None:
+        for name, own in said.items():
+            click.echo(f"{name}{'' if name == chosen else ' (ran before)'}: {own}")
+        click.echo(sentence)
+
+    emit(data, show, as_json_line=as_json)

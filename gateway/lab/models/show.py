@@ -11,7 +11,7 @@ import click
 
 from gateway.console import emit, json_option, table
 from gateway.entry import sentences
-from sim.artefacts import model_hash
+from sim.artefacts import ModelVerdict, model_hash
 from sim.effects import effect_summary
 from sim.lab.formats import find_model
 from sim.sha import SHA, Model, Stay, distributions, shown_unit
@@ -48,7 +48,14 @@ def show(name: str, as_json: bool) -> None:
             emit(data, lambda: _show_artefacts(found_model), as_json_line=as_json)
             return
         shown = found_model.model
-        emit(summary(shown), lambda: show_model(shown), as_json_line=as_json)
+        verdict = found_model.verdict
+
+        def show_both() -> None:
+            show_model(shown)
+            show_verdict(verdict)
+
+        said = {"verdict": None if verdict is None else verdict.plain() | {"sentence": verdict.sentence}}
+        emit(summary(shown) | said, show_both, as_json_line=as_json)
 
 
 def _show_artefacts(found_model: FoundModel) -> None:
@@ -168,6 +175,15 @@ def show_model(shown: Model) -> None:
         click.echo(f"correction T' = {shown.correction.gain:.4g} T {shown.correction.offset:+.3g} {unit}")
     synthetic = ", SYNTHETIC: not learned from a plant" if origin.synthetic else ""
     click.echo(f"{len(origin.traces)} traces, content {origin.data_hash[:12]}{synthetic}")
+
+
+def show_verdict(verdict: ModelVerdict | None) -> None:
+    """Print the verdict that lies beside a model, in one line; nothing of a model that has none."""
+    if verdict is not None:
+        click.secho(verdict.sentence, fg=_COLOURS[verdict.word])
+
+
+_COLOURS = {"fit": "green", "limited": "yellow", "not known": "yellow", "unfit": "red"}
 
 
 def spread_sentence(spread: MachineSpread, unit: str) -> str:

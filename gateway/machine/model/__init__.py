@@ -1,7 +1,14 @@
 """What the model makes of a scan: prediction, guards, forecast, and a newer model that takes over."""
 
 from gateway.machine.model.along import forecasts_along, machine_offset_along, recorded_scans
-from gateway.machine.model.loading import LoadedModel, LoadedModels, load_model, load_models, models_at_start
+from gateway.machine.model.loading import (
+    LoadedModel,
+    LoadedModels,
+    ModelsAtStart,
+    load_model,
+    load_models,
+    models_at_start,
+)
 from gateway.machine.model.outlook import FinishedForecast, block_values
 from gateway.machine.model.predict import ZONES, ScanPrediction
 from gateway.machine.model.unit import ModelUnit

@@ -9,6 +9,7 @@ from gateway.settings import Config
 from sim.artefacts import (
     MODEL_FILE,
     Familiarity,
+    ModelVerdict,
     current,
     forced,
     is_store,
@@ -16,6 +17,7 @@ from sim.artefacts import (
     model_hash,
     read_familiarity,
     read_model,
+    read_verdict,
     version_directory,
 )
 from sim.effects import of_machine
@@ -29,7 +31,7 @@ class LoadedModel:
 
     `version` is the store's that it was, "" for a model that comes from no store; `file` holds it, `written` when that
     was (s UTC).
-    `familiarity` is what its training was like, None where that is not known.
+    `familiarity` is what its training was like, `verdict` whether it may be used; None where that is not known.
     """
 
     model: Model
@@ -39,6 +41,7 @@ class LoadedModel:
     written: float | None = None
     familiarity: Familiarity | None = None
     file: Path | None = None
+    verdict: ModelVerdict | None = None
 
 
 def load_model(config: Config) -> LoadedModel | None:
@@ -76,7 +79,11 @@ def load_models(config: Config) -> tuple[LoadedModels, ...]:
     return tuple((model, load_members(one, model)) for one, model in loaded)
 
 
-def models_at_start(config: Config) -> tuple[tuple[LoadedModels, ...], str]:
+ModelsAtStart = tuple[tuple[LoadedModels, ...], str]
+"""The models of each of a machine's temperatures as far as they can be run, and why others cannot ("": all can)."""
+
+
+def models_at_start(config: Config) -> ModelsAtStart:
     """The models of each of a machine's temperatures as far as they can be run, and why others cannot ("": all can).
 
     What has befallen a model's files keeps no machine from being watched: it runs without that model.
@@ -102,6 +109,7 @@ def _load(config: Config, path: Path, key: str) -> LoadedModel:
         file = home / MODEL_FILE if home.is_dir() else home
         written = file.stat().st_mtime
         familiarity = read_familiarity(home) if home.is_dir() else None
+        verdict = read_verdict(home) if home.is_dir() else None
         predictor = Predictor(model, config.model.temperature)
         problem, warning = _unverified(config, model, path, key, version)
     except (OSError, ValueError) as error:
@@ -112,6 +120,12 @@ def _load(config: Config, path: Path, key: str) -> LoadedModel:
         problems.append(
             f"model.temperature: is {config.model.temperature!r}, and the model at {path} predicts "
             f"{model.temperature!r}; set it to that, or give a model of {config.model.temperature!r}"
+        )
+    if config.scan.period > model.alphabet.gap:
+        problems.append(
+            f"scan.period: {config.scan.period:g} s is longer than {model.alphabet.gap:g} s, for which the model at "
+            f"{path} holds a reading at most, so that it would never foresee; scan at least so often, or give a model "
+            "that was learned from rows of this interval"
         )
     problems += [
         f"{key}: the model reads {name!r}, no tag of {config.map.path}; add the tag or give another model"
@@ -127,6 +141,7 @@ def _load(config: Config, path: Path, key: str) -> LoadedModel:
         written=written,
         familiarity=familiarity,
         file=file,
+        verdict=verdict,
     )
 
 

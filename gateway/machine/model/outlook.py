@@ -31,7 +31,7 @@ from sim.forecast import (
 COVERAGE_AFTER = 5.0
 """So many independent forecasts must have matured before how often a band holds is said."""
 FRESH_PERIODS = 3.0
-"""A forecast older than three of its periods is not used any more."""
+"""A forecast older than three of its periods (of scans, where these are rarer) is not used any more."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,6 +69,7 @@ class Outlook:
         self.made = 0
         self.calibration: Calibration = bands(predictor.model, section, scan_period)
         self._task: asyncio.Task[Forecast | MixedForecast] | None = None
+        self._usable_s = FRESH_PERIODS * max(section.period, scan_period)
         self._due = -inf
         self._void = False
         self._measured: float | None = None
@@ -104,7 +105,7 @@ class Outlook:
 
     def fresh(self, now: float) -> Forecast | None:
         """The newest forecast while it may be used."""
-        usable = self.latest is not None and now - self.latest.time <= FRESH_PERIODS * self.section.period
+        usable = self.latest is not None and now - self.latest.time <= self._usable_s
         return self.latest if usable else None
 
     def collect(self) -> FinishedForecast | None:

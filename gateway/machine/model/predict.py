@@ -74,10 +74,12 @@ class ScanPrediction:
 
     def with_familiarity(self, rating: FamiliarityRating) -> "ScanPrediction":
         """This one with the rating of the present cycle: outside of the training the zone is no better than that's."""
-        zone = self.zone
-        if rating.outside and zone != "none" and rating.zone != "unknown":
-            zone = max(zone, rating.zone, key=ZONES.index)
-        return replace(self, familiarity=rating, zone=zone)
+        limited = self.at_best(rating.zone) if rating.outside and rating.zone != "unknown" else self
+        return replace(limited, familiarity=rating)
+
+    def at_best(self, zone: Zone) -> "ScanPrediction":
+        """This one with a confidence no better than `zone`; none stays none."""
+        return self if self.zone == "none" else replace(self, zone=max(self.zone, zone, key=ZONES.index))
 
 
 class Predictor:

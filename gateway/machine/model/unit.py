@@ -22,7 +22,7 @@ from gateway.machine.model.virtual_sensor import VirtualReading, VirtualSensor
 from gateway.machine.reading import Scan
 from gateway.settings import Config
 from gateway.store import HistorianView, saved_state
-from sim.artefacts import is_store, read_finding, version_directory, versions
+from sim.artefacts import is_store, read_finding, read_verdict, version_directory, versions
 from sim.files import ArtefactError
 from sim.forecast import Z90, Forecast
 
@@ -154,6 +154,8 @@ class ModelUnit:
         self._found_out = wrong_since is not None
         before, prediction = self.prediction, self.predictor.step(scan)
         prediction = prediction.with_familiarity(self._rating(scan, prediction))
+        if self.loaded.verdict is not None and self.loaded.verdict.word == "unfit":
+            prediction = prediction.at_best("red")
         if self.twin is not None:
             self.twin.take(scan.time, scan.good(self.predictor.temperature), scan.good(self.twin.twin))
         virtual = self._virtual_reading(scan, prediction)
@@ -245,6 +247,8 @@ class ModelUnit:
             "unfamiliar": None if p.familiarity is None else p.familiarity.strangeness,
             "review": float(self.guards.flagged) if trusted else None,
             "drift": float(self.guards.drift.running),
+            # Where a reading is bad that has an alarm of its own.
+            "no forecast": float(forecast is None) if p.inputs_good else None,
         }
 
     def foresee(self, scan: Scan, prediction: ScanPrediction) -> None:
@@ -275,13 +279,15 @@ class ModelUnit:
             "version": model.version,
             "written": model.written,
             "refused": self.pickup.refused,
+            "verdict": "" if model.verdict is None else model.verdict.word,
+            "verdict_sentence": "" if model.verdict is None else model.verdict.sentence,
         }
 
     def description(self) -> dict[str, Any]:
         """The automaton, the present location (None where it is not known), and where the model comes from.
 
         `store` is that which it is promoted in, with its `versions`, oldest first; None and none for a model by itself.
-        `findings` has what a diagnosis found, by the version that it proposed.
+        By version `findings` has what a diagnosis that proposed it found, `verdicts` whether it may be used.
         """
         model, sha, now = self.loaded.model, self.loaded.model.sha, self.prediction
         path = self.config.model.path
@@ -290,11 +296,15 @@ class ModelUnit:
         with suppress(ArtefactError, OSError):  # a store that cannot be read now has none to choose from
             known = () if store is None else versions(store)
         findings: dict[str, dict[str, Any]] = {}
+        verdicts: dict[str, dict[str, str]] = {}
         for name in known:
             # A file that was damaged costs its own words only: the version can be run without them.
             with suppress(ArtefactError, OSError):
                 if store is not None and (finding := read_finding(version_directory(store, name))) is not None:
                     findings[name] = finding.plain()
+            with suppress(ArtefactError, OSError):
+                if store is not None and (verdict := read_verdict(version_directory(store, name))) is not None:
+                    verdicts[name] = {"word": verdict.word, "sentence": verdict.sentence}
         edges: dict[tuple[str, str], list[str]] = {}
         for edge in sha.edges:
             edges.setdefault((edge.source, edge.target), []).append(edge.symbol)
@@ -303,6 +313,7 @@ class ModelUnit:
             "store": None if store is None else str(store.absolute()),
             "versions": list(known),
             "findings": findings,
+            "verdicts": verdicts,
             "locations": [
                 {"name": place.name, "flow": place.flow.kind, "borrowed": place.name in model.borrowed}
                 for place in sha.locations

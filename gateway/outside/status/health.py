@@ -5,8 +5,11 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from gateway.outside.status.picture import GatewayStatus, TagStatus, TemperatureStatus
+from sim.phrase import Phrase
 from sim.units import shown_unit
 
+UNFORESEEN = "no forecast"
+"""The kind of the alarm that no usable forecast comes."""
 MOST_NAMED = 3
 """How many tags, alarms or parts one sentence names; the rest is counted."""
 
@@ -64,20 +67,72 @@ def link_sentence(status: GatewayStatus) -> str:
     return f"no good reading {since}: {link.reason}" if link.reason else f"no good reading {since}"
 
 
+REFUSED = Phrase(
+    "the promoted model is refused: {reason}",
+    it="il modello promosso è rifiutato: {reason}",
+    de="das beförderte Modell ist abgelehnt: {reason}",
+)
+UNFIT = Phrase(
+    "the model is unfit: {reason}", it="il modello non è idoneo: {reason}", de="das Modell ist unbrauchbar: {reason}"
+)
+STATE_UNKNOWN = Phrase(
+    "the state of the plant is not known, so that nothing is predicted",
+    it="lo stato dell'impianto non è noto, quindi non si prevede nulla",
+    de="der Zustand der Anlage ist nicht bekannt, daher wird nichts vorhergesagt",
+)
+DOES_NOT_FOLLOW = Phrase(
+    "the confidence is {zone}: the readings do not follow the model (anomaly {anomaly})",
+    it="la fiducia è {zone}: le letture non seguono il modello (anomalia {anomaly})",
+    de="das Vertrauen ist {zone}: die Messwerte folgen dem Modell nicht (Anomalie {anomaly})",
+)
+ZONE_WORDS = {"yellow": Phrase("yellow", it="media", de="mäßig"), "red": Phrase("red", it="bassa", de="gering")}
+
+
 def model_sentence(status: GatewayStatus) -> str:
     """Why the prediction is not to be relied on; "" if it is, and without a model."""
     p, model = status.prediction, status.model
     if model is not None and model.refused:
-        return f"the promoted model is refused: {model.refused}"
-    if p is None or link_sentence(status):
+        return REFUSED.filled(reason=model.refused)
+    if model is not None and model.verdict == "unfit":
+        return UNFIT.filled(reason=model.verdict_sentence.removeprefix("unfit: "))
+    if link_sentence(status):
         return ""
-    if not p.known:
-        return "the state of the plant is not known, so that nothing is predicted"
+    if p is not None and not p.known:
+        return STATE_UNKNOWN
+    if any(alarm.kind == UNFORESEEN and alarm.active for alarm in status.alarm_summary):
+        return unforeseen_sentence(status)
+    if p is None:
+        return ""
     if strange := unfamiliar_sentence(status):
         return strange
     if p.zone in ("yellow", "red"):
-        return f"the confidence is {p.zone}: the readings do not follow the model (anomaly {p.anomaly or 0.0:.1f})"
+        return DOES_NOT_FOLLOW.filled(zone=ZONE_WORDS[p.zone], anomaly=f"{p.anomaly or 0.0:.1f}")
     return ""
+
+
+UNFORESEEN_FOR = Phrase(
+    "nothing is foreseen: {reason}", it="nessuna previsione: {reason}", de="es gibt keine Vorhersage: {reason}"
+)
+NONE_FINISHED = Phrase(
+    "no forecast has been finished yet",
+    it="nessuna previsione è stata ancora completata",
+    de="noch keine Vorhersage ist fertig geworden",
+)
+TOO_LATE = Phrase(
+    "the newest forecast is {seconds} s old, and newer ones do not come in time",
+    it="l'ultima previsione ha {seconds} s e le successive non arrivano in tempo",
+    de="die neueste Vorhersage ist {seconds} s alt, und neuere kommen nicht rechtzeitig",
+)
+
+
+def unforeseen_sentence(status: GatewayStatus) -> str:
+    """Why there has been no usable forecast for longer than is usual."""
+    failures = [part["failure"] for name, part in status.parts.items() if "forecast" in name and part["failure"]]
+    if failures:
+        return UNFORESEEN_FOR.filled(reason=failures[0])
+    if status.forecast is None:
+        return UNFORESEEN_FOR.filled(reason=NONE_FINISHED)
+    return UNFORESEEN_FOR.filled(reason=TOO_LATE.filled(seconds=f"{status.forecast.age / status.speed:.0f}"))
 
 
 def unfamiliar_sentence(one: GatewayStatus | TemperatureStatus) -> str:
@@ -90,6 +145,20 @@ def unfamiliar_sentence(one: GatewayStatus | TemperatureStatus) -> str:
     return f"the confidence is {p.zone}: the present cycle is unlike the training: {f.sentence}"
 
 
+NOT_BY_MODEL = Phrase(
+    "{tag}: sensor bad for {lasting} ({reason}); not known by the model either: {stopped}",
+    it="{tag}: sensore guasto da {lasting} ({reason}); non noto nemmeno dal modello: {stopped}",
+    de="{tag}: Sensor seit {lasting} gestört ({reason}); auch nach dem Modell nicht bekannt: {stopped}",
+)
+BY_MODEL = Phrase(
+    "{tag}: sensor bad ({reason}); by {whom} {said}, for {lasting}",
+    it="{tag}: sensore guasto ({reason}); secondo {whom} {said}, da {lasting}",
+    de="{tag}: Sensor gestört ({reason}); nach {whom} {said}, seit {lasting}",
+)
+THE_MODEL = Phrase("the model", it="il modello", de="dem Modell")
+THE_MODEL_AND = Phrase("the model and {twin}", it="il modello e {twin}", de="dem Modell und {twin}")
+
+
 def virtual_sentence(status: GatewayStatus, one: GatewayStatus | TemperatureStatus) -> str:
     """What the model says of a temperature in place of its bad sensor, or why it does not; "" while that is good."""
     v = None if one.prediction is None else one.prediction.virtual
@@ -98,15 +167,16 @@ def virtual_sentence(status: GatewayStatus, one: GatewayStatus | TemperatureStat
     gone = (status.time - v.since) / status.speed
     lasting = f"{gone:.0f} s" if gone < 120.0 else f"{gone / 60.0:.0f} min"
     if v.mean is None or v.low is None or v.high is None:
-        return f"{one.temperature}: sensor bad for {lasting} ({v.reason}); not known by the model either: {v.stopped}"
+        return NOT_BY_MODEL.filled(tag=one.temperature, lasting=lasting, reason=v.reason, stopped=v.stopped)
     said = f"{v.mean:.1f} {shown_unit(one.unit)} ({v.low:.1f} to {v.high:.1f})"
-    whom = f"the model and {v.twin}" if v.twin else "the model"
-    return f"{one.temperature}: sensor bad ({v.reason}); by {whom} {said}, for {lasting}"
+    whom = THE_MODEL_AND.filled(twin=v.twin) if v.twin else THE_MODEL
+    return BY_MODEL.filled(tag=one.temperature, reason=v.reason, whom=whom, said=said, lasting=lasting)
 
 
 def _virtual(status: GatewayStatus) -> str:
-    own = virtual_sentence(status, status)
-    return "; ".join(filter(None, (own, *(virtual_sentence(status, one) for one in status.further))))
+    all_of_them: list[GatewayStatus | TemperatureStatus] = [status, *status.further]
+    said = [sentence for one in all_of_them if (sentence := virtual_sentence(status, one))]
+    return said[0] if len(said) == 1 else "; ".join(said)
 
 
 def records_sentence(status: GatewayStatus) -> str:
@@ -121,11 +191,19 @@ def _alarms(status: GatewayStatus) -> str:
     return named([f"{'plant: ' if alarm.of_plant else ''}{alarm.name} ({alarm.state})" for alarm in standing])
 
 
+NO_REASON = Phrase("no reason", it="nessun motivo", de="kein Grund")
+NOT_WRITTEN = Phrase(
+    "armed, and the newest block was not written ({verdict}): {reason}",
+    it="armato, e l'ultimo blocco non è stato scritto ({verdict}): {reason}",
+    de="scharf, und der neueste Block wurde nicht geschrieben ({verdict}): {reason}",
+)
+
+
 def _writeback(status: GatewayStatus) -> str:
     w = status.writeback
     if w.get("mode") != "armed" or w.get("last_verdict") in (None, "written"):
         return ""
-    return f"armed, and the newest block was not written ({w['last_verdict']}): {w.get('last_reason') or 'no reason'}"
+    return NOT_WRITTEN.filled(verdict=w["last_verdict"], reason=w.get("last_reason") or NO_REASON)
 
 
 def _parts(status: GatewayStatus) -> str:

@@ -143,13 +143,18 @@ class ForecastStatus:
 
 @dataclass(frozen=True, kw_only=True)
 class ModelStatus:
-    """The model that runs: its store's version ("" for none), when its file was written, why a promotion is refused."""
+    """The model that runs: its store's version ("" for none), when its file was written, why a promotion is refused.
+
+    `verdict` is whether it may be used, as it was judged where it was learned ("" where it was not), with its reasons.
+    """
 
     name: str
     hash: str
     version: str
     written: float | None
     refused: str
+    verdict: str = ""
+    verdict_sentence: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -24,6 +24,7 @@ from gateway.outside.status import (
 from gateway.outside.texts import Words, strange_sentence
 from gateway.outside.web.alarm_view import alarm_rows
 from gateway.outside.web.arming_view import arming_view, mode_of
+from sim.phrase import said_in
 from sim.units import shown_unit
 
 LEVELS = ("normal", "over", "attention", "unknown", "alarm")
@@ -91,7 +92,7 @@ def _found(words: Words, status: GatewayStatus, alarms: Sequence[Mapping[str, An
     if finding.check == "readings":
         names = ", ".join(bad[:MOST_NAMED]) + (" …" if len(bad) > MOST_NAMED else "")
         return words.say("found.readings", count=len(bad), all=len(status.values), names=names)
-    return finding.sentence
+    return said_in(words.language, finding.sentence)
 
 
 def _only_watched(status: GatewayStatus, tag: str, limit: float) -> TemperatureStatus:
@@ -172,6 +173,8 @@ def _temperature(
         worth = _worth(words, zone, measured_coverage(forecast))
         if unfamiliar_sentence(one) and row["familiarity"] is not None:
             worth = ("doubtful", f"{words.say('validity.unfamiliar')}: {row['familiarity']['sentence']}")
+        if one.model is not None and one.model.verdict == "unfit":
+            worth = ("doubtful", words.say("validity.unfit"))
     level = "normal"
     if value > one.limit:
         # This is measured: what the forecast is worth says nothing of it.

@@ -6,7 +6,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from sim.artefacts import MODEL_FILE, STORE_FILE, load, read_model
+from sim.artefacts import (
+    MODEL_FILE,
+    STORE_FILE,
+    ModelVerdict,
+    current,
+    is_store,
+    load,
+    read_model,
+    read_verdict,
+    version_directory,
+)
 from sim.files import ArtefactError, at
 from sim.lab.suffixes import SUFFIXES
 from sim.sha import SHA, Alphabet, Model, Provenance
@@ -24,6 +34,7 @@ class FoundModel:
 
     `model` is None where artefacts describe no automaton that can be run, and `refusal` is then the sentence why.
     `artefacts` are the files read, None for a model of our own; `notes` what they said that the model does not.
+    `verdict` is that which was kept beside the model where it was learned, None where none is.
     """
 
     name: str
@@ -32,6 +43,7 @@ class FoundModel:
     artefacts: Artefacts | None = None
     notes: tuple[str, ...] = ()
     refusal: str = ""
+    verdict: ModelVerdict | None = None
 
     def runnable(self) -> Model:
         """The model. Raises ArtefactError with the refusal where there is none."""
@@ -60,14 +72,15 @@ def find_model(
     if base is None:
         store, at_sign, version = str(path).rpartition("@")
         if at_sign and not path.exists() and (Path(store) / STORE_FILE).is_file():
-            model = load(Path(store), version)
+            model, home = load(Path(store), version), version_directory(Path(store), version)
         elif path.exists():
-            model = read_model(path)
+            model, home = read_model(path), version_directory(path, current(path)) if is_store(path) else path
         else:
             sets = _sets(path.parent)
             others = f"; the artefact sets in {path.parent} are {', '.join(sets)}" if sets else ""
             raise at(path, None, f"there is no model directory, store, file or set of artefacts of this name{others}")
-        return FoundModel(model.sha.name, model.sha, model)
+        verdict = read_verdict(home) if home.is_dir() else None
+        return FoundModel(model.sha.name, model.sha, model, verdict=verdict)
     # The grammars of the artefacts, of which a model of our own needs none.
     from sim.lab.formats.foreign import read_artefacts, structure, to_sha
 

@@ -26,7 +26,7 @@ PLAIN_ROWS = 4_000
 PRIOR = 6.0
 """Independent forecasts at most that a plain member's odds at training count for: another machine is not this one."""
 LEAST_ODDS = 1e-3
-LEAST, MOST = 0.5, 5.0
+LEAST_WIDENING, MOST_WIDENING = 0.5, 5.0
 """Bounds of a factor: what lies outside is a model that does not fit, which a band cannot mend."""
 
 
@@ -196,7 +196,7 @@ def coverage_of(scored: Sequence[Scored]) -> tuple[Coverage, ...]:
         # The span that the forecasts cover, gaps cut to one horizon: beyond that they have nothing in common anyway.
         independent = 1.0 + float(np.minimum(np.diff(due), horizon).sum()) / horizon
         level = min(0.9 * (1.0 + 1.0 / independent), 0.97)
-        seen = min(max(float(np.quantile(z, level)) / Z90, LEAST), MOST)
+        seen = min(max(float(np.quantile(z, level)) / Z90, LEAST_WIDENING), MOST_WIDENING)
         factor = exp((independent * log(seen) + PRIOR_FORECASTS * log(PRIOR_FACTOR)) / (independent + PRIOR_FORECASTS))
         covered, crps = float(np.mean(z <= Z90)), float(np.mean([each.crps for each in forecasts]))
         table.append(

@@ -95,7 +95,10 @@ def _files(source: Source, column_map: ColumnMap, *, below: bool = False) -> lis
         elif not path.exists() and any(mark in str(path) for mark in "*?["):
             # A file may have such a mark in its name: only what is not there is a pattern.
             anchor = Path(path.anchor)
-            files += sorted(match for match in anchor.glob(str(path.relative_to(anchor))) if match.is_file())
+            found = sorted(match for match in anchor.glob(str(path.relative_to(anchor))) if match.is_file())
+            if not found:
+                raise TraceError(f"{path}: no file is of this pattern; leave it out, or give one that there is")
+            files += found
         else:
             files.append(path)
     # A file that is named twice, or by its folder too, is one trace and not two.

@@ -91,8 +91,13 @@ export function sparkline(machine, row, forecast, speed) {
 
 // ---------------------------------------------------------------- large pictures
 
-const INK = "#3b4650", GRID = "#d5d9dc", LIMIT = "#8a1c1c", FAN = "#4a7a9c";
-export const COLOURS = ["#24506e", "#7a5a1e", "#4c6b3c", "#6b4580", "#3f6f70", "#7d4a3f", "#555f66", "#8a6d00"];
+// A canvas takes no variables of the style sheet: the page's own are looked up once, light or dark.
+const styled = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+const [INK, GRID, LIMIT] = ["--axis", "--grid", "--limit"].map(styled);
+export const FAN = styled("--fan");
+export const COLOURS = matchMedia("(prefers-color-scheme: dark)").matches
+  ? ["#8ec1e0", "#d8b46c", "#a5c98f", "#c9a6dd", "#86c4c4", "#dba093", "#b9c3ca", "#d9c24a"]
+  : ["#24506e", "#7a5a1e", "#4c6b3c", "#6b4580", "#3f6f70", "#7d4a3f", "#555f66", "#8a6d00"];
 
 const axis = (extra) => ({ stroke: INK, grid: { stroke: GRID, width: 1 }, ticks: { stroke: GRID }, font: "12px system-ui", ...extra });
 
@@ -151,7 +156,7 @@ export function fanChart(place, machine, row, forecast) {
         faint("75 %", FAN), faint("95 %", FAN),
         { label: say("word.limit"), stroke: LIMIT, width: 1, dash: [3, 3], points: { show: false }, value: (_, v) => number(v, 1) },
       ],
-      bands: [{ series: [6, 2], fill: "rgba(74,122,156,.16)" }, { series: [5, 3], fill: "rgba(74,122,156,.24)" }],
+      bands: [{ series: [6, 2], fill: `${FAN}29` }, { series: [5, 3], fill: `${FAN}3d` }],
     }, data);
     fans.set(place, made);
   } else made.setData(data);

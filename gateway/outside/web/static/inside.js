@@ -35,7 +35,12 @@ function versionList(model, machine, temperature) {
   return h("ul", { class: "versions" }, [...model.versions].reverse().slice(0, NEWEST).map((version) => h("li", {}, h("code", {}, version), " ",
     version === model.version ? h("span", { class: "key present" }, say("model.runs"))
       : can("engineer") && h("button", { "data-act": "promote", "data-machine": machine, "data-of": temperature, "data-version": version }, say("model.promote")),
-    findingText(model.findings[version]))));
+    verdictText(model.verdicts[version]), findingText(model.findings[version]))));
+}
+
+// Whether a version may be used, as it was judged where it was learned; the figures behind it in its own words.
+function verdictText(verdict) {
+  return verdict && h("small", { class: `verdict ${verdict.word.replace(" ", "-")}`, title: verdict.sentence }, " ", say(`judged.${verdict.word.replace(" ", "_")}`));
 }
 
 // What a diagnosis found missing, and the experiment that would confirm it, beside the version that has it.
@@ -52,6 +57,7 @@ function modelCard(model, prediction) {
   const from = model.provenance, present = prediction?.known ? prediction.location : null;
   return h("div", {},
     model.refused && h("p", { class: "error" }, `${say("model.refused")}: ${model.refused}`),
+    model.verdict && h("p", {}, h("span", { class: `verdict ${model.verdict.replace(" ", "-")}` }, say(`judged.${model.verdict.replace(" ", "_")}`)), " ", h("small", {}, model.verdict_sentence.replace(`${model.verdict}: `, ""))),
     h("dl", { class: "facts" },
       fact(say("model.runs"), model.name), fact(say("model.hash"), h("code", {}, model.hash.slice(0, 12))), model.version && fact(say("model.version"), model.version),
       model.written && fact(say("model.written"), moment(model.written)), fact(say("model.method"), from.method),

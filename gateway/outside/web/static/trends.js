@@ -1,7 +1,7 @@
 // Any tags over any time: what was measured, gaps as gaps, and beside it what had been said before.
 import { ask, duration, h, number, say, unit } from "./dom.js";
 import { state } from "./live.js";
-import { chart, COLOURS, faint, measuredSeries } from "./draw.js";
+import { chart, COLOURS, FAN, faint, measuredSeries } from "./draw.js";
 
 const SPANS = [["90 d", 7776000], ["7 d", 604800], ["1 d", 86400], ["6 h", 21600], ["1 h", 3600], ["10 min", 600], ["1 min", 60]];
 const now = (machine) => state.machines[machine].status.time;
@@ -86,10 +86,10 @@ function draw(place) {
     series.push(measuredSeries(tags[place], colour));
   });
   if (said) {
-    const colour = "#4a7a9c";
+    const colour = FAN;
     tables.push([said.times, said.low, said.high, said.mean]);
     series.push(faint("5 %", colour), faint("95 %", colour));
-    bands.push({ series: [series.length, series.length - 1], fill: "rgba(74,122,156,.2)" });
+    bands.push({ series: [series.length, series.length - 1], fill: `${FAN}33` });
     series.push({ ...measuredSeries(say("trend.said_before", { minutes: number(said.horizon / 60, 0) }), colour), dash: [6, 4] });
   }
   // A null that stands for a gap is kept as one; a time that only another column has is none (uPlot's modes 2 and 1).

@@ -1,0 +1,229 @@
+"""The judge of a plant file: what a gateway that started with it now would refuse, go without, or do to no use.
+
+Asked by every command that says of a plant file that it is in order, so that none says it of what another refuses.
+What `load_plant` refuses comes before: here are the files, ports, models and limits that it names. Nothing is written,
+and the device is not asked.
+"""
+
+from __future__ import annotations
+
+import os
+import socket
+import stat
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+
+from drivers.connections import Connections
+from drivers.errors import DriverError
+from drivers.settings import ConfigError
+from drivers.survey import read_plan
+from gateway.machine.model import LoadedModels, ModelsAtStart, models_at_start
+from gateway.machine.reading import plant_clock
+from gateway.outside.status import connect
+from gateway.plant.device import make_driver
+from gateway.plant.shared_connections import on_one_connection
+from gateway.plant.shortfalls import of_plant
+from gateway.settings import Config
+from gateway.store import SQLITE_HEADER, SigningKeyError, load_key
+from sim.sha import distributions
+from sim.units import shown_unit
+
+REACH = 2.0
+"""A limit so many times the model's span of temperatures above the hottest of them never comes within reach."""
+_TEMPERATURE_IS_M = frozenset({"exponential", "driven"})
+"""Flows whose mode parameter is the temperature that they lead to."""
+
+
+@dataclass(frozen=True, slots=True)
+class PlantFinding:
+    """What is wrong, in a sentence; `machine` is "" for what the whole plant has once.
+
+    `part` is what is touched: "device", "places", "model", "limits", "records", "ports", "page", "messages",
+    "northbound". Not `grave` is what runs and is worth a look.
+    """
+
+    part: str
+    sentence: str
+    machine: str = ""
+    grave: bool = True
+
+
+def check_plant(
+    configs: Sequence[Config], known: Mapping[str, ModelsAtStart] | None = None
+) -> tuple[PlantFinding, ...]:
+    """All that is wrong with a plant file that could be loaded, the gravest first; none if it is in order.
+
+    `known` are machines' models that have been read already, by the machines' names.
+    """
+    known = known or {}
+    found = [*_devices(configs)]
+    for config in configs:
+        models, problem = known[config.machine] if config.machine in known else models_at_start(config)
+        found += [PlantFinding("model", problem, config.machine)] if problem else []
+        found += [PlantFinding("limits", said, config.machine, grave=False) for said in limit_doubts(config, models)]
+    found += [PlantFinding(part, sentence) for part, sentence in of_plant(configs[0]).items()]
+    found += [*_records(configs[0]), *_ports(configs[0])]
+    return tuple(sorted(found, key=lambda finding: not finding.grave))
+
+
+def _devices(configs: Sequence[Config]) -> Iterator[PlantFinding]:
+    """Drivers that cannot be made, and places that cannot be read as they are given."""
+    clock, connections = plant_clock(1.0), Connections()
+    for group in on_one_connection(configs):
+        for config in group:
+            try:
+                make_driver(config, clock, connections if config.several else None)
+            except ConfigError as error:
+                yield from (PlantFinding("device", problem, config.machine) for problem in error.problems)
+                continue
+            for link in config.links:
+                try:
+                    words = link.map.block_words if config.writeback.mode != "off" else ()
+                    plan = read_plan(link.map.driver, link.settings, link.map.tags, words)
+                except DriverError as error:
+                    yield PlantFinding("places", f"{link.map.path}: {error}", config.machine)
+                    continue
+                for problem in () if plan is None else (*plan.problems, *plan.overlaps):
+                    yield PlantFinding("places", f"{link.map.path}: {problem}", config.machine)
+
+
+def _records(config: Config) -> Iterator[PlantFinding]:
+    """Files that the gateway would write and this user cannot, or that are something else."""
+    written = {
+        "historian.path": config.historian.path,
+        "writeback.audit": config.audit,
+        "writeback.audit_key": config.audit_key,
+        "writeback.audit_heads": config.audit_heads,
+        "log.path": config.log.path,
+        "control.path": config.control_socket,
+    }
+    for key, path in written.items():
+        if path is None:
+            continue
+        reason = _unwritable(path)
+        if not reason and key == "control.path":
+            reason = _no_socket(path)
+        if not reason and key in ("historian.path", "writeback.audit"):
+            reason = _no_database(path)
+        if not reason and key == "writeback.audit_key" and path.exists():
+            reason = _no_key(path)
+        if reason:
+            yield PlantFinding("records", f"{config.path}: {key}: {path} {reason}")
+
+
+def _unwritable(path: Path) -> str:
+    """Why this user cannot have a file there; "" where that can be."""
+    try:
+        if path.is_dir():
+            return "is a folder; give the path of a file"
+        if path.exists():
+            return "" if os.access(path, os.R_OK | os.W_OK) else "may not be written by this user; give one that may"
+        parent = next(place for place in path.absolute().parents if place.exists())
+        if not parent.is_dir():
+            return f"cannot be: {parent} is no folder; give the path of a file in one"
+        writable = os.access(parent, os.W_OK | os.X_OK) and not os.statvfs(parent).f_flag & os.ST_RDONLY
+        return "" if writable else f"cannot be made: this user may not write in {parent}; give a place that it may"
+    except OSError as error:
+        return f"cannot be looked at ({error.strerror}); give a place that this user may enter"
+
+
+def _no_socket(path: Path) -> str:
+    there = path.exists() and not stat.S_ISSOCK(path.stat().st_mode)
+    return "is a file that is no socket; give a path of its own" if there else ""
+
+
+def _no_key(path: Path) -> str:
+    try:
+        load_key(path)
+    except SigningKeyError as error:
+        return str(error).removeprefix(f"{path}: ")
+    return ""
+
+
+def _no_database(path: Path) -> str:
+    if not path.exists():
+        return ""
+    with path.open("rb") as file:
+        head = file.read(len(SQLITE_HEADER))
+    return "" if head in (b"", SQLITE_HEADER) else "is no database; give the path of a historian or of a new file"
+
+
+def _ports(config: Config) -> Iterator[PlantFinding]:
+    """Ports that others have, unless a gateway runs by this very file: then they are its own."""
+    if (line := connect(config.control_socket)) is not None:
+        line.close()
+        return
+    northbound = config.northbound
+    served = {
+        "page.port": (config.page.host, config.page.port if config.page.enabled else None),
+        "serve.port": (config.serve.host, config.serve.port),
+        "northbound.metrics.port": (northbound.metrics.host, northbound.metrics.port),
+        "northbound.opcua.port": (northbound.opcua.host, northbound.opcua.port),
+    }
+    for key, (host, port) in served.items():
+        if port and (reason := _cannot_listen(host, port)):
+            yield PlantFinding("ports", f"{config.path}: {key}: cannot listen at {host}:{port} ({reason})")
+
+
+def _cannot_listen(host: str, port: int) -> str:
+    try:
+        family, kind, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+        with closing(socket.socket(family, kind)) as listener:
+            # As the servers do: what merely waits for its last packets is no obstacle.
+            listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            listener.bind(address)
+            listener.listen(1)
+    except OSError as error:
+        return error.strerror or str(error)
+    return ""
+
+
+def limit_doubts(config: Config, models: Sequence[LoadedModels]) -> Iterator[str]:
+    """Limits that no reading could pass or that every reading passes: by what the device file takes for plausible, and
+    by what the `models` of the machine's temperatures lead to. One sentence each."""
+    yield from _limits_of_tags(config)
+    yield from _limits_of_models(config, models)
+
+
+def _limits_of_tags(config: Config) -> Iterator[str]:
+    for name in config.watched:
+        tag, limit = config.map.by_name[name], config.limit_of(name)
+        unit = shown_unit(tag.unit)
+        said = f"{config.path}: the limit of {name}, {limit:g} {unit},"
+        if tag.high is not None and limit >= tag.high:
+            yield f"{said} can never be passed: the device file takes readings above {tag.high:g} for wrong"
+        elif tag.low is not None and limit <= tag.low:
+            yield f"{said} is passed by every reading: the device file takes those below {tag.low:g} for wrong"
+        elif tag.low is not None and limit - config.alarms.deadband <= tag.low:
+            yield f"{said} has a deadband of {config.alarms.deadband:g}: no plausible reading would end the alarm"
+
+
+def _limits_of_models(config: Config, models: Sequence[LoadedModels]) -> Iterator[str]:
+    for one, (loaded, _) in zip(config.followed, models, strict=True):
+        if loaded is None:
+            continue
+        if loaded.verdict is not None and loaded.verdict.word == "unfit":
+            yield f"{config.path}: the model of {one.model.temperature} is {loaded.verdict.sentence}"
+        model, limit = loaded.model, one.alarms.limit
+        known = [
+            model.correction.gain * distributions.mean(place.distribution) + model.correction.offset
+            for place in model.sha.locations
+            if place.distribution is not None
+            and place.flow.kind in _TEMPERATURE_IS_M
+            and place.name not in model.borrowed
+        ]
+        if not known:
+            continue
+        coldest, hottest, unit = min(known), max(known), shown_unit(model.unit)
+        said = f"{config.path}: the limit of {one.model.temperature}, {limit:g} {unit},"
+        if limit <= coldest:
+            yield f"{said} lies below all that the model leads to ({coldest:.0f} to {hottest:.0f}): it always stands"
+        elif limit - one.alarms.deadband <= coldest:
+            yield f"{said} has a deadband of {one.alarms.deadband:g}: below {coldest:.0f} the model never leads"
+        elif limit > hottest + REACH * (hottest - coldest):
+            yield (
+                f"{said} never comes within reach: the model leads to {coldest:.0f} to {hottest:.0f}; it would "
+                "warn of nothing"
+            )

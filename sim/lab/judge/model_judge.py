@@ -1,0 +1,298 @@
+"""The judge of a model where it is learned: may it be used, by what it foresaw unseen and by what it was taught.
+
+One table of criteria. What speaks are independent units (cycles, days, forecasts that do not overlap), never rows. The
+verdict is kept beside the model, and whoever shows, proves, promotes or runs it reads that.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from math import isfinite
+
+import numpy as np
+
+from sim.artefacts import FORECAST, JudgedCriterion, ModelVerdict, word_of
+from sim.lab.learning import MOST_WIDENING, Coverage, first_switch, level_signals
+from sim.proof import Verification, verify
+from sim.sha import DEGREES, Array, Mask, Model, Trace, distributions, shown_unit
+
+LEAST_FORECASTS = 8.0
+"""Independent held-out forecasts at a horizon below which they say nothing."""
+WORSE = 1.05
+"""A model is worse than persistence where its CRPS is more than so many times persistence's."""
+HALF_COVERED = 0.5
+"""A 90 % band that holds less than this of what it did not see was wrong about what the model knows."""
+DAY_S = 86_400.0
+FEW_CYCLES, FEW_DAYS = 4, 2
+"""Cycles and days below which nothing is known of how one differs from the next."""
+APART_DEGREES = 25.0
+"""A reading so far (degC) from the median of the five around it is no bearing's: heat takes minutes."""
+APART_SHARE = 0.005
+"""The share of such readings above which they are no accidents but a code for "no reading", or a loose contact."""
+REVERSED = 1.5
+"""The load while "off" over that while "on", or the inverse of temperatures, from which a switch is upside down."""
+FAHRENHEIT_REST = (50.0, 110.0)
+"""Where a machine at rest settles if its degrees are Fahrenheit's (10 to 43 °C)."""
+MIXED_SHARE, MIXED_S = 0.1, 1800.0
+"""A location mixes running and rest where both take this share of its time, and so many seconds, at least."""
+BORROWED = 0.5
+"""The share of locations that no data have shown from which a model knows less than it has to guess."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LearnedCase:
+    """What the criteria look at: a `model`, its training's encoded `traces`, and its held-out forecasts by horizon."""
+
+    model: Model
+    traces: Sequence[Trace]
+    coverage: Sequence[Coverage]
+    verification: Verification
+
+    def readings(self) -> list[tuple[Array, Array]]:
+        """(times, readings) of the temperature by trace, without rows that have none."""
+        found = []
+        for trace in self.traces:
+            column = trace.signals[self.model.temperature]
+            good = np.isfinite(column)
+            found.append((trace.times[good], column[good]))
+        return found
+
+    def told(self) -> list[Coverage]:
+        """The horizons of which enough is known, beside persistence."""
+        return [
+            row
+            for row in self.coverage
+            if row.independent >= LEAST_FORECASTS and isfinite(row.persistence) and row.crps
+        ]
+
+
+Said = tuple[bool | None, str]
+
+
+def judge_learned(model: Model, traces: Sequence[Trace], coverage: Sequence[Coverage]) -> ModelVerdict:
+    """The verdict on a model by its learning: its training's encoded `traces`, and its held-out forecasts."""
+    case = LearnedCase(model=model, traces=traces, coverage=coverage, verification=verify(model))
+    criteria = []
+    for name, (criterion, next_step) in CRITERIA.items():
+        kept, sentence = criterion(case)
+        criteria.append(
+            JudgedCriterion(criterion=name, kept=kept, sentence=sentence, next_step="" if kept else next_step)
+        )
+    values = np.concatenate([column for _, column in case.readings()] or [np.zeros(0)])
+    steps = np.concatenate([np.diff(trace.times) for trace in traces] or [np.zeros(0)])
+    return ModelVerdict(
+        word=word_of(criteria, told=bool(case.told())),
+        criteria=tuple(criteria),
+        row_s=float(np.median(steps[steps > 0])) if np.any(steps > 0) else None,
+        coldest=float(np.quantile(values, 0.01)) if values.size else None,
+        hottest=float(np.quantile(values, 0.999)) if values.size else None,
+    )
+
+
+def _verified(case: LearnedCase) -> Said:
+    reasons = "; ".join(case.verification.reasons)
+    return (False, f"it does not verify: {reasons}") if reasons else (True, "verified")
+
+
+def _foresees(case: LearnedCase) -> Said:
+    rows = case.told()
+    if not rows:
+        most = max((row.independent for row in case.coverage), default=0.0)
+        return None, f"{most:.0f} independent held-out forecasts at most are too few to tell it from persistence"
+    unit = shown_unit(case.model.unit)
+    worse = [row for row in rows if row.crps > WORSE * row.persistence]
+    said = ", ".join(
+        f"{row.crps:.3g} against {row.persistence:.3g} {unit} at {row.horizon:g} s" for row in worse or rows
+    )
+    if len(worse) == len(rows):
+        return False, f"worse than holding the last reading at every horizon (CRPS {said})"
+    if worse:
+        return None, f"worse than holding the last reading at some horizons (CRPS {said})"
+    return True, f"as good as holding the last reading or better (CRPS {said})"
+
+
+def _covers(case: LearnedCase) -> Said:
+    rows = [row for row in case.coverage if row.independent >= LEAST_FORECASTS]
+    if not rows:
+        return None, "how often its bands hold is not known"
+    least = min(rows, key=lambda row: row.covered)
+    said = f"the 90 % band held {100 * least.covered:.0f} % of what it did not see at {least.horizon:g} s"
+    if any(row.factor >= MOST_WIDENING for row in rows):
+        return False, f"{said}, which no widening mends"
+    return (None if least.covered < HALF_COVERED else True), said
+
+
+def _taught_enough(case: LearnedCase) -> Said:
+    switch = first_switch(case.model.alphabet)
+    rises = sum(event.symbol == switch.rising for trace in case.traces for event in trace.events) if switch else None
+    moments = np.concatenate([times for times, _ in case.readings()] or [np.zeros(0)])
+    # Counted from the first reading: a night shift is one day, whatever the calendar says.
+    days = np.unique((moments - moments.min(initial=np.inf)) // DAY_S)
+    cycles = "" if rises is None else f"{rises} start{'' if rises == 1 else 's'} on "
+    said = f"learned from {cycles}{days.size} day{'' if days.size == 1 else 's'}"
+    if (rises is not None and rises < FEW_CYCLES) or days.size < FEW_DAYS:
+        return None, f"{said}: how one differs from the next is hardly known"
+    return True, said
+
+
+def _readings_are_readings(case: LearnedCase) -> Said:
+    apart, values, usual = 0, list[float](), 0
+    for _, column in case.readings():
+        if column.size < 5:
+            continue
+        usual += column.size
+        middle = np.median(np.lib.stride_tricks.sliding_window_view(np.pad(column, 2, mode="edge"), 5), axis=1)
+        far = np.abs(column - middle) > APART_DEGREES * (1.0 if case.model.unit == DEGREES else np.inf)
+        apart += int(far.sum())
+        values += column[far].tolist()
+    if not usual or apart <= APART_SHARE * usual:
+        return True, "its readings follow one another as a bearing's do"
+    common, count = max(((value, values.count(value)) for value in set(values)), key=lambda pair: pair[1])
+    what = f", {count} of them {common:g}: a code for no reading?" if count > apart / 2 else ""
+    return False, f"{apart} of {usual} readings of {case.model.temperature} stand apart from those around them{what}"
+
+
+def _switch_is_upright(case: LearnedCase) -> Said:
+    switch = first_switch(case.model.alphabet)
+    if switch is None:
+        return True, "no switch is read"
+    loads = level_signals(case.model.alphabet)
+    on_load, off_load, warming, cooling = list[Array](), list[Array](), list[float](), list[float]()
+    for trace in case.traces:
+        if switch.signal not in trace.signals:
+            continue
+        running = _held(trace.signals[switch.signal])
+        for name in loads:
+            level = np.abs(_held(trace.signals[name]))
+            on_load.append(level[(running > 0.5) & np.isfinite(level)])
+            off_load.append(level[(running < 0.5) & np.isfinite(level)])
+        temperature = trace.signals[case.model.temperature]
+        for mask, rates in ((running > 0.5, warming), (running < 0.5, cooling)):
+            rates += _course(trace.times, temperature, mask)
+    said = f"{switch.signal} is 1 while the machine runs"
+    on, off = (np.concatenate(parts) if parts else np.zeros(0) for parts in (on_load, off_load))
+    if on.size and off.size and off.mean() > REVERSED * max(float(on.mean()), 1e-9):
+        return (
+            False,
+            f"{switch.signal} is upside down: the load is {off.mean():.3g} while it is 0, {on.mean():.3g} else",
+        )
+    if not loads and warming and cooling and np.median(warming) < 0 < np.median(cooling):
+        return False, f"{switch.signal} is upside down: {case.model.temperature} rises while it is 0 and falls else"
+    return True, said
+
+
+def _held(column: Array) -> Array:
+    """Each row's newest value; NaN before the first."""
+    known = np.isfinite(column)
+    place = np.maximum.accumulate(np.where(known, np.arange(column.size), -1))
+    return np.where(place >= 0, column[np.maximum(place, 0)], np.nan)
+
+
+def _course(times: Array, values: Array, mask: Mask) -> list[float]:
+    """By how much the values change over each stretch of the mask, that has at least two of them."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], mask.astype(np.int8), [0]))))
+    found = []
+    for begin, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+        known = values[begin:end][np.isfinite(values[begin:end])]
+        if known.size > 1 and times[end - 1] > times[begin]:
+            found.append(float(known[-1] - known[0]))
+    return found
+
+
+def _from_a_plant(case: LearnedCase) -> Said:
+    if any(trace.synthetic for trace in case.traces):
+        return None, "learned from synthetic traces"
+    return True, "learned from measured traces"
+
+
+def _degrees_are_celsius(case: LearnedCase) -> Said:
+    if case.model.unit != DEGREES:
+        return True, f"in {shown_unit(case.model.unit)}"
+    switch = first_switch(case.model.alphabet)
+    lowest = [
+        float(np.nanquantile(column, 0.01))
+        for trace in case.traces
+        if switch is not None and switch.signal in trace.signals
+        and (column := trace.signals[case.model.temperature][_held(trace.signals[switch.signal]) < 0.5]).size
+        and np.isfinite(column).any()
+    ]  # fmt: skip
+    rest = min(lowest, default=None)
+    low, high = FAHRENHEIT_REST
+    if rest is None or not low < rest < high:
+        return True, "its degrees are what a machine at rest has" if rest is not None else "it was never seen at rest"
+    celsius = (rest - 32.0) / 1.8
+    return None, f"at rest it is never below {rest:.0f} °C: are these degrees Fahrenheit ({celsius:.0f} °C)?"
+
+
+def _places_are_told_apart(case: LearnedCase) -> Said:
+    switch = first_switch(case.model.alphabet)
+    seconds = _stays(case, switch.signal) if switch is not None else {}
+    known = [place for place in case.model.sha.locations if place.distribution is not None]
+    borrowed = [place for place in known if place.name in case.model.borrowed]
+    mixed = {
+        name: (on, off) for name, (on, off) in seconds.items() if min(on, off) > max(MIXED_S, MIXED_SHARE * (on + off))
+    }
+    shown = sum(on + off > 0 for on, off in seconds.values())
+    if mixed:
+        name, (on, off) = max(mixed.items(), key=lambda item: min(item[1]))
+        said = f"{name} holds {on / 3600:.1f} h of running and {off / 3600:.1f} h of rest as if they were the same"
+        return (False if shown == 1 else None), said
+    if known and len(borrowed) > BORROWED * len(known):
+        return None, f"{len(borrowed)} of {len(known)} locations were never seen"
+    return True, f"{shown or len(known)} locations are told apart"
+
+
+def _stays(case: LearnedCase, signal: str) -> dict[str, tuple[float, float]]:
+    """location -> seconds that its traces spent there (running, at rest), by the edges alone."""
+    go = {(edge.source, edge.symbol): edge.target for edge in case.model.sha.edges}
+    number = {place.name: at for at, place in enumerate(case.model.sha.locations)}
+    spent = np.zeros((2, len(number)))
+    for trace in case.traces:
+        if signal not in trace.signals or trace.times.size < 2:
+            continue
+        place, places = case.model.sha.initial, [number[case.model.sha.initial]]
+        for event in trace.events:
+            place = go.get((place, event.symbol), place)
+            places.append(number[place])
+        moments = np.array([event.time for event in trace.events])
+        here = np.array(places)[np.searchsorted(moments, trace.times[:-1], side="right")]
+        seconds = np.minimum(np.diff(trace.times), case.model.alphabet.gap)
+        running = _held(trace.signals[signal])[:-1]
+        for row, mask in enumerate((running > 0.5, running < 0.5)):
+            spent[row] += np.bincount(here[mask], seconds[mask], len(number))
+    return {name: (float(spent[0, at]), float(spent[1, at])) for name, at in number.items() if spent[:, at].any()}
+
+
+def _stays_within(case: LearnedCase) -> Said:
+    """Targets that no data came near are guesses."""
+    values = np.concatenate([column for _, column in case.readings()] or [np.zeros(0)])
+    if not values.size:
+        return None, "it has no readings"
+    low, high = float(values.min()), float(values.max())
+    reach = 2.0 * (high - low)
+    wild = [
+        (place.name, mean)
+        for place in case.model.sha.locations
+        if place.distribution is not None
+        and place.flow.kind in ("exponential", "driven")
+        and place.name not in case.model.borrowed
+        and not low - reach <= (mean := distributions.mean(place.distribution)) <= high + reach
+    ]
+    if wild:
+        name, mean = wild[0]
+        return None, f"{name} leads to {mean:.0f}, and its readings were {low:.0f} to {high:.0f}"
+    return True, f"its targets lie where its readings were ({low:.0f} to {high:.0f})"
+
+
+CRITERIA: Mapping[str, tuple[Callable[[LearnedCase], Said], str]] = {
+    "verified": (_verified, "see what `decanter model prove` refutes, and learn with another --method or flow"),
+    FORECAST: (_foresees, "learn with more starts and stops; `decanter diagnose` names what is missing"),
+    "band": (_covers, "learn with more days, or look at the sensor's noise"),
+    "units": (_taught_enough, "learn with more days and starts"),
+    "readings": (_readings_are_readings, "say the code for no reading in the column map (bad = [...])"),
+    "switch": (_switch_is_upright, "turn the switch round in the column map (invert)"),
+    "from a plant": (_from_a_plant, "learn from the plant's own recordings"),
+    "degrees": (_degrees_are_celsius, "say the unit in the column map, or go on if the machine is kept so warm"),
+    "locations": (_places_are_told_apart, "learn with --method bins, or with traces that show them"),
+    "targets": (_stays_within, "learn with longer stays"),
+}
+"""Every criterion by name: kept or not (None: limits the model, or not known), with its figure, and the next step."""

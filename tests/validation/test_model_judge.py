@@ -1,0 +1,200 @@
+"""The judge of a learned model: each way to be unfit has its word, from `learn` on, and promotion obeys it."""
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from gateway.cli.main import main
+from gateway.machine.model import load_model
+from gateway.outside.status import HealthFinding, findings, health_of, read_status
+from gateway.settings import load_plant
+from sim.artefacts import VERDICT_FILE, Force, ModelVerdict, promote, read_verdict
+from sim.files import ArtefactError
+from sim.lab.formats import save, write_model_directory
+from sim.lab.judge import judge_learned
+from sim.lab.learning import Coverage
+from sim.sha import SHA, Alphabet, Edge, Flow, Location, Model, Switch, Trace, encoded
+from tests.gateway.status_picture import picture
+from tests.gateway.support import CURRENT, RUNNING, TEMPERATURE, plant_file, two_modes
+
+DAY_S, ROW_S, STAY_S = 86_400.0, 60.0, 4 * 3600.0
+MODEL = two_modes(gap=150.0)
+
+
+def record(days: int = 3) -> Trace:
+    """A machine that runs and rests by turns of four hours, and warms from 20 to 50 degC."""
+    times = np.arange(0.0, days * DAY_S, ROW_S)
+    on = (times // STAY_S) % 2 == 1
+    values, target = np.empty(times.size), np.where(on, 50.0, 20.0)
+    now = 20.0
+    for row, goal in enumerate(target):
+        now += (goal - now) * 0.06
+        values[row] = now
+    signals = {RUNNING: on.astype(float), CURRENT: np.where(on, 150.0, 0.0), TEMPERATURE: values}
+    return Trace("record", times + 1.7e9, signals, units={TEMPERATURE: "degC"})
+
+
+def with_signal(trace: Trace, name: str, values: np.ndarray) -> Trace:
+    return replace(trace, signals={**trace.signals, name: values})
+
+
+def foreseen(
+    ratio: float = 0.6, independent: float = 60.0, covered: float = 0.9, factor: float = 1.0
+) -> list[Coverage]:
+    return [
+        Coverage(
+            horizon=horizon,
+            forecasts=100,
+            independent=independent,
+            covered=covered,
+            factor=factor,
+            crps=ratio,
+            persistence=1.0,
+        )
+        for horizon in (60.0, 300.0, 900.0)
+    ]
+
+
+def judged(
+    trace: Trace | None = None, model: Model = MODEL, coverage: Sequence[Coverage] | None = None
+) -> ModelVerdict:
+    whole = encoded(replace(record() if trace is None else trace, events=()), model.alphabet)
+    return judge_learned(model, [whole], foreseen() if coverage is None else coverage)
+
+
+def spoiled(change: Callable[[np.ndarray], np.ndarray], name: str = TEMPERATURE) -> Trace:
+    whole = record()
+    return with_signal(whole, name, change(whole.signals[name].copy()))
+
+
+def each_third(column: np.ndarray) -> np.ndarray:
+    column[::3] = -127.0
+    return column
+
+
+def a_few(column: np.ndarray) -> np.ndarray:
+    column[::1000] = -127.0
+    return column
+
+
+def one_place() -> Model:
+    place = Location(
+        "ON/200-300", Flow("exponential", {"k": 0.001, "noise": 0.01}), MODEL.sha.locations[2].distribution
+    )
+    edges = tuple(Edge(place.name, symbol, place.name) for symbol in ("W_ON", "W_OFF", "A_0", "A_1", "A_2", "A_3"))
+    return replace(MODEL, sha=SHA("one", (place,), edges, place.name), semi_markov={})
+
+
+def switch_alone() -> Model:
+    alphabet = Alphabet((Switch(RUNNING, rising="W_ON", falling="W_OFF"),), gap=150.0)
+    return replace(MODEL, alphabet=alphabet)
+
+
+def hopeless() -> Model:
+    """A flow that grows without a bound."""
+    locations = tuple(
+        replace(place, flow=Flow("linear", {"noise": 0.01})) if place.name == "on" else place
+        for place in MODEL.sha.locations
+    )
+    return replace(MODEL, sha=replace(MODEL.sha, locations=locations))
+
+
+CASES: dict[str, tuple[Callable[[], ModelVerdict], str, str]] = {
+    "a good one": (judged, "fit", "as good as holding the last reading or better"),
+    "every third reading a code": (
+        lambda: judged(spoiled(each_third)),
+        "unfit",
+        "of them -127: a code for no",
+    ),
+    "a few stray readings": (lambda: judged(spoiled(a_few)), "fit", ""),
+    "a switch upside down": (lambda: judged(spoiled(lambda on: 1.0 - on, RUNNING)), "unfit", "is upside down"),
+    "the same without a load": (
+        lambda: judged(spoiled(lambda on: 1.0 - on, RUNNING), switch_alone()),
+        "unfit",
+        "rises while it is 0",
+    ),
+    "degrees Fahrenheit": (lambda: judged(spoiled(lambda value: 1.8 * value + 32.0)), "limited", "Fahrenheit (20 °C)?"),
+    "one location for everything": (
+        lambda: judged(model=one_place()),
+        "unfit",
+        "36.0 h of running and 36.0 h of rest as if they were the same",
+    ),
+    "one day": (lambda: judged(record(1)), "limited", "on 1 day: how one differs"),
+    "few forecasts": (
+        lambda: judged(coverage=foreseen(independent=4.0)),
+        "not known",
+        "4 independent held-out",
+    ),
+    "nothing held out": (lambda: judged(coverage=[]), "not known", "too few"),
+    "worse than persistence": (lambda: judged(coverage=foreseen(1.2)), "unfit", "at every horizon"),
+    "worse at some horizons": (
+        lambda: judged(coverage=[*foreseen(1.2)[:1], *foreseen()[1:]]),
+        "limited",
+        "1.2 against 1 °C at 60 s)",
+    ),
+    "bands that nothing mends": (lambda: judged(coverage=foreseen(factor=5.0)), "unfit", "which no widening mends"),
+    "bands that were far too narrow": (lambda: judged(coverage=foreseen(covered=0.3)), "limited", "held 30 %"),
+    "a flow without bound": (lambda: judged(model=hopeless()), "unfit", "it does not verify"),
+    "simulated traces": (lambda: judged(replace(record(), synthetic=True)), "limited", "learned from synthetic traces"),
+}
+
+
+@pytest.mark.parametrize("what", CASES)
+def test_each_has_its_word_with_the_reason_and_the_next_step(what: str) -> None:
+    make, word, reason = CASES[what]
+    verdict = make()
+    assert verdict.word == word, verdict.sentence
+    assert reason in verdict.sentence
+    assert all(bool(each.next_step) == (each.kept is not True) for each in verdict.criteria)
+
+
+def test_a_verdict_is_kept_and_read_back_and_a_damaged_one_is_refused(tmp_path: Path) -> None:
+    verdict = judged()
+    (tmp_path / VERDICT_FILE).write_text(verdict.text(), encoding="utf-8")
+    assert read_verdict(tmp_path) == verdict and read_verdict(tmp_path / "nowhere") is None
+    assert verdict.row_s == ROW_S and verdict.hottest == pytest.approx(50.0, abs=0.5)
+    whole = json.loads(verdict.text())
+    for wrong in ({"word": "splendid"}, {"criteria": [{"kept": 3}]}, {"row_s": "soon"}, {"version": 9}):
+        (tmp_path / VERDICT_FILE).write_text(json.dumps(whole | wrong), encoding="utf-8")
+        with pytest.raises(ArtefactError, match="cannot be used as a verdict"):
+            read_verdict(tmp_path)
+
+
+def test_an_unfit_model_is_promoted_with_a_reason_on_record_alone(tmp_path: Path) -> None:
+    good, bad = judged(), judged(coverage=foreseen(1.2))
+    store = tmp_path / "store"
+    first = save(store, MODEL, created=0.0, more={VERDICT_FILE: good.text()})
+    second = save(store, MODEL, created=1.0, more={VERDICT_FILE: bad.text()})
+    promote(store, first)
+    with pytest.raises(ArtefactError, match=r"is not promoted, as it is unfit: worse than holding the last reading"):
+        promote(store, second)
+    said = CliRunner().invoke(main, ["model", "promote", str(store), second])
+    assert said.exit_code == 2 and "is unfit" in said.stderr
+    forced = ["model", "promote", str(store), second, "--force", "a trial", "--by", "Ada"]
+    said = CliRunner().invoke(main, forced)
+    assert said.exit_code == 0 and f"{first} (ran before): fit" in said.output and f"{second}: unfit" in said.output
+    promote(store, second, Force("Ada", "a trial", 2.0))
+
+
+def test_show_prove_check_and_health_say_what_was_judged(tmp_path: Path) -> None:
+    bad = judged(coverage=foreseen(1.2))
+    write_model_directory(tmp_path / "model", MODEL, more={VERDICT_FILE: bad.text()})
+    for command in ("show", "prove"):
+        said = CliRunner().invoke(main, ["model", command, str(tmp_path / "model")])
+        assert bad.sentence in said.output, command
+    assert said.exit_code == 1, "proven, and unfit all the same"
+    path = plant_file(tmp_path, '[model]\npath = "model"\n')
+    checked = CliRunner().invoke(main, ["plc", "check", "--offline", "--config", str(path)])
+    assert checked.exit_code == 1 and bad.sentence in checked.output
+    loaded = load_model(load_plant(path)[0])
+    assert loaded is not None and loaded.verdict == bad
+    status = read_status(picture())
+    assert status.model is not None
+    status = replace(status, model=replace(status.model, verdict=bad.word, verdict_sentence=bad.sentence))
+    assert HealthFinding("model", f"the model is {bad.sentence}") in findings(status)
+    assert str(health_of(status)) == "attention"
