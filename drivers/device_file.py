@@ -105,6 +105,9 @@ class TagTable(Section):
     frozen_after: float = Field(
         0.0, ge=0, description="seconds without any change after which it is suspect, 0 = never"
     )
+    period: float = Field(
+        0.0, ge=0, le=86_400, description="the seconds between two readings, 0 = with every scan, at most 86400"
+    )
     writable: bool = Field(False, description="true or false")
     labels: dict[str, Label] = Field(default_factory=dict, description='a table such as { 0 = "none", 1 = "busy" }')
 
@@ -249,6 +252,11 @@ def read_device_file(path: Path) -> DeviceFile:
     ]
     if content.device.heartbeat is not None and content.device.heartbeat not in names:
         problems.append(f"device.heartbeat: {content.device.heartbeat!r} is not a tag of this file; give a tag's name")
+    problems += [
+        f"tags[{index}].period: {row.name!r} has one, and {why}; take it out"
+        for index, row in enumerate(content.tags)
+        if row.period and (why := _unpaced(row, content.device))
+    ]
     if content.writeback is not None:
         fields = [row.name for row in content.writeback.fields]
         problems += [
@@ -264,6 +272,15 @@ def read_device_file(path: Path) -> DeviceFile:
     if problems:
         raise ConfigError([f"{path}: {problem}" for problem in problems])
     return content
+
+
+def _unpaced(tag: TagTable, device: DeviceTable) -> str:
+    """Why a tag has no period of its own; "" where it may have one."""
+    if tag.name == device.heartbeat:
+        return "the heartbeat is read with every scan"
+    if not DRIVERS[device.driver].registers:
+        return f"what driver {device.driver!r} reads comes by itself"
+    return ""
 
 
 def _block_problems(table: BlockTable, tags: Mapping[str, TagTable]) -> list[str]:

@@ -244,6 +244,13 @@ LINKS: dict[str, LinkKind] = {
         line=True,
         mistaken_for="modbus",
     ),
+    "modbus-ascii": LinkKind(
+        driver="modbus", medium="serial", needs=("serial",), settings={"transport": "ascii"}, line=True
+    ),
+    "modbus-ascii-tcp": LinkKind(
+        driver="modbus", medium="tcp", needs=("host", "port"), settings={"transport": "ascii-tcp"}, line=True
+    ),
+    "modbus-udp": LinkKind(driver="modbus", medium="udp", needs=("host",), settings={"transport": "udp"}),
     "canopen": LinkKind(driver="canopen", medium="can", needs=("channel",), defaults={"node": 1}),
     "can": LinkKind(driver="can", medium="can", needs=("channel",)),
 }

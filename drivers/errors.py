@@ -15,9 +15,10 @@
 the error, never its sentence.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from difflib import get_close_matches
 from enum import Enum
+from typing import Any
 
 
 class LinkFault(Enum):
@@ -110,11 +111,23 @@ class LinkDown(DriverError, ConnectionError):
 
 
 class ReplyTimeout(DriverError, TimeoutError):
-    """No valid reply arrived within the deadline."""
+    """No valid reply arrived within the deadline; `remedy` are settings by which what came may be one."""
+
+    def __init__(self, sentence: str = "", *, remedy: Mapping[str, Any] | None = None) -> None:
+        super().__init__(sentence)
+        self.remedy = dict(remedy or {})
+
+
+class NotAsked(ReplyTimeout):
+    """Nothing was asked within the deadline, as an answer to an earlier question may still come."""
 
 
 class ReplyMismatch(DriverError):
-    """A reply arrived that does not answer the request."""
+    """A reply arrived that does not answer the request; `remedy` are settings by which it may."""
+
+    def __init__(self, sentence: str = "", *, remedy: Mapping[str, Any] | None = None) -> None:
+        super().__init__(sentence)
+        self.remedy = dict(remedy or {})
 
 
 class DeviceException(DriverError):

@@ -10,7 +10,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
-from drivers.errors import DriverError, LinkDown
+from drivers.errors import DriverError, LinkDown, LinkFault
 from drivers.supervision import Supervisor
 
 C = TypeVar("C")
@@ -92,7 +92,9 @@ class Link(Generic[C]):
         self._attempts_in_a_row = self._silent_in_a_row = 0
         self._tried_at = 0.0
         self._hesitated = self._learned = 0.0
-        self._reason = "not opened"
+        self._reason, self.fault = "not opened", LinkFault.OTHER
+        # Attempts that have ended, and whether the next one waits until it is asked for.
+        self._ended, self._resting = 0, False
         self._counts = {"attempts": 0, "connects": 0, "losses": 0, "dead_peers": 0}
 
     # ------------------------------------------------------------ for the owner
@@ -105,7 +107,7 @@ class Link(Generic[C]):
             self._task = self._supervisor.task("link", self._keep)
         await self._tried.wait()
         if self._connection is None:
-            raise LinkDown(self._reason)
+            raise LinkDown(self._reason, fault=self.fault)
 
     async def close(self) -> None:
         """Stop trying and let the connection go. May be called twice, and before `open`."""
@@ -120,6 +122,22 @@ class Link(Generic[C]):
         """Try at once instead of waiting for the end of the pause."""
         self._wake.set()
 
+    def rest(self) -> None:
+        """Let the connection go and make no other one before `renewed`: others may have it meanwhile."""
+        connection, self._connection = self._connection, None
+        if connection is not None:
+            self._resting, self._reason = True, "closed until the next reading"
+            self._disconnect(connection)
+
+    async def renewed(self) -> C | None:
+        """The connection; where there is none the outcome of an attempt that is made now, or is under way."""
+        ended, self._resting = self._ended, False
+        while self._connection is None and self._ended == ended and self._task is not None:
+            self._tried.clear()
+            self._wake.set()
+            await self._tried.wait()
+        return self._connection
+
     # ------------------------------------------------------------ for the user
 
     @property
@@ -130,7 +148,7 @@ class Link(Generic[C]):
     @property
     def proven(self) -> bool:
         """True while the present connection has given a valid reply and no exchange since has failed the rule."""
-        return self._connection is not None and self._proven
+        return (self._connection is not None or self._resting) and self._proven
 
     @property
     def reason(self) -> str:
@@ -200,9 +218,10 @@ class Link(Generic[C]):
             count = "1 exchange" if self._failures == 1 else f"{self._failures} exchanges in a row"
             self._drop(f"the peer is dead: {count} without a valid reply, {self._silence:.2f} s waited ({reason})")
 
-    def lost(self, connection: C, reason: str) -> None:
+    def lost(self, connection: C, reason: str, fault: LinkFault = LinkFault.OTHER) -> None:
         """This connection is gone or no longer usable."""
         if connection is self._connection:
+            self.fault = fault
             self._drop(reason)
 
     def statistics(self) -> Mapping[str, float]:
@@ -218,7 +237,7 @@ class Link(Generic[C]):
         # `close` forgets the task before it cancels it: a cancellation that arrives in the very step in which a
         # connection is made is swallowed by asyncio.wait_for of Python 3.11.
         while self._task is not None:
-            if self._connection is not None:
+            if self._connection is not None or self._resting:
                 await self._wake.wait()
             elif self._attempts_in_a_row:
                 await self._pause(self._tried_at + self._backoff.delay(self._attempts_in_a_row, self._rng))
@@ -231,20 +250,24 @@ class Link(Generic[C]):
     async def _attempt(self) -> None:
         self._counts["attempts"] += 1
         self._attempts_in_a_row += 1
+        self.fault = LinkFault.OTHER
         try:
             async with asyncio.timeout(self._connect_deadline):
                 connection = await self._connect()
         except TimeoutError:
-            self._reason = f"no connection within {self._connect_deadline:g} s"
+            self._reason, self.fault = f"no connection within {self._connect_deadline:g} s", LinkFault.SILENT
         except (DriverError, OSError) as error:
             self._reason = str(error)
+            self.fault = error.fault if isinstance(error, LinkDown) else LinkFault.OTHER
         except Exception as error:
             # The supervisor's to say and to begin anew; whoever waits for this attempt is not to wait for ever.
             self._reason = f"the connection could not be made: {error!r}"
+            self._ended += 1
             self._tried.set()
             raise
         else:
             self._take(connection)
+        self._ended += 1
         self._tried_at = asyncio.get_running_loop().time()
 
     def _take(self, connection: C) -> None:

@@ -3,6 +3,7 @@
 It is the only place where such a sentence is made. A field's description is its remedy.
 """
 
+import re
 import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -100,6 +101,27 @@ FilePath = Annotated[Path, Field(strict=False), AfterValidator(_in_its_home)]
 """A path, relative to the file that names it: `checked` makes it complete where it knows that file's folder."""
 Line = Annotated[str, Field(min_length=1, max_length=200), AfterValidator(_one_line)]
 """A person or a reason: one line of 1 to 200 printable characters."""
+
+
+_SCHEME = re.compile(r"[a-z][a-z0-9+.-]*://", re.IGNORECASE)
+_PLACE = re.compile(r"(?:\[(?P<bracketed>[^\]\[]+)\]|(?P<plain>[^:\[\]]+))(?::(?P<port>\d{1,5}))?")
+
+
+def split_place(host: str) -> tuple[str, int | None]:
+    """A host as it is looked up, and the port that stands with it: `[::1]`, `plc.local:502`, `tcp://10.0.0.5:502/`.
+
+    Raises ValueError for a port that is none; what is no such spelling is left for whoever looks it up.
+    """
+    plain = _SCHEME.sub("", host.strip(), count=1).rstrip("/")
+    match = _PLACE.fullmatch(plain)
+    if match is None:
+        return plain or host, None  # an IPv6 address without brackets, for one
+    if match["port"] is None:
+        return match["bracketed"] or match["plain"], None
+    port = int(match["port"])
+    if not 1 <= port <= 65535:
+        raise ValueError(f"host {host!r} has port {port}; give one from 1 to 65535")
+    return match["bracketed"] or match["plain"], port
 
 
 class Reconnecting(Section):

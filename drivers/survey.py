@@ -56,7 +56,7 @@ class ReadPlan:
     """The requests of one scan and of one write of the block, and the longest that either can take (s).
 
     `problems` are sentences: a tag without a place, a block that is no one write; `overlaps` are tags that share
-    registers.
+    registers; `written_by` says by which function a block is written, and whether it is read back.
     """
 
     requests: tuple[PlannedRequest, ...]
@@ -65,6 +65,7 @@ class ReadPlan:
     seconds: float
     write_seconds: float
     overlaps: tuple[str, ...] = ()
+    written_by: str = ""
 
 
 class AsksRegisters(Protocol):
@@ -76,6 +77,14 @@ class AsksRegisters(Protocol):
 
     async def identity(self, unit: int | None = None) -> Mapping[str, str]:
         """What the device says of itself (function 43/14): vendor, product, revision, ..."""
+        ...
+
+    async def server_id(self, unit: int | None = None) -> str:
+        """What the device says of itself in its maker's own way (function 17)."""
+        ...
+
+    async def stranger(self) -> str:
+        """Why the device is not the one that the settings pin; "" if it is, or none is pinned."""
         ...
 
     async def tags(self, tags: Sequence[Tag]) -> list[Raw]:

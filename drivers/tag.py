@@ -83,6 +83,7 @@ class Tag:
     that is worth reporting, `max_rate` (units/s) the fastest believable one. `frozen_after` (s): a reading that has not
     moved a bit for longer is SENSOR_NOT_ACCURATE; 0 turns the check off, as a signal at rest may be constant. `bit`
     picks one bit of a register, `length` is a string's length in bytes, `labels` names an enumeration's values.
+    `period` (s): it is read no more often, and what was read last stands in between; 0: with every scan.
     """
 
     name: str
@@ -103,6 +104,7 @@ class Tag:
     writable: bool = False
     labels: Mapping[int, str] = field(default_factory=dict)
     other_sentinels: tuple[int | float, ...] = ()
+    period: float = 0.0
 
     @property
     def sentinels(self) -> tuple[int | float, ...]:

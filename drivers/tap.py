@@ -11,7 +11,7 @@ from contextvars import ContextVar
 from dataclasses import dataclass
 from typing import Literal
 
-Medium = Literal["tcp", "serial", "can"]
+Medium = Literal["tcp", "udp", "serial", "can"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

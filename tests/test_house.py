@@ -5,6 +5,7 @@ import json
 import re
 import subprocess
 import sys
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -141,6 +142,11 @@ def test_the_durations_name_tests_that_are_there() -> None:
         functions = re.findall(r"^\s*(?:async )?def (\w+)", text, flags=re.MULTILINE)
         there.update(f"{file}::{function}" for function in functions)
     assert named <= there, f"`make durations` measures anew; not there: {sorted(named - there)}"
+
+
+def test_what_mutants_are_made_of_and_tried_by_is_there() -> None:
+    table = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["mutmut"]["tests"]
+    assert table and all((ROOT / path).exists() for module, tests in table.items() for path in (module, *tests))
 
 
 def test_every_room_that_only_computes_is_one() -> None:

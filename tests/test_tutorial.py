@@ -66,11 +66,10 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 def test_a_tutorial_can_be_followed_literally(page: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The first command of `decanter` and whatever a shell has a part in run in a shell, as a reader types them.
 
-    The other calls of `decanter` are carried out in this process, which has its libraries loaded already. The tutorial
-    learns with bands; the laboratory, which learns by both methods from all scenarios, without.
+    The other calls of `decanter` are carried out in this process, which has its libraries loaded already, and learn
+    without bands: the demonstration has some.
     """
-    if page == "laboratory.md":
-        without_bands(monkeypatch)
+    without_bands(monkeypatch)
     monkeypatch.setenv("CONFIG", str(ROOT / "config"))
     monkeypatch.setenv("PATH", f"{Path(sys.executable).parent}:{os.environ['PATH']}")
     assert len(commands(page)) >= 8

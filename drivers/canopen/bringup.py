@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from drivers.canopen.channel import SdoChannel
 from drivers.canopen.eds import DataSheet, parse_sheet
-from drivers.canopen.options import Options
+from drivers.canopen.options import IDENTITY, Options
 from drivers.canopen.pdo import COMMUNICATION, MAPPING, Kind, PdoMapping, from_objects, wanted, writes
 from drivers.canopen.place import ObjectPlace
 from drivers.canopen.sdo import ABOUT_OBJECTS, SdoAbort
@@ -121,13 +121,20 @@ class BringUp:
         return parse_sheet(text.decode("utf-8", errors="replace"), self._options.node, "0x1021 of the device")
 
     async def _identified(self, sheet: DataSheet) -> None:
-        """Raises DriverError if vendor or product are not those of the EDS (0 in the EDS: any)."""
+        """Raises DriverError if vendor or product are not those of the EDS (0 in the EDS: any), or what is pinned."""
         for place, what in ((VENDOR, "vendor"), (PRODUCT, "product")):
             expected = sheet.value(place)
             actual = await self._number(place, 4) if expected else None
             if expected and actual is not None and actual != expected:
                 raise DriverError(
                     f"it is another device: {what} 0x{actual:08X}, and {sheet.origin} is of 0x{expected:08X}"
+                )
+        for what, pinned in self._options.identity.items():
+            actual = await self._number(ObjectPlace(0x1018, IDENTITY[what]), 4)
+            if actual != pinned:
+                said = "says nothing of it" if actual is None else f"says 0x{actual:08X}"
+                raise DriverError(
+                    f"it is another device: of its {what} (0x1018) it {said}, and 0x{pinned:08X} is pinned (identity)"
                 )
 
     async def _pdos(self, sheet: DataSheet, kind: Kind) -> list[PdoMapping]:

@@ -29,6 +29,19 @@ def _acknowledge(given: object) -> dict[ObjectPlace, ObjectPlace]:
     return acknowledged
 
 
+IDENTITY = {"vendor": 1, "product": 2, "revision": 3, "serial": 4}
+"""The subindices of the identity object 0x1018 (CiA 301, 7.5.2.19)."""
+
+
+def _identity(given: object) -> dict[str, int]:
+    numbers = dict(given) if isinstance(given, Mapping) else {}
+    if not numbers or not all(
+        name in IDENTITY and type(number) is int and 0 <= number < 1 << 32 for name, number in numbers.items()
+    ):
+        raise ValueError(f"{given!r} must be a table of {', '.join(IDENTITY)} and their numbers (decanter plc probe)")
+    return numbers
+
+
 def _error_codes(setting: object) -> frozenset[int]:
     if not isinstance(setting, list) or not all(isinstance(code, int) and 0 <= code <= 0xFFFF for code in setting):
         raise ValueError(f"{setting!r} must be a list of error codes such as [0x8120]")
@@ -43,6 +56,9 @@ class Options(Reconnecting):
     bitrate: int | None = Field(None, ge=1000, le=1_000_000, description="bits a second, 1000 to 1000000")
     node: int = Field(ge=1, le=127, description="a node id from 1 to 127")
     eds: Annotated[Path | None, Field(strict=False)] = Field(None, description="the path of the node's EDS file")
+    identity: Annotated[dict[str, int], BeforeValidator(_identity)] = Field(
+        default_factory=dict, description="a table of what 0x1018 of the node must hold, such as { serial = 4711 }"
+    )
     configure: bool = Field(False, description="true: this program is the node's master")
     listen_only: bool = Field(False, description="true: nothing is sent")
     timeout: float = Field(0.3, ge=0.001, le=60.0, description="the deadline of an answer in seconds, 0.001 to 60")
@@ -70,6 +86,8 @@ class Options(Reconnecting):
     def _one_role(self) -> "Options":
         if self.configure and self.listen_only:
             raise ValueError("configure and listen_only exclude each other: who only listens configures nothing")
+        if self.listen_only and self.identity:
+            raise ValueError("listen_only asks nothing, and identity is asked for; give one of them")
         if self.listen_only and self.eds is None:
             raise ValueError("listen_only needs eds: the device cannot be asked for its own")
         return self

@@ -2,8 +2,8 @@
 
 import asyncio
 import random
-from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Awaitable, Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
 from typing import Any
@@ -18,15 +18,27 @@ from drivers.errors import (
     DeviceException,
     DriverError,
     LinkDown,
+    NotAsked,
     ReplyMismatch,
     ReplyTimeout,
     WriteForbidden,
     WriteUnverified,
 )
-from drivers.modbus.address import TagSpan, locate
+from drivers.modbus.address import Area, TagSpan, locate
+from drivers.modbus.identity import (
+    MOST_PARTS,
+    PinnedMark,
+    identification,
+    mark_request,
+    object_request,
+    server_id_request,
+    stranger,
+    text_of_server_id,
+)
 from drivers.modbus.plan import (
     AddressBlock,
     Quarantine,
+    RefusedRange,
     bisect,
     by_block,
     describe,
@@ -39,32 +51,86 @@ from drivers.modbus.settings import ModbusSettings, place_of, read_settings
 from drivers.modbus.shared import SharedLink
 from drivers.modbus.verify import quality_of
 from drivers.modbus.wire import WireReply, read_request, write_request
+from drivers.survey import Raw
 from drivers.tag import Quality, Sample, Tag, Value
 
 # A device exception that can be about one address of several. 5, 6, 10, 11 are about the moment or the way there.
 _ABOUT_ADDRESSES = frozenset({1, 2, 3, 4})
 _BUSY, _NOT_TAKEN = frozenset({5, 6}), frozenset({6})
 """Exceptions after which a read is asked again in its time, and a write sent again: 6 says that nothing was done."""
+_ILLEGAL_FUNCTION = 1
+_OTHER_FUNCTION = {
+    16: "if it takes single registers alone, give write_with = 6",
+    6: "if it takes several registers alone, give write_with = 16",
+    15: "if it takes single coils alone, give write_with = 5",
+    5: "if it takes several coils alone, give write_with = 15",
+}
+"""What else a refusal of the function that writes may mean, by that function."""
+_MOST_ROUNDS = 3
+_SAYS_NOTHING = frozenset({1, 2, 3})
+"""Refusals by which a device says that it has no such mark."""
+IDENTITY_S = 60.0
+"""So often a pinned device says who it is, also where nothing has failed."""
+_NOT_KNOWN = "it is not known whether this is the pinned device (identity)"
 _FIRST_PAUSE_S = 0.02
 _MAX_WRITE_BITS = 1968  # 0x07B0 (MODBUS Application Protocol V1.1b3, 6.11)
 _LAYOUTS_KEPT = 64
+_PACE_SLACK = 0.05
+"""A tag is due so much of its period early: a scan that jitters shall not miss it."""
+_SEARCH_S = 30.0
+"""A search that has not gone on for so long begins anew."""
+_LINE_SILENCES = 2
+_ADDRESSES = 0x10000
 _NOTHING: tuple[tuple[int, ...], Reading] = ((), (None, Quality.NO_DATA, ""))
 
 
 @dataclass(frozen=True, slots=True)
 class Failure:
-    """Why a block has no values: the quality that its tags get, the sentence, the device's exception code if any."""
+    """Why a block has no values: the quality that its tags get, the sentence, the device's exception code if any.
+
+    `asked`: the device was asked, and not merely waited for.
+    """
 
     quality: Quality
     reason: str
     code: int = 0
+    asked: bool = True
+
+
+class BlockSearch:
+    """The search for the refused addresses of a block, over several readings where it must be.
+
+    `part` is asked next, and before it `checks`, of which one must answer before silence is believed.
+    """
+
+    def __init__(self, block: AddressBlock, refusal: Failure) -> None:
+        self.block, self.refusal, self.latest = block, refusal, refusal
+        self.reasons = {(block.start, block.stop): refusal.reason}
+        self.checks: list[AddressBlock] = []
+        self.part: AddressBlock | None = None
+        self.refusals: tuple[RefusedRange, ...] = ()
+        self.answered = self.silent = False
+        self.silences = 0
+        self.forgotten_at = 0.0
+        self._steps = bisect(block)
+        self._begun = False
+
+    def advance(self, *, refused: bool) -> None:
+        """The part (at first the block itself) was refused or not: what is to be asked next."""
+        self.silences = 0
+        try:
+            self.part = self._steps.send(refused) if self._begun else next(self._steps)
+        except StopIteration as end:
+            self.part, self.refusals = None, end.value
+        self._begun = True
 
 
 @dataclass(frozen=True, slots=True)
 class _TagLayout:
     """The tags of one call, located or with the reason why not, and the block plan under one quarantine.
 
-    `tags` are held so that their identities, by which layouts are found again, stay theirs.
+    `tags` are held so that their identities, by which layouts are found again, stay theirs. `paced` are those that have
+    a period of their own.
     """
 
     tags: tuple[Tag, ...]
@@ -72,6 +138,16 @@ class _TagLayout:
     misplaced: tuple[tuple[Tag, str], ...]
     quarantine: Quarantine
     blocks: tuple[AddressBlock, ...]
+    paced: tuple[Tag, ...]
+
+
+@dataclass(slots=True)
+class PacedTag:
+    """A tag with a period of its own: what was read last, and when it is read again (the loop's time)."""
+
+    tag: Tag
+    sample: Sample
+    due: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,9 +197,23 @@ def open_modbus(
     that cannot be written.
     """
     checked = read_settings(settings)
-    make_shared = partial(SharedLink, checked, clock=clock, seed=seed, alone=connections is None, rng=rng)
-    shared = make_shared() if connections is None else connections.at(place_of(checked), make_shared)
-    return ModbusDriver(checked, clock=clock, write_map=tuple(write_map), shared=shared)
+    return make_modbus(checked, clock=clock, write_map=write_map, seed=seed, connections=connections, rng=rng)
+
+
+def make_modbus(
+    settings: ModbusSettings,
+    *,
+    clock: Clock,
+    write_map: Sequence[Tag] = (),
+    seed: int = 0,
+    connections: Connections | None = None,
+    rng: random.Random | None = None,
+) -> "ModbusDriver":
+    """`open_modbus` of settings that are checked already."""
+    make_shared = partial(SharedLink, settings, clock=clock, seed=seed, alone=connections is None, rng=rng)
+    shared = make_shared() if connections is None else connections.at(place_of(settings), make_shared)
+    kind = PinnedDriver if settings.identity else ModbusDriver
+    return kind(settings, clock=clock, write_map=tuple(write_map), shared=shared)
 
 
 class ModbusDriver:
@@ -140,7 +230,7 @@ class ModbusDriver:
             (span.area, number) for span in self._write_map.values() for number in range(span.start, span.stop)
         )
         words = max((_words(self._write_map[tag.name] for tag in block) for block in by_block(write_map)), default=0)
-        if words > settings.max_write_registers:
+        if words > settings.max_write_registers and not settings.singly[0]:
             # Neither WriteForbidden nor AddressError: a block that can never be sent is a mistake in any mode.
             raise DriverError(
                 f"the block has {words} words and the device takes {settings.max_write_registers} in one write "
@@ -156,6 +246,9 @@ class ModbusDriver:
         self._writes: dict[tuple[int, ...], _WriteLayout] = {}
         # A block that was answered: by it silence to another is told from absence.
         self._known_good: AddressBlock | None = None
+        self._searches: dict[tuple[Area, int, int], BlockSearch] = {}
+        # By a tag's identity, of those with a period of their own.
+        self._paced: dict[int, PacedTag] = {}
         self._counts = dict.fromkeys(("retries", "busy", "writes", "late_read_backs", "bisections"), 0)
         self._line = shared.join(settings)
         self.supervisor = shared.supervisor
@@ -181,9 +274,42 @@ class ModbusDriver:
 
     async def read(self, tags: Sequence[Tag]) -> list[Sample]:
         """Read all tags now; a failure is a Sample of bad quality with the reason. A block's tags share one reply."""
+        if self._settings.close_between_scans:
+            await self._line.ready()
+            try:
+                return await self._scanned(tags)
+            finally:
+                self._line.rest()
+        return await self._scanned(tags)
+
+    async def _in_turn(self, tags: Sequence[Tag], paced: Sequence[Tag]) -> list[Sample]:
+        """Those tags that are due now, and of the others what was read last."""
+        now = _now()
+        held = {
+            id(tag): one.sample
+            for tag in paced
+            if (one := self._paced.get(id(tag))) is not None and now < one.due - _PACE_SLACK * tag.period
+        }
+        asked = [tag for tag in tags if id(tag) not in held] if held else tags
+        read = {id(tag): sample for tag, sample in zip(asked, await self._scanned(asked, all_due=True), strict=True)}
+        for tag in paced:
+            if (sample := read.get(id(tag))) is not None:
+                # What was not read is asked for with the next scan.
+                due = now + tag.period if sample.sent is not None else now
+                self._paced[id(tag)] = PacedTag(tag, sample, due)
+        return [read[id(tag)] if id(tag) in read else held[id(tag)] for tag in tags]
+
+    @property
+    def searching(self) -> bool:
+        """Whether the next reading goes on looking for what the device refuses by silence."""
+        return bool(self._searches)
+
+    async def _scanned(self, tags: Sequence[Tag], *, all_due: bool = False) -> list[Sample]:
         now = _now()
         self._refused.renew(now, self._line.connects)
         layout = self._layout(tags)
+        if layout.paced and not all_due:
+            return await self._in_turn(tags, layout.paced)
         samples = {id(tag): self._no(tag, Quality.CONFIGURATION_ERROR, reason) for tag, reason in layout.misplaced}
         trial = self._refused.trial(layout.spans, now)
         for block in layout.blocks:
@@ -213,6 +339,8 @@ class ModbusDriver:
     async def write(self, values: Sequence[tuple[Tag, Value]], *, before_sending: BeforeSending = anyhow) -> None:
         """Write all values with one request (function 16; 15 for coils), sent once, then read back and compare.
 
+        Where the device takes single registers or coils alone (`write_with`), one request for each, in their order.
+
         Raises WriteForbidden, EncodingError, or AddressError if the tags are not one block (nothing was sent);
         LinkDown, ReplyTimeout, ReplyMismatch (it is not known whether the device took it); DeviceException;
         WriteUnverified. Never retries: whether to write again is the caller's decision.
@@ -220,12 +348,25 @@ class ModbusDriver:
         if not values:
             return
         layout = self._write_layout([tag for tag, _ in values])
+        try:
+            await self._written(layout, values, before_sending)
+        finally:
+            if self._settings.close_between_scans:
+                self._line.rest()
+
+    async def _written(
+        self, layout: _WriteLayout, values: Sequence[tuple[Tag, Value]], before_sending: BeforeSending
+    ) -> None:
         block, words = layout.block, [word for place, words in layout.pieces for word in words(values[place][1])]
         async with self._lock:
+            if self._settings.close_between_scans:
+                await self._line.ready()
             self._counts["writes"] += 1
-            request = write_request(block.area, block.start, words, self._settings.unit)
             until = _now() + self._settings.longest_read
-            await self._once(request, before_sending)
+            for request in self._write_requests(block, words):
+                await self._once(request, before_sending)
+            if self._settings.read_back == "never":
+                return
             pause = _FIRST_PAUSE_S
             while True:
                 try:
@@ -248,14 +389,30 @@ class ModbusDriver:
         if wrong:
             raise WriteUnverified("the device confirmed the write, but " + "; ".join(wrong))
 
+    def _write_requests(self, block: AddressBlock, words: Sequence[int]) -> Iterator[ModbusPDU]:
+        """The one request of a write, or one a word where the device takes no other."""
+        unit, area = self._settings.unit, block.area
+        registers, coils = self._settings.singly
+        if not (coils if area.is_bits else registers):
+            yield write_request(area, block.start, words, unit)
+            return
+        for place, word in enumerate(words, start=block.start):
+            yield write_request(area, place, [word], unit, single=True)
+
     async def _once(self, request: ModbusPDU, before_sending: BeforeSending) -> None:
         """Send a write. One without an answer ends the connection, so that it cannot be delivered later."""
         wire = self._line.connection
         try:
             await self._while_busy(lambda: self._line.ask(request, before_sending, urgent=True), _NOT_TAKEN)
+        except NotAsked:
+            raise
         except (ReplyTimeout, ReplyMismatch):
             if wire is not None:
                 self._line.give_up(wire, "a write was not answered: what is left of it must not arrive later")
+            raise
+        except DeviceException as error:
+            if error.code == _ILLEGAL_FUNCTION and (remedy := _OTHER_FUNCTION.get(request.function_code)):
+                raise DeviceException(error.code, f"{error}; {remedy}") from None
             raise
 
     async def _read_back(self, block: AddressBlock) -> list[int]:
@@ -282,7 +439,7 @@ class ModbusDriver:
                 )
         block = AddressBlock(spans[0].area, spans[0].start, spans[-1].stop - spans[0].start, spans)
         largest = _MAX_WRITE_BITS if block.area.is_bits else self._settings.max_write_registers
-        if block.count > largest:
+        if block.count > largest and not self._settings.singly[block.area.is_bits]:
             raise AddressError(f"{block.count} words do not fit in one write request, which takes {largest}")
         if not self._writable_addresses.issuperset((block.area, number) for number in range(block.start, block.stop)):
             raise WriteForbidden(f"{block.area}:{block.start} count {block.count} reaches outside the write map")
@@ -319,86 +476,127 @@ class ModbusDriver:
                     misplaced.append((tag, str(error)))
             quarantine = self._refused.quarantine
             blocks = plan_spans(spans, self._limits, quarantine)
-            layout = _TagLayout(tuple(tags), tuple(spans), tuple(misplaced), quarantine, blocks)
+            paced = tuple(tag for tag in tags if tag.period)
+            layout = _TagLayout(tuple(tags), tuple(spans), tuple(misplaced), quarantine, blocks, paced)
             self._layouts[key] = layout
         return layout
 
     async def _settled(self, block: AddressBlock) -> dict[int, Sample]:
         """The block's samples; if the device refuses it, those of its parts."""
+        key = (block.area, block.start, block.count)
+        search = self._searches.pop(key, None)
+        if search is not None and _now() < search.forgotten_at:
+            return await self._searched(search)
         outcome = await self._ask(block)
         samples = self._samples(block, outcome)
         if isinstance(outcome, WireReply):
             self._refused.answered(block)
             self._known_good = block
             return samples
-        if not self._may_refuse(outcome) or not self._refused.may_bisect(block, _now()):
+        if not (outcome.asked and self._may_refuse(outcome) and self._refused.may_bisect(block, _now())):
             return samples
         silent = outcome.quality is Quality.TIMEOUT
         if silent and len(block.spans) < 2:
             return samples
-        if silent and not await self._answers_elsewhere(block):
-            self._refused.found(block, (), answered=False, reasons={}, now=_now())
-            return samples
-        return samples | await self._bisected(block, outcome)
+        self._counts["bisections"] += 1
+        search = BlockSearch(block, outcome)
+        if silent:
+            search.checks = self._places_to_check(block)
+            search.silent = True
+        else:
+            search.advance(refused=True)
+        return samples | await self._searched(search)
 
     def _may_refuse(self, failure: Failure) -> bool:
-        """Whether it may be about one address of several: a refusal, or silence, by which some devices refuse.
+        """Whether it may be about one address of several: a refusal, or silence, by which some devices refuse."""
+        return failure.code in _ABOUT_ADDRESSES or failure.quality is Quality.TIMEOUT
 
-        On a line an old answer is waited for after each silence, and meanwhile nothing of the device is read: there
-        silence is none.
-        """
-        return failure.code in _ABOUT_ADDRESSES or (failure.quality is Quality.TIMEOUT and not self._settings.on_line)
-
-    async def _answers_elsewhere(self, block: AddressBlock) -> bool:
-        """Whether a device that is silent to a block answers a single place: one that did, or the block's own ends."""
+    def _places_to_check(self, block: AddressBlock) -> list[AddressBlock]:
+        """Where a device that is silent to a block is asked whether it is there: a place that answered, or its ends."""
         ends = (block.spans[0], block.spans[-1]) if len(block.spans) > 1 else ()
         places = [AddressBlock(span.area, span.start, span.count, (span,)) for span in ends]
         if self._known_good is not None and self._known_good != block:
             places.insert(0, self._known_good)
-        for place in places[:2]:
-            if self._line.connection is None:
-                return False
-            outcome = await self._ask(place, patiently=False)
-            if isinstance(outcome, WireReply) or outcome.code:
-                self._known_good = place
-                return True
-        return False
+        return places[:2]
 
-    async def _bisected(self, block: AddressBlock, refusal: Failure) -> dict[int, Sample]:
-        """Find the refused addresses of a refused block; the samples of the parts that were asked on the way."""
-        self._counts["bisections"] += 1
-        samples: dict[int, Sample] = {}
-        reasons = {(block.start, block.stop): refusal.reason}
-        answered = False
-        search = bisect(block)
-        part = next(search, None)
-        while part is not None:
-            # One lost reply makes no refusal: a part that cannot be halved is asked as a block is.
-            outcome = await self._ask(part, patiently=len(part.spans) == 1)
-            if isinstance(outcome, Failure) and not self._may_refuse(outcome):
-                # The link or the device's mood has changed: what was not reached is unknown, and nothing is concluded.
-                return self._samples(block, outcome) | {key: s for key, s in samples.items() if s.value is not None}
-            samples |= self._samples(part, outcome)
-            if isinstance(outcome, Failure):
-                reasons[part.start, part.stop] = outcome.reason
-                if outcome.quality is Quality.TIMEOUT and not await self._answers_elsewhere(part):
-                    return self._samples(block, outcome) | {key: s for key, s in samples.items() if s.value is not None}
+    async def _searched(self, search: BlockSearch) -> dict[int, Sample]:
+        """Go on looking for the refused addresses of a block; the samples of the parts that were asked on the way.
+
+        Where silence is a refusal that takes a reading's time at most, and goes on with the next reading: nothing else
+        of the device is read meanwhile.
+        """
+        block, until = search.block, _now() + self._settings.longest_read
+        samples = self._samples(block, search.refusal)
+        while search.part is not None or search.checks:
+            # Not before a check has been answered: behind two questions that are silent nothing else would be asked.
+            if search.silent and not search.checks and _now() > until:
+                return self._kept(search) | _with_values(samples)
+            check = search.checks[0] if search.checks else None
+            part = check or search.part
+            if part is None:
+                return samples
+            # One lost reply makes no refusal: a part that cannot be halved is asked as a block is. On a line nothing is
+            # asked again before the time of its answer is over: such a part is asked twice.
+            alone = check is None and len(part.spans) == 1
+            outcome = await self._ask(part, patiently=alone and not self._settings.on_line)
+            search.latest = outcome if isinstance(outcome, Failure) else search.latest
+            if isinstance(outcome, Failure) and not outcome.asked:
+                return self._kept(search) | _with_values(samples)
+            if check is not None:
+                if isinstance(outcome, WireReply) or outcome.code:
+                    search.checks, self._known_good = [], check
+                    search.advance(refused=True)
+                else:
+                    search.checks = search.checks[1:]
+                    if not search.checks:  # it is not there at all, and nothing is concluded
+                        self._refused.found(block, (), answered=False, reasons={}, now=_now())
+                        return self._samples(block, outcome) | _with_values(samples)
             else:
-                answered, self._known_good = True, part
-            try:
-                part = search.send(isinstance(outcome, Failure))
-            except StopIteration as end:
-                self._refused.found(block, end.value, answered=answered, reasons=reasons, now=_now())
-                part = None
+                found = self._samples(part, outcome)
+                if isinstance(outcome, Failure) and not self._may_refuse(outcome):
+                    # The link or the device's mood has changed: what was not reached is unknown.
+                    return self._samples(block, outcome) | _with_values(samples)
+                samples |= found
+                if isinstance(outcome, WireReply):
+                    search.answered, self._known_good = True, part
+                    search.advance(refused=False)
+                    continue
+                search.reasons[part.start, part.stop] = outcome.reason
+                if outcome.quality is not Quality.TIMEOUT:
+                    search.advance(refused=True)
+                    continue
+                search.silent = True
+                search.silences += alone
+                if alone and self._settings.on_line and search.silences < _LINE_SILENCES:
+                    continue
+                search.checks = self._places_to_check(part)
+                if not search.checks:
+                    search.advance(refused=True)
+        self._refused.found(
+            block,
+            search.refusals,
+            answered=search.answered,
+            reasons=search.reasons,
+            now=_now(),
+            silent=search.silent,
+        )
         return samples
+
+    def _kept(self, search: BlockSearch) -> dict[int, Sample]:
+        """Keep a search for the next reading; what its block has no values for."""
+        if len(self._searches) >= _LAYOUTS_KEPT:
+            self._searches.clear()
+        search.forgotten_at = _now() + _SEARCH_S
+        self._searches[search.block.area, search.block.start, search.block.count] = search
+        return self._samples(search.block, search.latest)
 
     async def _tried(self, trial: AddressBlock) -> dict[int, Sample]:
         """Ask a quarantined place again, in a request of its own."""
         outcome = await self._ask(trial, patiently=False)
         if isinstance(outcome, WireReply):
             self._refused.rejoin(trial)
-        elif self._may_refuse(outcome):
-            self._refused.again(trial, outcome.reason, _now())
+        elif outcome.asked and self._may_refuse(outcome):
+            self._refused.again(trial, outcome.reason, _now(), silent=outcome.quality is Quality.TIMEOUT)
         return self._samples(trial, outcome)
 
     def _samples(self, block: AddressBlock, outcome: WireReply | Failure) -> dict[int, Sample]:
@@ -429,12 +627,12 @@ class ModbusDriver:
         async with self._lock:
             try:
                 if not patiently:
-                    return await self._while_busy(lambda: self._line.ask(self._read_request(block), again=True), _BUSY)
+                    return await self._while_busy(lambda: self._asked(block, again=True), _BUSY)
                 return await self._attempts(block)
             except DeviceException as error:
                 return Failure(quality_of(error.code), str(error), error.code)
             except ReplyTimeout as error:
-                return Failure(Quality.TIMEOUT, str(error))
+                return Failure(Quality.TIMEOUT, str(error), asked=not isinstance(error, NotAsked))
             except ReplyMismatch as error:
                 return Failure(Quality.COMMUNICATION_ERROR, str(error))
             except LinkDown as error:
@@ -468,16 +666,166 @@ class ModbusDriver:
         # After a connection that was taken and never answered, the next ones get one question each.
         for _ in range(0 if self._line.suspect else self._settings.attempts - 1):
             try:
-                return await self._line.ask(self._read_request(block), again=again, urgent=urgent)
+                return await self._asked(block, again=again, urgent=urgent)
             except (ReplyTimeout, ReplyMismatch):
                 if self._line.connection is not wire:
                     raise
                 self._counts["retries"] += 1
                 again = True
-        return await self._line.ask(self._read_request(block), again=again, urgent=urgent)
+        return await self._asked(block, again=again, urgent=urgent)
 
-    def _read_request(self, block: AddressBlock) -> ModbusPDU:
-        return read_request(block.area, block.start, block.count, self._settings.unit)
+    def _asked(self, block: AddressBlock, *, again: bool, urgent: bool = False) -> Awaitable[WireReply]:
+        """Ask for a block once; where the device takes aligned reads alone, for what lies around it too."""
+        settings = self._settings
+        if settings.aligned > 1 and not block.area.is_bits:
+            return self._asked_aligned(block, again=again, urgent=urgent)
+        request = read_request(block.area, block.start, block.count, settings.unit)
+        return self._line.ask(request, again=again, urgent=urgent)
+
+    async def _asked_aligned(self, block: AddressBlock, *, again: bool, urgent: bool) -> WireReply:
+        settings = self._settings
+        start = block.start // settings.aligned * settings.aligned
+        stop = min(-(-block.stop // settings.aligned) * settings.aligned, _ADDRESSES)
+        request = read_request(block.area, start, stop - start, settings.unit)
+        reply = await self._line.ask(request, again=again, urgent=urgent)
+        return replace(reply, words=reply.words[block.start - start : block.stop - start])
+
+    # ------------------------------------------------------------ by hand
+
+    async def by_hand(self, request: ModbusPDU, deadline: float, *, again: bool = False) -> WireReply:
+        """Send one request once over the driver's connection, whatever unit it is for; it fails as it fails."""
+        return await self._line.by_hand(request, deadline, again=again)
+
+    def raw(self, tag: Tag, sample: Sample) -> Raw:
+        """The reading with the words that it was made of, where it was made of any."""
+        decoded = self._decoded.get(id(tag)) if sample.sent is not None else None
+        try:
+            span = locate(tag)
+        except AddressError:
+            return Raw(tag, sample, tag.address, 0)
+        return Raw(tag, sample, f"{span.area}:{span.start}", span.count, decoded[0] if decoded else None)
+
+    def allow(self, timeout: float) -> None:
+        """Wait so long (s) for an answer from now on: what the device has been seen to need."""
+        self._settings = self._line.settings = self._settings.model_copy(update={"timeout": timeout})
+
+    async def who(self, marks: Sequence[PinnedMark], *, urgent: bool = False) -> tuple[str, tuple[int, int]]:
+        """Why the device is not the one that has these marks ("" if it is), and the line's `proof` as it answered.
+
+        Raises DriverError where it is not known: it does not answer, or hangs up between its answers.
+        """
+        for _ in range(_MOST_ROUNDS):
+            reason, proofs = await self._marks(marks, urgent=urgent)
+            # Answers that came over several connections may be several devices'.
+            if reason or len({connects for connects, _ in proofs}) == 1:
+                return reason, proofs[-1]
+        raise ReplyMismatch("the device hangs up between the questions for its marks: pin one that tells it alone")
+
+    async def _marks(self, marks: Sequence[PinnedMark], *, urgent: bool) -> tuple[str, list[tuple[int, int]]]:
+        unit, heard, proofs = self._settings.unit, dict[str, str](), list[tuple[int, int]]()
+        said: str | tuple[int, ...] | None
+        async with self._lock:
+            for mark in marks:
+                try:
+                    if mark.object < 0:
+                        request = mark_request(mark, unit) if mark.count else server_id_request(unit)
+                        words = (await self._marked(request, urgent=urgent)).words
+                        said = mark.found(words) if mark.count else text_of_server_id(words)
+                    else:
+                        if mark.name not in heard:
+                            heard |= await self._objects(mark, urgent=urgent)
+                        said = heard.get(mark.name)
+                except DeviceException as error:
+                    if error.code not in _SAYS_NOTHING:
+                        raise
+                    said = None
+                proofs.append(self._line.proof)
+                if reason := stranger(mark, said, f"{self._settings.place} unit {unit}"):
+                    return reason, proofs
+        return "", proofs
+
+    async def _objects(self, mark: PinnedMark, *, urgent: bool) -> Mapping[str, str]:
+        """The objects of an identification (function 43) up to the one that is wanted."""
+        heard: dict[str, str] = {}
+        after = 0
+        for _ in range(MOST_PARTS):
+            request = object_request(self._settings.unit, after, mark.object)
+            part, after = identification((await self._marked(request, urgent=urgent)).words)
+            heard |= part
+            if not after or mark.name in heard:
+                break
+        return heard
+
+    async def _marked(self, request: ModbusPDU, *, urgent: bool) -> WireReply:
+        """Ask who the device is, as often as a reading is asked for."""
+        for _ in range(self._settings.attempts - 1):
+            try:
+                return await self._while_busy(lambda: self._line.ask(request, urgent=urgent), _BUSY)
+            except (ReplyTimeout, ReplyMismatch):
+                continue
+        return await self._while_busy(lambda: self._line.ask(request, urgent=urgent), _BUSY)
+
+
+class PinnedDriver(ModbusDriver):
+    """A driver that believes and writes nothing unless the device has said that it is the pinned one (`identity`).
+
+    It is asked on each connection, after each question without an answer, by which a cable that was put elsewhere shows
+    on a line, and every IDENTITY_S seconds.
+    """
+
+    _proof: tuple[int, int] | None = None
+    _proven_at = 0.0
+    _stranger = ""
+
+    async def read(self, tags: Sequence[Tag]) -> list[Sample]:
+        """As any driver; where the device is not known to be the pinned one all readings are bad.
+
+        One that hangs up after each answer is believed where it is the pinned one before the reading and after it.
+        """
+        if (unknown := await self._unproven(urgent=False)) is None:
+            samples = await super().read(tags)
+            # What came over a connection that was made meanwhile may be another device's, as what followed a silence.
+            if (unknown := await self._unproven(urgent=False)) is None:
+                return samples
+        self._paced.clear()  # what was kept of this reading may be another device's
+        return [self._no(tag, *unknown) for tag in tags]
+
+    async def write(self, values: Sequence[tuple[Tag, Value]], *, before_sending: BeforeSending = anyhow) -> None:
+        """As any driver; raises LinkDown, and nothing is sent, where the device is not known to be the pinned one."""
+        if (unknown := await self._unproven(urgent=True)) is not None:
+            raise LinkDown(f"{unknown[1]}; nothing was sent")
+        proof = self._line.proof
+
+        def to_the_pinned_one() -> None:
+            if self._line.proof != proof:
+                raise LinkDown("the connection has changed since the device said who it is; nothing (more) was sent")
+            before_sending()
+
+        await super().write(values, before_sending=to_the_pinned_one)
+
+    def complaints(self) -> tuple[str, ...]:
+        """That another device than the pinned one answers."""
+        return (self._stranger,) if self._stranger else ()
+
+    async def _unproven(self, *, urgent: bool) -> tuple[Quality, str] | None:
+        """Why the device is not known to be the pinned one, which is asked if need be; None where it is."""
+        if self._settings.close_between_scans:
+            await self._line.ready()
+        if self._proof == self._line.proof and _now() < self._proven_at + IDENTITY_S:
+            return None
+        self._proof = None
+        try:
+            self._stranger, proof = await self.who(self._settings.identity, urgent=urgent)
+        except ReplyTimeout as error:
+            return Quality.TIMEOUT, f"{_NOT_KNOWN}: {error}"
+        except LinkDown as error:
+            return Quality.NOT_CONNECTED, str(error)
+        except DriverError as error:
+            return Quality.COMMUNICATION_ERROR, f"{_NOT_KNOWN}: {error}"
+        if self._stranger:
+            return Quality.NOT_CONNECTED, self._stranger
+        self._proof, self._proven_at = proof, _now()
+        return None
 
 
 # ---------------------------------------------------------------- without state
@@ -485,6 +833,10 @@ class ModbusDriver:
 
 def _now() -> float:
     return asyncio.get_running_loop().time()
+
+
+def _with_values(samples: Mapping[int, Sample]) -> dict[int, Sample]:
+    return {key: sample for key, sample in samples.items() if sample.value is not None}
 
 
 def _words(spans: Iterable[TagSpan]) -> int:

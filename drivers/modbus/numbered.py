@@ -18,7 +18,9 @@ from drivers.errors import DeviceException, DriverError, LinkDown, LinkFault, Re
 from drivers.modbus.replies import KEPT_S, ReplyStream, TransactionIds
 from drivers.modbus.verify import NO_WAY_TO_UNIT, Asked, asked, check_reply, words_of
 from drivers.modbus.wire import (
+    ANY_ID,
     FLOOD,
+    LATE,
     NOT_BEHIND_A_PART,
     OTHER_ID,
     Secured,
@@ -50,9 +52,7 @@ class NumberedWire(asyncio.Protocol):
     """A connection, from `connect` to `abandon`.
 
     `on_lost` hears why it broke, `on_late` of which unit a reply came when nobody waited for it any more, and whether
-    the unit gave it itself.
-    `last` is the unit and the PDU of the last reply that answered a request.
-    """
+    the unit gave it itself."""
 
     def __init__(
         self,
@@ -78,8 +78,9 @@ class NumberedWire(asyncio.Protocol):
         self._since_answer: Counter[int] = Counter()
         self._any_answer = asyncio.Event()
         self._answered = False
+        # How late (s) something came last that had been given up, by unit.
+        self._late: dict[int, float] = {}
         self.foreign = 0
-        self.last = b""
         self.fault = LinkFault.OTHER
         self.refusal_hint = secured.refusal_hint if secured else ""
         self._tap = current()
@@ -149,6 +150,7 @@ class NumberedWire(asyncio.Protocol):
         frame = number.to_bytes(2, "big") + b"\0\0" + len(pdu).to_bytes(2, "big") + pdu
         reply: asyncio.Future[WireReply] = loop.create_future()
         foreign = self.foreign
+        self._late.pop(request.dev_id, None)
         question = _Question(asked(frame), self._clock(), now, self._readings.setdefault(request.dev_id, number), reply)
         self._questions[number] = question
         self._unasked = 0
@@ -160,12 +162,14 @@ class NumberedWire(asyncio.Protocol):
             if reply.done():
                 return
             others, part = self.foreign - foreign, self._stream.unfinished
-            why = OTHER_ID.format(others) if others else ""
+            late = self._late.get(question.asked.unit)
+            why = LATE.format(late) if late else OTHER_ID.format(others) if others else ""
             if part[:2] != frame[:2] and self._is_awaited(part):
                 part = b""
+            remedy = ANY_ID if others and not late and not part else None
             why = f" ({len(part)} bytes of one came)" if part else why
             sentence = f"{question.asked}: no reply within {deadline:.3g} s{why}"
-            reply.set_exception(ReplyTimeout(sentence))
+            reply.set_exception(ReplyTimeout(sentence, remedy=remedy))
             if part:
                 self._break_cut(sentence)  # bytes of the next reply would make it whole
 
@@ -238,6 +242,7 @@ class NumberedWire(asyncio.Protocol):
             self._any_answer.set()
         waiting = question
         if question is not None and question.reply is None:
+            self._late[question.asked.unit] = self._clock() - question.sent
             # Late. Who has asked the same unit the same thing again takes it, and no one else: no later reading.
             same = replace(question.asked, transaction=0)
             waiting = next(
@@ -262,7 +267,6 @@ class NumberedWire(asyncio.Protocol):
         except (ReplyMismatch, DeviceException) as error:
             waiting.reply.set_exception(error)
             return
-        self.last = frame[6:]
         waiting.reply.set_result(WireReply(words_of(question.asked, frame[9:]), question.sent, received))
 
     def _tell(self, data: bytes, *, sent: bool) -> None:

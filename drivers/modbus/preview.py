@@ -50,7 +50,27 @@ def planned(settings: Mapping[str, Any], tags: Sequence[Tag], written: Sequence[
         seconds=seconds,
         write_seconds=sum(request.seconds for request in writes),
         overlaps=_overlaps(spans),
+        written_by=_written_by(written, checked),
     )
+
+
+def _written_by(written: Sequence[Tag], checked: ModbusSettings) -> str:
+    """By which function a block is written; "" where none is, or where it has no place."""
+    try:
+        areas = {locate(tag).area for tag in written}
+    except AddressError:
+        return ""
+    said = []
+    for area in sorted(areas):
+        registers, coils = checked.singly
+        several, single = (15, 5) if area.is_bits else (16, 6)
+        one_by_one = coils if area.is_bits else registers
+        kind = "coil" if area.is_bits else "register"
+        said.append(
+            f"function {single}, one request a {kind}" if one_by_one else f"function {several}, one request a block"
+        )
+    back = "read back" if checked.read_back == "late" else "not read back"
+    return f"{' and '.join(said)}, {back}" if said else ""
 
 
 def _worst(count: int, block: AddressBlock, checked: ModbusSettings) -> float:
@@ -71,7 +91,8 @@ def _writing(
     whole = AddressBlock(spans[0].area, spans[0].start, spans[-1].stop - spans[0].start, spans)
     most = checked.max_write_registers
     problems: tuple[str, ...] = ()
-    if whole.count > most:
+    singly = checked.singly[whole.area.is_bits]
+    if whole.count > most and not singly:
         problems = (
             f"the block has {whole.count} words and the device takes {most} in one write: leave fields out "
             "(decanter plc bind --block)",
@@ -83,11 +104,11 @@ def _writing(
             count=whole.count,
             vain=0,
             tags=tuple(span.tag.name for span in spans),
-            seconds=_worst(0, whole, checked),
+            seconds=_worst(0, whole, checked) * (whole.count if singly else 1),
         )
     ]
     largest = limits.largest(whole.area)
-    for start in range(whole.start, whole.stop, largest):
+    for start in range(whole.start, whole.stop, largest) if checked.read_back == "late" else ():
         count = min(largest, whole.stop - start)
         seconds = _worst(count, whole, checked)
         requests.append(

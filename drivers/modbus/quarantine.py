@@ -7,6 +7,9 @@ from drivers.modbus.address import Area, TagSpan
 from drivers.modbus.plan import AddressBlock, Quarantine, RefusedRange, refusal_of, retry_delay, with_refusal, without
 from drivers.tag import Quality
 
+SILENT_TIMES = 6.0
+"""What a device refuses by silence waits so many times as long at most."""
+
 
 class RefusedAddresses:
     """The quarantine of one device.
@@ -77,8 +80,13 @@ class RefusedAddresses:
         answered: bool,
         reasons: Mapping[tuple[int, int], str],
         now: float,
+        silent: bool = False,
     ) -> None:
-        """Take over what a bisection found: `answered` if any part did, `reasons` by (start, stop) of what did not."""
+        """Take over what a bisection found: `answered` if any part did, `reasons` by (start, stop) of what did not.
+
+        What was `silent` waits longer: asking it takes a deadline each time, and on a line more.
+        """
+        cap = self._cap * (SILENT_TIMES if silent else 1.0)
         key = (block.area, block.start, block.count)
         if not answered:
             before = self._hopeless.get(key)
@@ -87,7 +95,7 @@ class RefusedAddresses:
             self._hopeless[key] = RefusedRange(block.area, block.start, block.stop, now + wait, strikes)
             return
         for refusal in refusals:
-            wait = self._cap if refusal.is_seam else self._first
+            wait = cap if refusal.is_seam else self._first
             reason = reasons.get((refusal.start, refusal.stop), "")
             self.quarantine = with_refusal(self.quarantine, replace(refusal, retry_at=now + wait, reason=reason))
 
@@ -96,11 +104,12 @@ class RefusedAddresses:
         for refusal in self._within(trial):
             self.quarantine = without(self.quarantine, refusal)
 
-    def again(self, trial: AddressBlock, reason: str, now: float) -> None:
+    def again(self, trial: AddressBlock, reason: str, now: float, *, silent: bool = False) -> None:
         """A trial was refused: it waits twice as long."""
+        cap = self._cap * (SILENT_TIMES if silent else 1.0)
         for refusal in self._within(trial):
             strikes = refusal.strikes + 1
-            wait = retry_delay(strikes, self._first, self._cap)
+            wait = retry_delay(strikes, self._first, cap)
             again = replace(refusal, retry_at=now + wait, strikes=strikes, reason=reason)
             self.quarantine = with_refusal(self.quarantine, again)
 

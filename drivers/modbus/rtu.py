@@ -8,7 +8,7 @@ from pymodbus.framer import FramerRTU
 from pymodbus.pdu import ModbusPDU
 
 from drivers.errors import ReplyMismatch
-from drivers.modbus.verify import IDENTIFY, Asked
+from drivers.modbus.verify import IDENTIFY, REPORT, SAYS_WHO, WRITES, Asked
 
 BITS = 11
 """Of one character on a serial Modbus line: start, eight data, parity and stop, or a second stop."""
@@ -31,9 +31,9 @@ def crc(data: bytes) -> bytes:
 
 
 def asked(frame: bytes) -> Asked:
-    """What a request of function 1 to 4, 15 or 16 asks for, from its own bytes; one of function 43 has no address."""
-    if frame[1] == IDENTIFY:
-        return Asked(0, frame[0], IDENTIFY, 0, 0)
+    """What a request of function 1 to 6, 15 or 16 asks for, from its own bytes; 17 and 43 have no address."""
+    if frame[1] in SAYS_WHO:
+        return Asked(0, frame[0], frame[1], 0, 0)
     return Asked(0, frame[0], frame[1], int.from_bytes(frame[2:4], "big"), int.from_bytes(frame[4:6], "big"))
 
 
@@ -48,10 +48,10 @@ def transmission(octets: int, baud: int) -> float:
 
 
 def reply_octets(request: Asked) -> int:
-    """How long the reply to a request is, if it is none of an exception; the most for function 43."""
-    if request.function == IDENTIFY:
+    """How long the reply to a request is, if it is none of an exception; the most for functions 17 and 43."""
+    if request.function in SAYS_WHO:
         return LONGEST
-    if request.function in (15, 16):
+    if request.function in WRITES:
         return _CONFIRMATION
     return 5 + (2 * request.count if request.function in (3, 4) else (request.count + 7) // 8)
 
@@ -65,9 +65,9 @@ def reply_length(request: Asked, data: bytes) -> int | None:
         return None
     if data[1] & 0x80:
         return _EXCEPTION
-    if data[1] in (15, 16):
+    if data[1] in WRITES:
         return _CONFIRMATION
-    if data[1] in (1, 2, 3, 4):
+    if data[1] in (1, 2, 3, 4) or data[1] == request.function == REPORT:
         return data[2] + 5 if len(data) > 2 else None
     if data[1] == request.function == IDENTIFY:
         return _identity_length(data)

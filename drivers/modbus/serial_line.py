@@ -1,4 +1,4 @@
-"""One serial line, or one TCP connection to a serial device server: RTU requests, one at a time.
+"""One serial line, or one TCP connection to a serial device server: RTU or ASCII requests, one at a time.
 
 A reply on such a line names its unit and no request: one that comes late looks like the answer to whatever that unit
 was asked last. So after a request without an answer that unit is asked nothing until the late one has come, or cannot
@@ -12,18 +12,19 @@ import os
 import termios
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Any, Protocol, cast
 
 import serial
 from pymodbus.pdu import ModbusPDU
 
 from drivers.driver import BeforeSending, Clock, anyhow
-from drivers.errors import DeviceException, LinkDown, LinkFault, ReplyMismatch, ReplyTimeout
+from drivers.errors import DeviceException, LinkDown, LinkFault, NotAsked, ReplyMismatch, ReplyTimeout
 from drivers.modbus import rtu
+from drivers.modbus.ascii import AsciiStream, ascii_frame
 from drivers.modbus.settings import ModbusSettings
-from drivers.modbus.verify import HEADER, Asked, check_reply, split_frames, words_of
+from drivers.modbus.verify import ECHOED, HEADER, Asked, check_reply, split_frames, words_of
 from drivers.modbus.wire import WireReply, socket_place
-from drivers.tap import current, moved
+from drivers.tap import Medium, current, moved
 
 GAP_S = 0.02
 """A pause that ends a reply of unknown length: long against an operating system's buffers, short against a deadline."""
@@ -92,9 +93,11 @@ class LineWire:
         # What was answered last on this connection.
         self._answered: Asked | None = None
         self._arrived = asyncio.Event()
+        self._ascii = AsciiStream() if settings.transport in ("ascii", "ascii-tcp") else None
+        # Over UDP a number tells a late reply from the answer, and none is waited for.
+        self._longest_reply = 0.0 if settings.transport == "udp" else settings.longest_reply
         self._tap = current()
         self.foreign = 0
-        self.last = b""
         self.fault = LinkFault.OTHER
         self.refusal_hint = ""
 
@@ -105,9 +108,12 @@ class LineWire:
             if settings.serial:
                 self._port = _SerialPort(settings, self)
             else:
-                loop = asyncio.get_running_loop()
-                dialled = _Dialled if settings.transport == "rtu-tcp" else _Headed
-                _, self._port = await loop.create_connection(lambda: dialled(self), settings.host, settings.port)
+                loop, place = asyncio.get_running_loop(), (settings.host, settings.port)
+                if settings.transport == "udp":
+                    _, self._port = await loop.create_datagram_endpoint(lambda: _Datagrams(self), remote_addr=place)
+                else:
+                    dialled = _Headed if settings.transport == "tcp" else _Dialled
+                    _, self._port = await loop.create_connection(lambda: dialled(self), *place)
         except termios.error as error:
             reason = f"the port does not take these settings ({error.args[-1]}): check baud, parity and stopbits"
             raise LinkDown(f"{settings.place} cannot be opened: {reason}") from error
@@ -156,16 +162,16 @@ class LineWire:
         if owed is not None and owed.question == wanted and self._is_reply_to(wanted):
             late, self._data = self._data, b""
             self._checked(wanted, late)
-            self.last = late[:-2]
             return WireReply(words_of(wanted, late[3:-2]), owed.sent, self._clock())
         before_sending()
         self._data = b""
         sent = self._clock()
         # Noted before it is sent, and taken back by its reply: whatever goes wrong in between, the next request waits.
-        self._quiet.owed[wanted.unit] = Owed(wanted, _now() + self._settings.longest_reply, sent)
+        self._quiet.owed[wanted.unit] = Owed(wanted, _now() + self._longest_reply, sent)
         self._asked.add(wanted.unit)
-        self._live_port().send(frame)
-        self._tell(frame, sent=True)
+        moving = frame if self._ascii is None else ascii_frame(frame)
+        self._live_port().send(moving)
+        self._tell(moving, sent=True)
         try:
             if self._settings.echo:
                 await self._skip_echo(wanted, frame, until)
@@ -177,7 +183,6 @@ class LineWire:
             self._quiet.failures[wanted.unit] = str(error)
             raise
         self._quiet.failures.pop(wanted.unit, None)
-        self.last = reply[:-2]
         return WireReply(words_of(wanted, reply[3:-2]), sent, received)
 
     def _checked(self, wanted: Asked, reply: bytes) -> None:
@@ -211,7 +216,7 @@ class LineWire:
                         continue
                 if not await self._more(min(until, _now() + left)) and _now() >= until:
                     why = self._quiet.failures.get(owed.question.unit, "")
-                    raise ReplyTimeout(
+                    raise NotAsked(
                         f"{wanted}: not asked, as {owed.question} may still be answered for {left:.2f} s"
                         + (f"; what went wrong: {why}" if why else "")
                     )
@@ -225,7 +230,7 @@ class LineWire:
                 continue
             if owed is None and self._is_repeated() and (silent_at := self._heard + TORN_S) > _now():
                 if not await self._more(min(until, silent_at)) and silent_at > until:
-                    raise ReplyTimeout(f"{wanted}: not asked, as the answer before it is being repeated")
+                    raise NotAsked(f"{wanted}: not asked, as the answer before it is being repeated")
                 continue
             break
         self.foreign += bool(self._data)
@@ -271,7 +276,9 @@ class LineWire:
         """Take away our own request, which the adapter gives back. Raises ReplyMismatch if it is another one."""
         while len(self._data) < len(frame):
             if not await self._more(until):
-                raise ReplyTimeout(f"{wanted}: not even our own request came back: set echo = false?")
+                raise ReplyTimeout(
+                    f"{wanted}: not even our own request came back: set echo = false?", remedy={"echo": False}
+                )
             self._take_out_late(wanted.unit)
         if not self._data.startswith(frame):
             raise ReplyMismatch(f"{wanted}: what came back is not our request: does somebody else send on this line?")
@@ -281,8 +288,11 @@ class LineWire:
         """The bytes of one reply. Raises ReplyTimeout, or ReplyMismatch for one that cannot be the answer."""
         while True:
             self._take_out_late(wanted.unit)
-            if len(self._data) >= len(frame) and self._data.startswith(frame):
-                raise ReplyMismatch(f"{wanted}: the line gives back what is sent: set echo = true")
+            echoed = wanted.function not in ECHOED and len(self._data) >= len(frame) and self._data.startswith(frame)
+            if echoed:
+                raise ReplyMismatch(
+                    f"{wanted}: the line gives back what is sent: set echo = true", remedy={"echo": True}
+                )
             self._pass_noise(wanted)
             try:
                 length = None if self._begins_with_noise(wanted) else rtu.reply_length(wanted, self._data)
@@ -298,6 +308,8 @@ class LineWire:
                 raise ReplyTimeout(f"{wanted}: no reply in time{part}")
 
     def _begins_with_noise(self, wanted: Asked) -> bool:
+        if self._settings.transport in ("tcp", "udp"):
+            return False  # what came with a header is whole, and from whom it says it is
         return self._data[:1] in _TURN_ROUND and self._data[0] != wanted.unit and len(self._data) <= _MOST_NOISE + 256
 
     def _pass_noise(self, wanted: Asked) -> bool:
@@ -331,7 +343,8 @@ class LineWire:
         return self._port
 
     def _on_line(self, octets: int) -> float:
-        return rtu.transmission(octets, self._settings.baud) if self._settings.serial else 0.0
+        characters = octets if self._ascii is None else 2 * octets + 1
+        return rtu.transmission(characters, self._settings.baud) if self._settings.serial else 0.0
 
     # ------------------------------------------------------------ called by the port
 
@@ -347,6 +360,10 @@ class LineWire:
     def heard(self, data: bytes) -> None:
         """Bytes have come."""
         self._tell(data, sent=False)
+        if self._ascii is not None:
+            spoilt = self._ascii.spoilt
+            data = self._ascii.take(data)
+            self.foreign += self._ascii.spoilt - spoilt
         self._data, self._heard = self._data + data, _now()
         self._arrived.set()
         if len(self._data) > _FLOOD:
@@ -356,7 +373,8 @@ class LineWire:
         """Let the evidence know, where somebody gathers it."""
         if self._tap is not None and self._port is not None:
             place, local = self._port.ends
-            self._tap(moved("tcp" if local else "serial", place, data, sent=sent, local=local))
+            network: Medium = "udp" if self._settings.transport == "udp" else "tcp"
+            self._tap(moved(network if local else "serial", place, data, sent=sent, local=local))
 
     def broken(self, reason: str, fault: LinkFault = LinkFault.OTHER) -> None:
         """The line is gone."""
@@ -376,6 +394,7 @@ class _SerialPort:
             settings.baud,
             parity=settings.parity,
             stopbits=settings.stopbits,
+            bytesize=settings.bytesize,
             timeout=0,
             write_timeout=0,
             exclusive=True,
@@ -462,8 +481,7 @@ class _Headed(_Dialled):
     def send(self, data: bytes) -> None:
         """Send a frame with a header in the place of its checksum."""
         self._number = self._number % 0xFFFF + 1
-        pdu = data[:-2]
-        super().send(self._number.to_bytes(2, "big") + b"\0\0" + len(pdu).to_bytes(2, "big") + pdu)
+        super().send(headed(self._number, data[:-2]))
 
     def data_received(self, data: bytes) -> None:
         try:
@@ -473,6 +491,54 @@ class _Headed(_Dialled):
             return
         for frame in frames:
             self._wire.heard_headed(frame[HEADER:], matches=int.from_bytes(frame[:2], "big") == self._number)
+
+
+class _Datagrams(asyncio.DatagramProtocol):
+    """Modbus over UDP: each datagram is a frame with its header, and none of it comes in another one."""
+
+    def __init__(self, wire: LineWire) -> None:
+        self._wire = wire
+        self._transport: asyncio.DatagramTransport | None = None
+        self._number = 0
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        # asyncio's own of Python 3.11 is none by its class.
+        self._transport = cast(asyncio.DatagramTransport, transport)
+
+    def datagram_received(self, data: bytes, addr: tuple[str | Any, int]) -> None:
+        try:
+            frames, rest = split_frames(data)
+        except ReplyMismatch as error:
+            self._wire.broken(str(error), LinkFault.FOREIGN)
+            return
+        for frame in frames if not rest else ():
+            self._wire.heard_headed(frame[HEADER:], matches=int.from_bytes(frame[:2], "big") == self._number)
+
+    def error_received(self, exc: Exception) -> None:
+        self._wire.broken(f"nothing takes datagrams there ({exc})", LinkFault.REFUSED)
+
+    @property
+    def ends(self) -> tuple[str, str]:
+        """The far end and ours."""
+        names = (self._transport.get_extra_info(name) for name in ("peername", "sockname")) if self._transport else ()
+        far, near = (*map(socket_place, names), "", "")[:2]
+        return far, near
+
+    def send(self, data: bytes) -> None:
+        """Send a frame with a header in the place of its checksum."""
+        if self._transport is not None:
+            self._number = self._number % 0xFFFF + 1
+            self._transport.sendto(headed(self._number, data[:-2]))
+
+    def close(self) -> None:
+        """Close at once."""
+        if self._transport is not None:
+            self._transport.abort()
+
+
+def headed(number: int, plain: bytes) -> bytes:
+    """Unit and PDU behind a header of Modbus TCP."""
+    return number.to_bytes(2, "big") + b"\0\0" + len(plain).to_bytes(2, "big") + plain
 
 
 def _now() -> float:

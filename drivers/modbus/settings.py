@@ -4,12 +4,22 @@ import os
 from collections.abc import Hashable, Mapping
 from contextlib import suppress
 from ipaddress import ip_address
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
+from drivers.modbus.identity import PinnedMark, pinned_marks
 from drivers.modbus.plan import RequestLimits
-from drivers.settings import Reconnecting, check_settings
+from drivers.settings import Reconnecting, check_settings, split_place
+
+
+def _functions(given: object) -> frozenset[int]:
+    """The functions that write, of registers and of coils; the usual one where none is given."""
+    functions: frozenset[int] = frozenset(given if isinstance(given, list | tuple | frozenset) else (given,))
+    if not functions <= {5, 6, 15, 16} or {6, 16} <= functions or {5, 15} <= functions:
+        raise ValueError(f"is {given!r}; give 16 or 6 for registers, 15 or 5 for coils, or one of each in a list")
+    return (functions & {6, 16} or frozenset({16})) | (functions & {5, 15} or frozenset({15}))
+
 
 _NETWORK: dict[str, Any] = {"host": None, "port": 502, "connect_timeout": 0.3}
 _LINE: dict[str, Any] = {"echo": False, "longest_reply": 2.0}
@@ -19,16 +29,24 @@ TRANSPORTS: dict[str, dict[str, Any]] = {
     "tls": _NETWORK | {"port": 802, "connect_timeout": 3.0, "certificates": None, "tls_name": ""},
     "rtu": _LINE | {"serial": None, "baud": 19200, "parity": "E", "stopbits": 1, "connect_timeout": 0.3},
     "rtu-tcp": _NETWORK | _LINE | {"baud": 19200},
+    # A character is seven bits on an ASCII line (V1.02, 2.5.2), and a byte two of them.
+    "ascii": _LINE
+    | {"serial": None, "baud": 19200, "parity": "E", "stopbits": 1, "bytesize": 7, "connect_timeout": 0.3},
+    "ascii-tcp": _NETWORK | _LINE | {"baud": 19200},
+    "udp": _NETWORK,
 }
 """Each transport's own settings with their defaults; None: must be given."""
-_LINES = ("rtu", "rtu-tcp")
+_LINES = ("rtu", "rtu-tcp", "ascii", "ascii-tcp")
+_ONE_AT_A_TIME = (*_LINES, "udp")
 _LAST_UNIT = 247
 
 
 class ModbusSettings(Reconnecting):
     """How a Modbus device is reached and what it takes; seconds unless named otherwise. See `open_modbus`."""
 
-    transport: Literal["tcp", "tls", "rtu", "rtu-tcp"] = Field("tcp", description="the transport's name")
+    transport: Literal["tcp", "tls", "rtu", "rtu-tcp", "ascii", "ascii-tcp", "udp"] = Field(
+        "tcp", description="the transport's name"
+    )
     host: str = Field("", min_length=1, description="the device's address or name")
     port: int = Field(502, ge=1, le=65535, description="a TCP port from 1 to 65535")
     certificates: str = Field("", min_length=1, description="the folder of ca.pem, client.pem and client.key")
@@ -37,6 +55,7 @@ class ModbusSettings(Reconnecting):
     baud: int = Field(19200, ge=300, le=4_000_000, description="bits a second, 300 to 4000000")
     parity: Literal["N", "E", "O"] = Field("N", description="the parity of the line")
     stopbits: int = Field(1, ge=1, le=2, description="1 or 2")
+    bytesize: int = Field(8, ge=7, le=8, description="the bits of a character, 7 or 8")
     echo: bool = Field(False, description="true if the adapter gives back what is sent")
     longest_reply: float = Field(
         2.0, ge=0.001, le=60.0, description="the seconds after which an answer can no longer come, 0.001 to 60"
@@ -63,6 +82,21 @@ class ModbusSettings(Reconnecting):
     )
     answers_as: int | None = Field(
         None, ge=0, le=255, description="the unit id that the device's answers have, if not the one that is asked"
+    )
+    identity: Annotated[tuple[PinnedMark, ...], BeforeValidator(pinned_marks)] = Field(
+        (), description='a table of what the device must say, such as { "product code" = "750-8212" }'
+    )
+    write_with: Annotated[frozenset[int], BeforeValidator(_functions)] = Field(
+        frozenset({15, 16}), description="the function that writes: 16 or 6 for registers, 15 or 5 for coils"
+    )
+    read_back: Literal["late", "never"] = Field(
+        "late", description="'never' for a device that does not show what was written to it, else 'late'"
+    )
+    close_between_scans: bool = Field(
+        False, description="true for a device whose connection is to be free for others between two scans"
+    )
+    aligned: int = Field(
+        1, ge=1, le=8, description="reads begin at a multiple of it and have as many registers, 1 to 8"
     )
     one_client: bool = Field(False, description="true if the device serves one connection only")
     max_failures: int = Field(3, ge=1, le=100, description="the failures in a row that end a connection, 1 to 100")
@@ -91,6 +125,8 @@ class ModbusSettings(Reconnecting):
     def _of_one_transport(cls, settings: dict[str, Any]) -> dict[str, Any]:
         """The transport's own defaults; what only other transports have is refused, not ignored."""
         kind = settings.get("transport", "tcp")
+        if isinstance(settings.get("host"), str):
+            settings = with_place(settings)
         own = TRANSPORTS.get(kind) if isinstance(kind, str) else None
         if own is None:
             return settings
@@ -112,8 +148,11 @@ class ModbusSettings(Reconnecting):
             raise ValueError(f"unit is {self.unit}, and on a serial line a device has one of 1 to 247 (0 is for all)")
         if self.by_shape and self.transport != "tcp":
             raise ValueError(f"transaction_id and answers_as mean nothing with transport {self.transport!r}")
+        if self.aligned > 1 and self.max_registers <= 2 * (self.aligned - 1):
+            raise ValueError(f"max_registers is {self.max_registers}, too few for reads aligned to {self.aligned}")
         if self.on_line and self.outstanding > 1:
-            raise ValueError(f"outstanding is {self.outstanding}, and a serial line carries 1 request at a time")
+            line = "such a connection" if self.transport == "udp" else "a serial line"
+            raise ValueError(f"outstanding is {self.outstanding}, and {line} carries 1 request at a time")
         return self
 
     @property
@@ -124,12 +163,19 @@ class ModbusSettings(Reconnecting):
     @property
     def on_line(self) -> bool:
         """Whether one question is open at a time, and an old answer is waited for."""
-        return self.by_shape or self.transport in _LINES
+        return self.by_shape or self.transport in _ONE_AT_A_TIME
+
+    @property
+    def singly(self) -> tuple[bool, bool]:
+        """Whether registers, and coils, are written one a request."""
+        return 6 in self.write_with, 5 in self.write_with
 
     @property
     def limits(self) -> RequestLimits:
         """What the device allows in one request."""
-        return RequestLimits(self.max_registers, self.max_bits, self.max_gap, self.pause_ms / 1000)
+        # What alignment adds at either end must still fit.
+        room = 2 * (self.aligned - 1)
+        return RequestLimits(self.max_registers - room, self.max_bits, self.max_gap, self.pause_ms / 1000)
 
     @property
     def longest_read(self) -> float:
@@ -172,3 +218,11 @@ def device_at(settings: Mapping[str, Any]) -> Hashable:
     """What tells the device from others, also on its connection (`Capabilities.identifies`). Raises DriverError."""
     checked = read_settings(settings)
     return (place_of(checked), checked.unit)
+
+
+def with_place(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """The settings with their host as it is looked up, and the port that was written with it. Raises ValueError."""
+    host, port = split_place(str(settings["host"]))
+    if port is not None and settings.get("port", port) != port:
+        raise ValueError(f"host says port {port}, and port is {settings['port']}; give one of them")
+    return {**settings, "host": host, **({} if port is None else {"port": port})}

@@ -27,16 +27,20 @@ from drivers.modbus.replies import TransactionIds
 from drivers.modbus.settings import ModbusSettings
 from drivers.modbus.transport import AnyWire, explained, make_transport
 from drivers.modbus.turns import AT_ONCE, ReplyTimes, Stall, Suspect, Turns, UnitHealth
-from drivers.modbus.verify import NO_WAY_TO_UNIT
+from drivers.modbus.verify import NO_WAY_TO_UNIT, WRITES
 from drivers.modbus.wire import WireReply
 from drivers.supervision import Supervisor
 
 _UNDER_A_QUESTION = frozenset({LinkFault.CLOSED, LinkFault.FOREIGN, LinkFault.CUT})
 """How a connection ends under a question that is to blame for it: the peer hangs up, what comes is not Modbus, or only
 a part of the reply."""
+_FEW_ANSWERS = 8
+"""A connection that ends after no more of them was ended by a habit of the device."""
+_MOST_OPEN_BY_HAND = 8
+"""Questions without an answer on a connection: somebody looks on, and ends it soon."""
 _OF_THE_CONNECTION = (
     "transport", "certificates", "tls_name", "baud", "parity", "stopbits", "echo", "longest_reply", "connect_timeout",
-    "one_client", "transaction_id", "answers_as", "pause_after_connect",
+    "one_client", "transaction_id", "answers_as", "pause_after_connect", "close_between_scans", "bytesize",
     "backoff_first", "backoff_cap", "max_failures", "max_silence",
 )  # fmt: skip
 
@@ -70,6 +74,9 @@ class SharedLink:
         # The connection on which something has been asked.
         self._greeted: AnyWire | None = None
         self._ask_from = 0.0
+        # Questions that wait for their answers, answers on this connection, and connections in a row that the peer has
+        # ended after a few of them.
+        self._under_way = self._answers = self._hang_ups = 0
 
     def _adopt(self, settings: ModbusSettings) -> None:
         """Be a connection of this kind. Raises DriverError."""
@@ -142,25 +149,21 @@ class SharedLink:
             if turn.waited:
                 # Another driver of the same unit may have asked it meanwhile.
                 self._raise_if_resting(settings, health, urgent=urgent)
-            if settings.limits.pause and (rest := self._last_exchange + settings.limits.pause - _now()) > 0.0:
-                await asyncio.sleep(rest)
-            wire = self.link.connection or await self._wire()
-            if wire is not self._greeted:
-                self._greeted = wire
-                pause = max(self.settings.pause_after_connect, self.link.hesitation)
-                self.link.hesitate(pause)
-                self._ask_from = _now() + pause
-            # Every turn waits for it: the one that begins the pause may be given up in it.
-            if (rest := self._ask_from - _now()) > 0.0:
-                await asyncio.sleep(rest)
-                if self.link.connection is not wire:
-                    raise LinkDown(f"not connected: {self.link.reason}")
-            started = _now()
+            if self.hangs_up and self._answers and request.function_code in WRITES and self.link.connection is not None:
+                # It may be hanging up at this moment, and nothing is sent twice: a write has a connection of its own.
+                self.give_up(self.link.connection, "the device ends its connections after a few answers")
+                await self.link.renewed()
+            wire, started = self.link.connection, _now()
+            # As a rule it is ready: what `_ready_to_ask` would come to.
+            if wire is None or wire is not self._greeted or settings.pause_ms or self._ask_from > started:
+                wire = await self._ready_to_ask(settings)
+                started = _now()
             if not again:
                 health.asked_at = started
             patience = self._patience(settings, health, urgent=urgent)
             most_open = 1 if self.link.suspect else 2
             line.counts["requests"] += 1
+            self._under_way += 1
             try:
                 reply = await wire.ask(request, patience, before_sending, again=again, most_open=most_open)
             except (ReplyTimeout, ReplyMismatch) as error:
@@ -188,14 +191,81 @@ class SharedLink:
                     self._is_its_own(settings, health, started)
                     self._suspect = self._suspected(settings.unit, stalled=False)
                 self.give_up(wire, str(error))
-                raise
+                raise self._turned_away(error, wire) from None
             finally:
+                self._under_way -= 1
                 self._last_exchange = _now()
             self._times.take(self._last_exchange - started)
             health.times.take(self._last_exchange - health.asked_at)
             self.link.answered(wire)
             self._note_answer(settings, health)
             return reply
+
+    async def by_hand(self, line: "UnitLine", request: ModbusPDU, deadline: float, *, again: bool) -> WireReply:
+        """Send one request once, of any unit, for somebody who looks on; its silence is held against nobody.
+
+        A connection that has ended is made anew before. `again`: see `Wire.ask`.
+        """
+        async with self._turns.turn(request.dev_id, urgent=True, probe=False):
+            if self.link.connection is None:
+                await self.link.renewed()
+            wire = await self._ready_to_ask(line.settings)
+            line.counts["requests"] += 1
+            try:
+                reply = await wire.ask(request, deadline, again=again, most_open=_MOST_OPEN_BY_HAND)
+            except DeviceException as error:
+                line.counts["exceptions"] += 1
+                self.link.answered(wire)
+                self._answered_at = _now()
+                raise explained(error, wire) from None
+            except (ReplyTimeout, ReplyMismatch) as error:
+                line.counts["timeouts" if isinstance(error, ReplyTimeout) else "mismatches"] += 1
+                raise
+            except LinkDown as error:
+                self.give_up(wire, str(error))
+                raise self._turned_away(error, wire) from None
+            finally:
+                self._last_exchange = _now()
+            self.link.answered(wire)
+            self._answered_at = _now()
+            return reply
+
+    def _turned_away(self, error: LinkDown, wire: AnyWire) -> LinkDown:
+        """The end of a connection; what it may mean where nothing has been answered on any."""
+        if self._answered_at or wire.fault is not LinkFault.CLOSED:
+            return error
+        return LinkDown(
+            f"{error} before it answered anything: it may be busy with another client (some devices serve one at a "
+            "time), or it does not accept this machine's address",
+            fault=wire.fault,
+        )
+
+    async def _ready_to_ask(self, settings: ModbusSettings) -> AnyWire:
+        """The connection, as long after its making and after the last request as the device needs. Raises LinkDown."""
+        if settings.pause_ms and (rest := self._last_exchange + settings.pause_ms / 1000 - _now()) > 0.0:
+            await asyncio.sleep(rest)
+        wire = self.link.connection or await self._wire()
+        if wire is not self._greeted:
+            self._greeted = wire
+            pause = max(self.settings.pause_after_connect, self.link.hesitation)
+            self.link.hesitate(pause)
+            self._ask_from = _now() + pause
+        # Every turn waits for it: the one that begins the pause may be given up in it.
+        if (rest := self._ask_from - _now()) > 0.0:
+            await asyncio.sleep(rest)
+            if self.link.connection is not wire:
+                raise LinkDown(f"not connected: {self.link.reason}")
+        return wire
+
+    async def ready(self) -> None:
+        """Have a connection again after `rest`. What comes of it the next exchange tells."""
+        if self.link.connection is None:
+            await self.link.renewed()
+
+    def rest(self) -> None:
+        """Leave the connection to others until the next exchange, unless a unit is being asked."""
+        if not self._turns.busy:
+            self.link.rest()
 
     @property
     def _share(self) -> float:
@@ -255,6 +325,9 @@ class SharedLink:
     def _note_life(self, settings: ModbusSettings) -> None:
         """Something has been answered: the connection lives."""
         self._answered_at, self._stall = _now(), None
+        self._answers += 1
+        if self._answers > _FEW_ANSWERS:
+            self._hang_ups = 0
         if self._suspect is not None and self._suspect.stalled and self._suspect.unit != settings.unit:
             # The others answer on the new connection. Whoever was asked when the last one stalled may have been the
             # cause: it is asked again as a silent one is.
@@ -316,7 +389,7 @@ class SharedLink:
     def give_up(self, wire: AnyWire, reason: str) -> None:
         """End this connection; the next one is waited for, so that it costs the other units nothing but that."""
         with self._noting_its_end(wire):
-            self.link.lost(wire, reason)
+            self.link.lost(wire, reason, wire.fault)
 
     @contextmanager
     def _noting_its_end(self, wire: AnyWire) -> Iterator[None]:
@@ -325,11 +398,20 @@ class SharedLink:
         yield
         if not present or self.link.connection is not None:
             return
-        self.renewing = proven and len(self.health) > 1
+        if proven and wire.fault is LinkFault.CLOSED and self._answers <= _FEW_ANSWERS:
+            self._hang_ups += 1
+        # A device that hangs up between two questions takes the next call, and so does one that has a habit of it.
+        hangs_up = wire.fault is LinkFault.CLOSED and (not self._under_way or self.hangs_up)
+        self.renewing = proven and (len(self.health) > 1 or hangs_up)
         self._made.clear()
         if self._stall is not None and self._stall.others:
             self._suspect = self._suspected(self._stall.unit, stalled=True)
         self._stall = None
+
+    @property
+    def hangs_up(self) -> bool:
+        """True for a peer that has a habit of ending connections after a few answers."""
+        return self._hang_ups > 1
 
     def suspects(self, unit: int) -> bool:
         """True for the unit with whose question the last connection ended, until another one has been asked."""
@@ -345,17 +427,19 @@ class SharedLink:
                 async with asyncio.timeout(self.settings.connect_timeout):
                     await self._made.wait()
             self.renewing = False
+        if self.link.connection is None and self.settings.close_between_scans:
+            await self.link.renewed()
         wire = self.link.connection
         if wire is None:
             one = self.settings.one_client
             hint = "; this device serves one client only: is another one connected?" if one else ""
-            raise LinkDown(f"not connected: {self.link.reason}{hint}")
+            raise LinkDown(f"not connected: {self.link.reason}{hint}", fault=self.link.fault)
         return wire
 
     async def _connect(self) -> AnyWire:
         wire = self.transport.wire(lambda reason: self.give_up(wire, reason))
         await wire.connect()
-        self.renewing = False
+        self.renewing, self._answers = False, 0
         self._made.set()
         return wire
 
@@ -420,10 +504,30 @@ class UnitLine:
         try:
             return await self._shared.exchange(self, request, before_sending, again=again, urgent=urgent)
         except LinkDown:
-            if urgent or not self._shared.renewing or self._shared.suspects(self.settings.unit):
+            written = request.function_code in WRITES
+            next_call = self._shared.renewing or self._shared.hangs_up
+            if written or not next_call or self._shared.suspects(self.settings.unit):
                 raise
-            # Another unit has ended the connection under a read, by a write or by what came, and it is asked again.
+            # Another unit has ended the connection under a read, by a write or by what came, or the device has hung up:
+            # it is asked again.
             return await self._shared.exchange(self, request, before_sending, again=False, urgent=urgent)
+
+    async def by_hand(self, request: ModbusPDU, deadline: float, *, again: bool = False) -> WireReply:
+        """Send one request once, of any unit (see `SharedLink.by_hand`)."""
+        return await self._shared.by_hand(self, request, deadline, again=again)
+
+    async def ready(self) -> None:
+        """Have a connection again after `rest`."""
+        await self._shared.ready()
+
+    def rest(self) -> None:
+        """Leave the connection to others until the next exchange."""
+        self._shared.rest()
+
+    @property
+    def proof(self) -> tuple[int, int]:
+        """It changes with each connection, and with each question to the unit that has had no answer."""
+        return self._shared.link.connects, self.counts["timeouts"] + self.counts["mismatches"]
 
     def give_up(self, wire: AnyWire, reason: str) -> None:
         """End this connection, if it is still the present one."""

@@ -23,7 +23,6 @@ class AnyWire(Protocol):
     """What every wire offers: see `Wire`."""
 
     foreign: int
-    last: bytes
     fault: LinkFault
     refusal_hint: str
 

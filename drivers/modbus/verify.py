@@ -16,8 +16,15 @@ _SHORTEST, _LONGEST = 3, 254  # the length field: unit, function and at least on
 IDENTIFY = 43
 """Function 43 with MEI type 14: the device says who it is (V1.1b3, 6.21)."""
 _MEI_IDENTITY = 14
-_TABLES = {1: "coil", 2: "discrete", 3: "holding", 4: "input", 15: "coil", 16: "holding", IDENTIFY: "identity"}
-_BITS, _REGISTERS, WRITES = frozenset({1, 2}), frozenset({3, 4}), frozenset({15, 16})
+REPORT = 17
+"""Function 17: the device says who it is in bytes of its maker's own (6.13)."""
+SAYS_WHO = frozenset({REPORT, IDENTIFY})
+"""Questions without an address; the words of their replies are the bytes of what the device says."""
+_TABLES = {1: "coil", 2: "discrete", 3: "holding", 4: "input", 5: "coil", 6: "holding", 15: "coil", 16: "holding"}
+_BITS, _REGISTERS = frozenset({1, 2}), frozenset({3, 4})
+ECHOED = frozenset({5, 6})
+"""Functions that write one address; what confirms them is the request itself (V1.1b3, 6.5, 6.6)."""
+WRITES = ECHOED | {15, 16}
 
 # V1.1b3 section 7: what the device says, and what that makes of a reading.
 EXCEPTIONS: dict[int, tuple[str, Quality]] = {
@@ -40,7 +47,7 @@ NO_WAY_TO_UNIT = frozenset({10, 11})
 
 @dataclass(frozen=True, slots=True)
 class Asked:
-    """What a request asked for, read from its own bytes."""
+    """What a request asked for, read from its own bytes; of one that writes a single address `count` is its value."""
 
     transaction: int
     unit: int
@@ -49,13 +56,15 @@ class Asked:
     count: int
 
     def __str__(self) -> str:
-        return f"{_TABLES[self.function]}:{self.address} count {self.count}"
+        if self.function in SAYS_WHO:
+            return f"function {self.function} (who are you?)"
+        return f"{_TABLES[self.function]}:{self.address} count {1 if self.function in ECHOED else self.count}"
 
 
 def asked(request: bytes) -> Asked:
-    """Read a request of function 1 to 4, 15 or 16, or of 43 (which has neither address nor count)."""
-    if request[7] == IDENTIFY:
-        return Asked(int.from_bytes(request[:2], "big"), request[6], IDENTIFY, 0, 0)
+    """Read a request of function 1 to 6, 15 or 16, or of 17 or 43 (which have neither address nor count)."""
+    if request[7] in SAYS_WHO:
+        return Asked(int.from_bytes(request[:2], "big"), request[6], request[7], 0, 0)
     transaction, _, _, unit, function, address, count = struct.unpack(">HHHBBHH", request[:12])
     return Asked(transaction, unit, function, address, count)
 
@@ -90,7 +99,8 @@ def check_reply(request: Asked, reply: bytes) -> None:
     if unit != request.unit:
         raise ReplyMismatch(
             f"{request}: the reply is from unit {unit} and unit {request.unit} was asked; if one device alone is "
-            f"behind the connection, give unit = {unit}, or answers_as = {unit}"
+            f"behind the connection, give unit = {unit}, or answers_as = {unit}",
+            remedy={"answers_as": unit},
         )
     # An exception reply has the request's function with its highest bit set (section 7).
     if function == request.function | 0x80:
@@ -103,8 +113,12 @@ def check_reply(request: Asked, reply: bytes) -> None:
     if function == IDENTIFY:
         if len(body) < 6 or body[0] != _MEI_IDENTITY:
             raise ReplyMismatch(f"{request}: the reply holds no identification")
+    elif function == REPORT:
+        if len(body) < 2 or body[0] != len(body) - 1:
+            raise ReplyMismatch(f"{request}: the reply announces {body[0]} bytes and has {len(body) - 1}")
     elif function in WRITES:
-        # A write is confirmed by its own address and count (6.11, 6.12); the values are not repeated.
+        # A write is confirmed by its own address and count (6.11, 6.12), of which the values are no part; that of one
+        # address by itself (6.5, 6.6).
         echo = struct.pack(">HH", request.address, request.count)
         if body != echo:
             raise ReplyMismatch(f"{request}: the device confirms {body.hex()} instead of {echo.hex()}")
@@ -123,10 +137,13 @@ def quality_of(code: int) -> Quality:
 
 
 def words_of(request: Asked, data: bytes) -> tuple[int, ...]:
-    """The registers, or bits as 0 and 1, in the data of a verified reply (after its byte count); none of a write's."""
+    """The registers, or bits as 0 and 1, in the data of a verified reply (after its byte count); none of a write's.
+
+    Of what a device says of itself they are its bytes, behind MEI type or byte count.
+    """
     if request.function in _REGISTERS:
         return struct.unpack(f">{request.count}H", data)
     if request.function in _BITS:
         packed = int.from_bytes(data, "little")
         return tuple(packed >> index & 1 for index in range(request.count))
-    return ()
+    return tuple(data) if request.function in SAYS_WHO else ()

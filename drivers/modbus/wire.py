@@ -21,11 +21,17 @@ from typing import Any
 
 from pymodbus.client import AsyncModbusTcpClient, AsyncModbusTlsClient
 from pymodbus.pdu import ModbusPDU
-from pymodbus.pdu.bit_message import ReadCoilsRequest, ReadDiscreteInputsRequest, WriteMultipleCoilsRequest
+from pymodbus.pdu.bit_message import (
+    ReadCoilsRequest,
+    ReadDiscreteInputsRequest,
+    WriteMultipleCoilsRequest,
+    WriteSingleCoilRequest,
+)
 from pymodbus.pdu.register_message import (
     ReadHoldingRegistersRequest,
     ReadInputRegistersRequest,
     WriteMultipleRegistersRequest,
+    WriteSingleRegisterRequest,
 )
 
 from drivers.driver import BeforeSending, Clock, anyhow
@@ -38,6 +44,8 @@ from drivers.tap import current, moved
 FLOOD = 65536
 """More than the longest frame (260 bytes) many times over. Beyond it a peer that nobody asked is flooding the line."""
 NOT_BEHIND_A_PART = "of a reply that nobody waits for {} bytes have come, and nothing is asked behind them"
+LATE = " (a reply came {:.2f} s after its request, too late: give a longer timeout)"
+ANY_ID = {"transaction_id": "any"}
 OTHER_ID = (
     ' ({} with another transaction id dropped; if all of the device\'s answers have, give transaction_id = "any")'
 )
@@ -70,8 +78,12 @@ def read_request(area: Area, start: int, count: int, unit: int) -> ModbusPDU:
     return _READS[area](address=start, count=count, dev_id=unit)
 
 
-def write_request(area: Area, start: int, words: Sequence[int], unit: int) -> ModbusPDU:
-    """The one request (function 16, for coils 15) that writes all words."""
+def write_request(area: Area, start: int, words: Sequence[int], unit: int, *, single: bool = False) -> ModbusPDU:
+    """The one request (function 16, for coils 15) that writes all words; `single`: the one word, by 6 or 5."""
+    if single:
+        if area is Area.COIL:
+            return WriteSingleCoilRequest(address=start, bits=[bool(words[0])], dev_id=unit)
+        return WriteSingleRegisterRequest(address=start, registers=[words[0]], dev_id=unit)
     if area is Area.COIL:
         return WriteMultipleCoilsRequest(address=start, bits=[bool(word) for word in words], dev_id=unit)
     return WriteMultipleRegistersRequest(address=start, registers=list(words), dev_id=unit)
@@ -91,10 +103,7 @@ class Secured:
 
 
 class Wire:
-    """A connection, from `connect` to `abandon`, for one exchange at a time. `on_lost` hears why it broke.
-
-    `last` is the unit and the PDU of the last reply that answered a request.
-    """
+    """A connection, from `connect` to `abandon`, for one exchange at a time. `on_lost` hears why it broke."""
 
     def __init__(
         self,
@@ -124,8 +133,9 @@ class Wire:
         self._sent = self._received = 0.0
         self._stream = ReplyStream(ids, self._take_frame, self._break_cut)
         self._unasked = 0
+        # How late (s) something came during this exchange that had been given up; 0: nothing did.
+        self._late = 0.0
         self.foreign = 0
-        self.last = b""
         self.fault = LinkFault.OTHER
         self.refusal_hint = secured.refusal_hint if secured else ""
         self._tap = current()
@@ -201,14 +211,16 @@ class Wire:
         if not isinstance(transport, asyncio.Transport):
             raise LinkDown("the connection is closed")
         loop = asyncio.get_running_loop()
-        foreign, self._request = self.foreign, None
+        foreign, self._request, self._late = self.foreign, None, 0.0
 
         def too_late() -> None:
             others, part = self.foreign - foreign, self._stream.unfinished
-            why = OTHER_ID.format(others) if others else ""
+            late = self._late
+            why = LATE.format(late) if late else OTHER_ID.format(others) if others else ""
+            remedy = ANY_ID if others and not late and not part else None
             why = f" ({len(part)} bytes of one came)" if part else why
             sentence = f"{self._request}: no reply within {deadline:.3g} s{why}"
-            self._fail(ReplyTimeout(sentence))
+            self._fail(ReplyTimeout(sentence, remedy=remedy))
             if part:
                 self._break_cut(sentence)  # bytes of the next reply would make it whole
 
@@ -286,11 +298,16 @@ class Wire:
         if question is not None:
             self._ids.answered(number)
         self._any_answer.set()
-        if request is None or outcome is None or outcome.done() or question is None:
-            self.foreign += 1
-            return
         # An earlier attempt at this very question is answered as well; the same asked by an earlier reading is not.
-        if number not in self._attempts or replace(question, transaction=request.transaction) != request:
+        if (
+            request is None
+            or outcome is None
+            or outcome.done()
+            or question is None
+            or number not in self._attempts
+            or replace(question, transaction=request.transaction) != request
+        ):
+            self._late = self._clock() - sent if question is not None else self._late
             self.foreign += 1
             return
         self._received, self._request = self._clock(), None
@@ -299,7 +316,7 @@ class Wire:
         except (ReplyMismatch, DeviceException) as error:
             self._fail(error)
             return
-        self._sent, self._unasked, self.last = sent, 0, frame[6:]
+        self._sent, self._unasked = sent, 0
         outcome.set_result(WireReply(words_of(request, frame[9:]), sent, self._received))
 
     def _disconnected(self, exc: Exception | None) -> None:

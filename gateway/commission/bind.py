@@ -23,7 +23,7 @@ from gateway.commission.files import (
     settings_of,
     template,
 )
-from gateway.commission.options import SharedOptions, link_options
+from gateway.commission.options import SharedOptions, bit_option, link_options
 from gateway.commission.read import ORDERS, TYPES
 from gateway.commission.session import read_records
 from gateway.commission.survey import parse_register
@@ -45,7 +45,7 @@ def _one_or_several(_: click.Context, __: click.Parameter, numbers: Sequence[flo
 @click.option("--order", type=click.Choice(ORDERS), help="Byte and word order (ABCD).")
 @click.option("--scale", type=float, help="Engineering units per count (1).")
 @click.option("--offset", type=float, help="Engineering units at raw 0 (0).")
-@click.option("--bit", type=click.IntRange(0, 15), help="One bit of the register.")
+@bit_option
 @click.option("--length", type=click.IntRange(1), help="Bytes of a string.")
 @click.option("--guess", "rank", type=click.IntRange(1), help="Bind what the last guess found; 1 is its best.")
 @click.option("--units", help="The engineering unit as text, such as degC.")

@@ -187,11 +187,13 @@ def _contract(site: Site) -> list[CheckStep]:
     problems = list(problems_of(site, device))
     if problems:
         return [warning("write-back", problem) for problem in problems]
+    plan = read_plan(site.target.driver, site.target.settings, device.tags, device.block_words)
+    by = f"; by {plan.written_by}" if plan is not None and plan.written_by else ""
     return [
         ok(
             "write-back",
             f"{f'{layout.temperature}: ' if layout.temperature else ''}{len(layout.words)} words from "
-            f"{layout.words[0].address}, layout version {layout.version}",
+            f"{layout.words[0].address}, layout version {layout.version}{by}",
         )
         for layout in device.writebacks
     ]

@@ -27,7 +27,7 @@ from gateway.commission.files import (
     settings_of,
     template,
 )
-from gateway.commission.options import SharedOptions, link_options
+from gateway.commission.options import SharedOptions, link_options, only_option
 from gateway.commission.read import ORDERS
 from gateway.console import CommandResult
 
@@ -74,7 +74,7 @@ def reading_of(options: Mapping[str, Any], **more: Any) -> Reading:
     help="The table of bare numbers.",
 )
 @as_listed
-@click.option("--only", multiple=True, metavar="TAG", help="Only this tag; may be given again.")
+@only_option
 @click.option("--without", multiple=True, metavar="TAG", help="Leave this tag out; may be given again.")
 @click.option("--rename", multiple=True, metavar="OLD=NEW", callback=pairs, help="Give a tag of the list another name.")
 @click.option("--skip-bad", is_flag=True, help="Leave out rows that cannot be used.")

@@ -11,7 +11,7 @@ import click
 
 from drivers.driver import Explains, PlanKind
 from drivers.survey import read_plan
-from gateway.commission.options import SharedOptions, audit_option, link_options
+from gateway.commission.options import SharedOptions, audit_option, link_options, period_option
 from gateway.commission.session import Site, audit_path, device_of, perform, period_of, words_of
 from gateway.commission.survey import parse_register, reference_of
 from gateway.commission.writeback.write_plan import plan_writing, writing_view
@@ -75,7 +75,7 @@ def _reference(place: str, count: int) -> str:
 
 
 @click.command(short_help="The requests of one scan, and their longest time; with --write what would be written.")
-@click.option("--period", type=click.FloatRange(0.01), help="Seconds between two scans.  [default: the plant file's]")
+@period_option
 @click.option("--write", is_flag=True, help="What the gateway would write instead, word by word, and what is missing.")
 @audit_option
 @link_options

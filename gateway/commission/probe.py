@@ -1,8 +1,10 @@
 """`decanter plc probe`: is the device there, does it speak, and who is it? The first step that fails ends it."""
 
+import json
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AsyncExitStack, suppress
+from dataclasses import replace
 from math import ceil
 from statistics import median
 from typing import Any
@@ -38,7 +40,7 @@ from gateway.commission.survey import (
     not_modbus,
     probe_bus,
 )
-from gateway.console import CommandResult
+from gateway.console import CommandResult, Part
 
 ROUND_TRIPS = 10
 TIMEOUTS_S = (0.2, 0.3, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 5.0, 10.0, 20.0, 30.0, 60.0)
@@ -47,6 +49,13 @@ QUIET_S = 0.25
 """A first answer that takes longer than this and than all others comes of a device that is silent at first."""
 OTHER_UNITS = (1, 255, 0, 2, 247)
 """Asked when the given unit is silent: what devices and gateways use where nothing was set."""
+MOST_REMEDIES = 3
+"""Settings that are tried on a device that answers in an unusual way."""
+_HABITS = {
+    "transaction_id": "its answers have another transaction id than the request",
+    "answers_as": "its answers are from another unit than the one that is asked",
+    "echo": "the adapter gives back what is sent, or no longer does",
+}
 _TABLES = ("coil", "discrete", "input", "holding")
 
 
@@ -95,10 +104,33 @@ async def _probe_modbus(site: Site, steps: list[CheckStep], facts: dict[str, Any
             steps.append(failed("route", sentence, LinkDown(sentence)))
             return
         steps.append(ok("route", f"from {facts['local']} to {facts['addresses'][0]}"))
+    habits: dict[str, Any] = {}
+    failures: list[CheckStep] = []
+    while True:
+        tried: list[CheckStep] = []
+        remedy = await _asked(site, habits, tried, facts)
+        failures = failures or tried
+        if not remedy or remedy.items() <= habits.items() or len(habits) >= MOST_REMEDIES:
+            break
+        # What comes in an unusual way may be read by another setting: it is tried, and kept if it brings an answer.
+        habits |= remedy
+    # Of several tries that bring no answer the first one says what is wrong.
+    steps += tried if remedy is None else failures
+    if remedy is None and habits:
+        facts["habits"] = {**facts.get("habits", {}), **habits}
+        for key, value in habits.items():
+            steps.append(warning("habit", f"{_HABITS[key]}: {_toml(key, value)} in [device] of the device file"))
+
+
+async def _asked(
+    site: Site, habits: Mapping[str, Any], steps: list[CheckStep], facts: dict[str, Any]
+) -> Mapping[str, Any] | None:
+    """Connection, first reply, who it is: None; else the settings by which what came may be read, empty for none."""
+    settings = site.target.settings
     patience = settings.get("connect_timeout", CONNECT_S)
     async with AsyncExitStack() as stack:
         try:
-            survey = await stack.enter_async_context(site.registers(connect_timeout=patience))
+            survey = await stack.enter_async_context(site.registers(connect_timeout=patience, **habits))
         except LinkDown as error:
             sentence = (
                 f"{error}: is the adapter plugged in, is another program using it, and may this user open it (dialout)?"
@@ -106,11 +138,18 @@ async def _probe_modbus(site: Site, steps: list[CheckStep], facts: dict[str, Any
             if "host" in settings:
                 sentence = connect_sentence(str(settings["host"]), port_of(settings), error)
             steps.append(failed("connection", sentence, error))
-            return
+            return {}
         steps.append(ok("connection", f"{site.target.place} is open"))
-        first = await _speaks(site, survey, steps)
-        if first is not None:
-            await _facts(survey, first, steps, facts)
+        found = await _speaks(site, survey, steps)
+        if isinstance(found, Register):
+            await _facts(site, survey, found, steps, facts)
+            return None
+        return found
+
+
+def _toml(key: str, value: object) -> str:
+    """A setting as it stands in a file."""
+    return f"{key} = {str(value).lower() if isinstance(value, bool) else json.dumps(value)}"
 
 
 def port_of(settings: Mapping[str, Any]) -> int:
@@ -121,8 +160,8 @@ def port_of(settings: Mapping[str, Any]) -> int:
 # ---------------------------------------------------------------- does it speak Modbus
 
 
-async def _speaks(site: Site, survey: AsksRegisters, steps: list[CheckStep]) -> Register | None:
-    """Whether the unit answers; the register that was asked, None where the probe ends here."""
+async def _speaks(site: Site, survey: AsksRegisters, steps: list[CheckStep]) -> Register | Mapping[str, Any]:
+    """Whether the unit answers; the register that was asked, or where the probe ends here settings that may help."""
     settings = site.target.settings
     register = first_register(site.target)
     unit = int(settings.get("unit", 1))
@@ -134,7 +173,7 @@ async def _speaks(site: Site, survey: AsksRegisters, steps: list[CheckStep]) -> 
             text = f"a gateway answers for unit {unit} that it cannot reach it (exception {error.code})"
             text += _hint(await _other_units(survey, unit))
             steps.append(failed("modbus", text, error))
-            return None
+            return {}
         # Any other exception is the unit's own: it speaks Modbus, and merely has no such register.
         took = 1e3 * (time.monotonic() - begun)
         steps.append(ok("modbus", f"unit {unit} answers in {took:.1f} ms, with a refusal: {error}"))
@@ -149,7 +188,7 @@ async def _speaks(site: Site, survey: AsksRegisters, steps: list[CheckStep]) -> 
                 'transaction_id = "any", or a longer timeout if they only come late'
             )
             steps.append(failed("modbus", sentence, error))
-            return None
+            return error.remedy
         cause: ReplyTimeout | LinkDown = error
         other = LINKS[site.target.kind].mistaken_for if site.target.kind in LINKS else ""
         if not others and other:
@@ -165,18 +204,18 @@ async def _speaks(site: Site, survey: AsksRegisters, steps: list[CheckStep]) -> 
                     "all units"
                 )
         steps.append(failed("modbus", sentence, cause))
-        return None
+        return error.remedy
     except ReplyMismatch as error:
         keeps = "" if "answers_as" in str(error) else ": what answers does not keep to the protocol"
         steps.append(failed("modbus", f"{error}{keeps}", LinkDown(str(error))))
-        return None
+        return error.remedy
     except LinkDown as error:
         # The peer was there and broke off: it speaks another protocol, or it is busy.
         received = site.evidence.greeting
         foreign = received and (error.fault is LinkFault.FOREIGN or looks_like(received))
         sentence = not_modbus(port_of(settings), received) if foreign else str(error)
         steps.append(failed("modbus", sentence, error))
-        return None
+        return {}
     else:
         steps.append(ok("modbus", f"unit {unit} answers in {1e3 * words.seconds:.1f} ms"))
     return register
@@ -209,12 +248,40 @@ def _hint(others: Sequence[int]) -> str:
 # ---------------------------------------------------------------- who is it
 
 
-async def _facts(survey: AsksRegisters, register: Register, steps: list[CheckStep], facts: dict[str, Any]) -> None:
-    try:
+async def _identity(site: Site, survey: AsksRegisters, steps: list[CheckStep], facts: dict[str, Any]) -> None:
+    """Who the device says it is (functions 43 and 17), held against what is pinned."""
+    said: dict[str, str] = {}
+    with suppress(DeviceException, ReplyTimeout, ReplyMismatch, LinkDown):
         facts["identity"] = dict(await survey.identity())
-        steps.append(ok("identity", ", ".join(f"{name} {text}" for name, text in facts["identity"].items()) or "empty"))
-    except (DeviceException, ReplyTimeout, ReplyMismatch):
-        steps.append(warning("identity", "the device does not say who it is (function 43), as most do not"))
+        said |= {name: text for name, text in facts["identity"].items() if text}
+    with suppress(DeviceException, ReplyTimeout, ReplyMismatch, LinkDown):
+        if text := await survey.server_id():
+            facts["server_id"] = said["server id"] = text
+    if said:
+        steps.append(ok("identity", ", ".join(f"{name} {text}" for name, text in said.items())))
+    else:
+        steps.append(warning("identity", "the device does not say who it is (functions 43 and 17), as most do not"))
+    if site.target.settings.get("identity"):
+        try:
+            reason = await survey.stranger()
+        except DriverError as error:
+            steps.append(failed("pinned", f"whether this is the pinned device is not known: {error}", error))
+            return
+        steps.append(failed("pinned", reason, LinkDown(reason)) if reason else ok("pinned", "it is the pinned device"))
+    elif said:
+        facts["proposed_identity"] = said
+        marks = ", ".join(f"{json.dumps(name)} = {json.dumps(text)}" for name, text in said.items())
+        sentence = (
+            f"identity = {{ {marks} }} in [device] tells it from another kind; from its twin a serial number in "
+            'registers does, as "holding:300-307" = "..."'
+        )
+        steps.append(ok("proposal", sentence))
+
+
+async def _facts(
+    site: Site, survey: AsksRegisters, register: Register, steps: list[CheckStep], facts: dict[str, Any]
+) -> None:
+    await _identity(site, survey, steps, facts)
     facts["tables"] = tables = {}
     for table in _TABLES:
         try:
@@ -240,7 +307,7 @@ async def _facts(survey: AsksRegisters, register: Register, steps: list[CheckSte
     first, slowest = survey.statistics().get("seconds_to_first", 0.0), facts["round_trip_ms"]["max"] / 1e3
     if first > QUIET_S and first > 4 * slowest:
         pause = 0.1 * ceil(10 * first)
-        facts["habits"] = {"pause_after_connect": pause}
+        facts["habits"] = {**facts.get("habits", {}), "pause_after_connect": pause}
         sentence = f"answers nothing for up to {first:.1f} s after connecting: pause_after_connect = {pause:.1f}"
         steps.append(warning("habit", sentence))
     timeout, attempts = propose_timeout(facts["round_trip_ms"]["max"] / 1e3)
@@ -259,11 +326,42 @@ def propose_timeout(slowest: float) -> tuple[float, int]:
 
 
 @click.command()
+@click.option("--write", is_flag=True, help="Put the habits that are found into the device file (--device, --config).")
+@click.option("--pin", is_flag=True, help="With --write: put who the device says it is there too, as its identity.")
 @link_options
-def probe(given: SharedOptions) -> None:
+def probe(given: SharedOptions, write: bool, pin: bool) -> None:
     """Is the device there, does it speak, and who is it?
 
     Name, route, connection, first reply, identity, tables and round trip; for CAN the bus, its traffic and the node.
     Each step that fails has its own sentence. Nothing but reads is sent.
     """
-    perform(given, "probe", {}, probe_device, step_lines)
+    if pin and not write:
+        raise click.UsageError("--pin says what --write puts into the device file: give both")
+    if write and given.plant is None and given.device is None:
+        raise click.UsageError("--write puts what is found into a device file: give --device FILE or --config FILE")
+
+    async def work(site: Site) -> CommandResult:
+        result = await probe_device(site)
+        return _kept(given, result, pin=pin) if write and not result.complaint else result
+
+    perform(given, "probe", {"write": write, "pin": pin}, work, _view)
+
+
+def _kept(given: SharedOptions, result: CommandResult, *, pin: bool) -> CommandResult:
+    """What was found, in the device file. Raises ConfigError or OSError."""
+    # What changes files loads more than a probe needs.
+    from gateway.commission.files import FileChange, carry_out, find_files, template
+
+    found = dict(result.data.get("habits", {}))
+    if pin:
+        found |= {"identity": identity} if (identity := result.data.get("proposed_identity")) else {}
+    files = find_files(given.plant, given.device, given.link, given.settings, given.machine)
+    done = carry_out(files, FileChange(device=found), template(), dry_run=False) if found else {"written": False}
+    return replace(result, data={**result.data, **done})
+
+
+def _view(data: Mapping[str, Any]) -> Iterator[Part]:
+    yield from step_lines(data)
+    if "written" in data:
+        kept = f" (before: {', '.join(data['backups'])})" if data.get("backups") else ""
+        yield f"written: {', '.join(data['files'])}{kept}" if data["written"] else "nothing to write: the file says so"

@@ -14,7 +14,7 @@ from drivers.codec import registers_needed
 from drivers.driver import Explains, PlanKind
 from drivers.survey import Raw
 from drivers.tag import DType, Order, Quality, Tag
-from gateway.commission.options import SharedOptions, link_options
+from gateway.commission.options import SharedOptions, bit_option, link_options
 from gateway.commission.session import Site, perform, read_through, running_gateway
 from gateway.commission.survey import SDO_S, AddressTextError, parse_stretch, reference_of
 from gateway.console import CommandResult, Part, Rows
@@ -63,15 +63,10 @@ def tags_of(site: Site, wanted: Sequence[str], how: How) -> list[Tag]:
             except AddressTextError as error:
                 others = f", and no tag of the device file, which has {', '.join(known)}" if known else ""
                 raise ValueError(f"{error}{others}") from None
-            places = [first.moved(step * width_of(plain)) for step in range(max(count, how.count))]
+            places = [first.moved(step * registers_needed(plain)) for step in range(max(count, how.count))]
             kind = DType.BOOL if first.is_bit else dtype
             tags += [replace(plain, name=str(place), address=str(place), dtype=kind) for place in places]
     return tags
-
-
-def width_of(tag: Tag) -> int:
-    """How many registers the tag covers (a bit table's entry: 1)."""
-    return registers_needed(tag)
 
 
 async def read_tags(site: Site, wanted: Sequence[str], how: How) -> CommandResult:
@@ -172,7 +167,7 @@ ORDERS = ("ABCD", "CDAB", "BADC", "DCBA")
 @click.option("--order", type=click.Choice(ORDERS), default="ABCD", show_default=True, help="Byte and word order.")
 @click.option("--scale", type=float, default=1.0, help="Engineering units per count.")
 @click.option("--offset", type=float, default=0.0, help="Engineering units at raw 0.")
-@click.option("--bit", type=click.IntRange(0, 15), help="One bit of the register.")
+@bit_option
 @click.option("--length", type=click.IntRange(1), default=2, help="Bytes of a string.")
 @click.option("--count", type=click.IntRange(1, 2000), default=1, help="So many values in a row.")
 @link_options

@@ -17,7 +17,7 @@ from drivers.errors import DriverError, LinkDown
 from drivers.survey import read_plan
 from drivers.tag import Quality, Sample
 from gateway.commission.files import ScanRecorder
-from gateway.commission.options import SharedOptions, link_options
+from gateway.commission.options import SharedOptions, link_options, period_option
 from gateway.commission.session import Site, device_of, mention_gateway, perform, period_of, words_of
 from gateway.console import CommandResult, Part, Progress, Rows, progress
 from gateway.repeated import without_measured
@@ -33,12 +33,16 @@ _WAITING = Quality.WAITING_FOR_INITIAL_DATA
 
 @dataclass(slots=True)
 class SoakTally:
-    """What was counted: the seconds of each scan, the ages (s) of readings, scans with a bad tag, missed ticks."""
+    """What was counted: the seconds of each scan, the ages (s) of readings, scans with a bad tag, missed ticks.
+
+    `silent` are the scans in which the device was silent about a tag.
+    """
 
     seconds: list[float] = field(default_factory=list)
     ages: list[float] = field(default_factory=list)
     with_bad: int = 0
     all_bad: int = 0
+    silent: int = 0
     missed: int = 0
     bad: Counter[str] = field(default_factory=Counter)
     reasons: Counter[str] = field(default_factory=Counter)
@@ -50,6 +54,7 @@ class SoakTally:
         self.seconds.append(seconds)
         self.with_bad += bool(bad)
         self.all_bad += len(bad) == len(samples)
+        self.silent += any(sample.quality is Quality.TIMEOUT for sample in bad)
         self.bad.update(sample.tag for sample in bad)
         # A reason with a value in it is another one in each scan: the first of its kind stands for all.
         self.reasons.update({self.kinds.setdefault(without_measured(sample.reason), sample.reason) for sample in bad})
@@ -160,23 +165,27 @@ def _summary(
         complaint = f"{tally.with_bad} of {scans} scans had a tag that was not good, mostly {tag} ({times} times)"
     elif tally.missed:
         complaint = f"{tally.missed} ticks were missed in {scans} scans: the period is too short for this device"
-    if complaint and (cure := _cure_of_timeouts(site, data, counted)):
+    if complaint and (cure := _cure_of_silence(site, tally, counted)):
         complaint, data["recommended_period_s"] = f"{complaint}; {cure}", None
     return CommandResult(data, complaint)
 
 
-def _cure_of_timeouts(site: Site, data: Mapping[str, Any], counted: Mapping[str, float]) -> str:
-    """What is to be done where requests were given up; "" where none was. A longer period brings no reply sooner."""
-    if not data["timeouts"] or not site.target.capabilities.registers:
+def _cure_of_silence(site: Site, tally: SoakTally, counted: Mapping[str, float]) -> str:
+    """What is to be done where the device was silent; "" where it never was. A longer period brings no reply sooner."""
+    if not tally.silent:
         return ""
     timeout = site.target.settings.get("timeout")
     within = f"the timeout of {timeout:g} s" if isinstance(timeout, int | float) else "the timeout"
+    proposal = " (`decanter plc probe` proposes one)" if site.target.capabilities.registers else ""
     # A reply to a question that was given up already is dropped as foreign: it did come, too late.
     if counted.get("foreign_replies", 0):
-        return f"replies came after {within}: give a longer one in [device] (`decanter plc probe` proposes it)"
+        return f"replies came after {within}: give a longer one in [device]{proposal}"
+    asked = int(counted.get("timeouts", 0))
+    if not asked:
+        return f"it was silent in {tally.silent} scans: does its program stand still? A longer period does not help"
     return (
-        f"{data['timeouts']} requests had no reply within {within}: is the device slower than that (`decanter plc "
-        "probe` proposes a timeout), or does its program stand still? A longer period does not help"
+        f"{asked} requests had no reply within {within}: is the device slower than that, and needs a longer one"
+        f"{proposal}, or does its program stand still? A longer period does not help"
     )
 
 
@@ -194,7 +203,7 @@ def recommend_period(seconds: Sequence[float], factor: float = 1.0) -> float:
 
 @click.command(short_help="Read for a longer time: cycle times, losses, the period to be recommended.")
 @click.option("--seconds", type=click.FloatRange(0.1), default=60.0, show_default=True, help="For how long.")
-@click.option("--period", type=click.FloatRange(0.01), help="Seconds between two scans.  [default: the plant file's]")
+@period_option
 @click.option("--record", type=click.Path(path_type=Path), help="Keep the readings in this CSV, one row a scan.")
 @link_options
 def soak(given: SharedOptions, seconds: float, period: float | None, record: Path | None) -> None:

@@ -14,7 +14,7 @@ from drivers.device_file import STATUS_TAGS
 from drivers.tag import Tag, Value
 from gateway.commission.files import ListError, SiteRecording, read_recording
 from gateway.commission.hmi import HmiReading, Point, compare, left_to_do, points_of, read_hmi_list
-from gateway.commission.options import SharedOptions, link_options
+from gateway.commission.options import SharedOptions, link_options, only_option
 from gateway.commission.read import read_raw, shown_value
 from gateway.commission.session import Site, device_of, perform, read_records
 from gateway.console import CommandResult, Part, Rows
@@ -188,7 +188,7 @@ _FILE = click.Path(path_type=Path)
 
 @click.command(short_help="Compare with the HMI: two values per analogue, both states per bool.")
 @click.option("--against", "listed", type=_FILE, help="Readings of the HMI (CSV, XLSX): tag, value and, if any, time.")
-@click.option("--only", multiple=True, metavar="TAG", help="Only this tag; may be given again.")
+@only_option
 @click.option("--readings", type=_FILE, help="For readings with times: what was recorded (soak --record, historian).")
 @click.option("--within", type=click.FloatRange(0), default=2.0, show_default=True, help="Seconds around such a time.")
 @click.option("--clock-offset", type=float, default=0.0, help="Seconds by which the HMI's clock is ahead.")

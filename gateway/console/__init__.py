@@ -9,6 +9,6 @@ from gateway.console.options import (
     seed_option,
     socket_option,
 )
-from gateway.console.output import Progress, emit, make_folder, progress, table
+from gateway.console.output import Progress, make_folder, progress, table
 from gateway.console.places import SERVICE_FOLDER, config_dir, find_plant_file, service_of, shipped
-from gateway.console.result import CommandResult, Line, Part, Rows, View, conclude
+from gateway.console.result import CommandResult, Drawing, Line, LongText, Part, Rows, View, conclude

@@ -6,8 +6,6 @@ from math import isfinite
 from pathlib import Path
 from typing import Any, Literal
 
-from gateway.entry import print_json
-
 LONGEST_WORD = 28
 """Characters of a table's word that is kept whole: any number, a time, an address, most names."""
 EASY_READING = 20
@@ -102,9 +100,8 @@ def progress(title: str) -> Iterator[Progress]:
         yield report
 
 
-def emit(data: Mapping[str, Any], show: Callable[[], None], *, as_json_line: bool) -> None:
-    """One JSON object for machines, or what `show` prints for people."""
-    if as_json_line:
-        print_json(data)
-    else:
-        show()
+def draw(renderable: Any) -> None:
+    """Draw what the library rich draws, as wide as the terminal."""
+    from rich.console import Console
+
+    Console().print(renderable)

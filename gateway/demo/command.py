@@ -13,7 +13,18 @@ import click
 import numpy as np
 from rich.console import Console
 
-from gateway.console import config_dir, emit, finite, map_option, progress, seed_option, shipped, table
+from gateway.console import (
+    CommandResult,
+    Part,
+    Rows,
+    conclude,
+    config_dir,
+    finite,
+    map_option,
+    progress,
+    seed_option,
+    shipped,
+)
 from gateway.demo.child import DemoError
 from gateway.demo.folder import clear, held
 from gateway.demo.heat import alarm_rows, headline
@@ -118,9 +129,8 @@ def demo(
             f"stopped before the end; PLC and gateway are stopped too, and what there is lies in {out}",
             Exit.INTERRUPTED,
         )
-    emit(data, lambda: show(data), as_json_line=as_json)
-    if data["wrong_good"]:
-        fail(f"{data['wrong_good']} wrong values were held for good", Exit.CHECK_FAILED)
+    complaint = f"{data['wrong_good']} wrong values were held for good" if data["wrong_good"] else ""
+    conclude(CommandResult(data, complaint), lambda _: show(data), as_json=as_json)
 
 
 @contextmanager
@@ -241,7 +251,7 @@ def learn_each(
     return learned, refused
 
 
-def show(data: dict[str, Any]) -> None:
+def show(data: dict[str, Any]) -> Iterator[Part]:
     """Print the summary."""
     written, outage = data["writeback"], data["outage"]
     latency = written["latency_ms"]
@@ -257,17 +267,16 @@ def show(data: dict[str, Any]) -> None:
     ]
     caveat = "SYNTHETIC data, " if data["synthetic"] else ""
     if (heat := data["heat"]) is not None:
-        click.echo(headline(heat))
+        yield headline(heat)
         ahead = f"alarm: the limit within {AHEAD_S / 60:.0f} min"
-        table("of the same readings", (ahead, "lead time", "false alarms"), alarm_rows(heat))
+        yield Rows("of the same readings", (ahead, "lead time", "false alarms"), alarm_rows(heat))
     title = f"summary: {caveat}{data['trace']}, {data['rows']} rows, {data['speed']:.0f} times real time"
-    table(title, ("what", "figure"), rows)
+    yield Rows(title, ("what", "figure"), rows)
     bearings = [bearing_row(bearing) for bearing in data["bearings"]]
-    table("each bearing; blocks that the PLC has accepted/refused", BEARING_COLUMNS, bearings)
-    for sentence in findings(data):
-        click.echo(sentence)
-    click.echo(f"picture: {data['picture']}")
-    click.echo(f"log: {data['log']}")
+    yield Rows("each bearing; blocks that the PLC has accepted/refused", BEARING_COLUMNS, bearings)
+    yield from findings(data)
+    yield f"picture: {data['picture']}"
+    yield f"log: {data['log']}"
 
 
 def _error(error: dict[str, float]) -> str:

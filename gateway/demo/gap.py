@@ -1,16 +1,14 @@
 """`decanter demo --discrepancy`: a plant that changes unseen; the hidden effect found, named, added to the model."""
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import click
-
-from gateway.console import emit, make_folder, progress, shipped
+from gateway.console import CommandResult, Part, conclude, make_folder, progress, shipped
 from gateway.demo.folder import held
-from gateway.entry import Exit, fail, sentences
+from gateway.entry import sentences
 from gateway.lab.gap.diagnose import DiagnosisRequest, roles_of, run
 from gateway.lab.learning.learn import learn_from, write
 from sim.lab.discrepancy import LEAST_TOLD_SHARE
@@ -94,9 +92,8 @@ def demonstrate(seed: int, out: Path, *, as_json: bool) -> None:
     """Run it in `out` and say what came out; leaves with code 1 when a wrong effect was named."""
     with sentences(), held(out):
         data = perform(seed, out)
-    emit(data, lambda: show(data), as_json_line=as_json)
-    if data["wrong"]:
-        fail("an effect was named that is not the hidden one", Exit.CHECK_FAILED)
+    complaint = "an effect was named that is not the hidden one" if data["wrong"] else ""
+    conclude(CommandResult(data, complaint), lambda _: show(data), as_json=as_json)
 
 
 def perform(seed: int, out: Path) -> dict[str, Any]:
@@ -119,12 +116,12 @@ def perform(seed: int, out: Path) -> dict[str, Any]:
     return figures(document(result.diagnosis), folder)
 
 
-def show(data: dict[str, Any]) -> None:
+def show(data: dict[str, Any]) -> Iterator[Part]:
     """Print the summary."""
-    click.echo("decanter demo: a hidden effect (SYNTHETIC data, not measured on a plant)")
+    yield "decanter demo: a hidden effect (SYNTHETIC data, not measured on a plant)"
     for sentence in summary_of(data):
-        click.echo(f"  {sentence}")
+        yield f"  {sentence}"
     if data["model_after"]:
-        click.echo(f"new model: {data['model_after']}")
-    click.echo(f"picture: {data['picture']}")
-    click.echo(f"report: {data['report']}")
+        yield f"new model: {data['model_after']}"
+    yield f"picture: {data['picture']}"
+    yield f"report: {data['report']}"

@@ -33,7 +33,7 @@ from gateway.machine.reading import Clock, LinkHealth, PlantClock, Redundant, Sc
 from gateway.machine.records import Keeper, Records
 from gateway.machine.trust import ClockCheck, RecordsWatch, Surroundings
 from gateway.machine.writing import Arming, ArmingError, WritebackStage, end_by_mode, keep_disarming
-from gateway.settings import ALARM_KINDS, Config, WritebackLayout
+from gateway.settings import ALARM_KINDS, Config, MachineSigns, WritebackLayout
 from gateway.store import FIXED, NO_PROCESS, AuditError, HistorianError, saved_state, to_trace
 
 if TYPE_CHECKING:
@@ -294,8 +294,9 @@ class Machine:
                     self.counters.take_events(one.prediction)
 
             self._look_at_itself(scan)
+            signs = self._signs(scan)
             findings |= {
-                name: find(self, scan)
+                name: find(signs)
                 for name, condition in self.alarms.conditions.items()
                 if (find := ALARM_KINDS[condition.kind].finding) is not None
             }
@@ -336,6 +337,28 @@ class Machine:
             reason = self.clock_complaint or "it agrees with the records again"
             event = "the clock cannot be relied on" if self.clock_complaint else "the clock can be relied on again"
             self.log.warning(event, reason=reason)
+
+    def _signs(self, scan: Scan) -> MachineSigns:
+        """What the machine and its plant show their alarms at this scan."""
+        predictions = [one.prediction for one in self.followed if one.prediction is not None]
+        return MachineSigns(
+            config=self.config,
+            good=scan.good,
+            worst_inputs=tuple(float(prediction.worst) for prediction in predictions),
+            link_alive=self.link.alive,
+            records_complaint=self.records_watch.complaint,
+            failed_parts=self.records_watch.failed_parts,
+            missing_parts=self.missing_parts,
+            clock_complaint=self.clock_complaint,
+            clock_speed=self.clock.speed,
+            clock_error=self.surroundings.clock_error,
+            free_mb=self.surroundings.free_mb,
+            certificate_days=self.surroundings.days,
+            undelivered=self.common.undelivered(),
+            unreached=self.common.unreached(),
+            complaints=self.complaints(),
+            rival=None if self.writing is None else self.writing.rival(scan.time),
+        )
 
     async def _disarm_without_records(self, now: float) -> None:
         """Disarm once it has been too long that a write would not be on record."""

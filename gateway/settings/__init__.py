@@ -8,6 +8,7 @@ from gateway.settings.alarm_kinds import (
     PLANT,
     AlarmKind,
     AlarmPlace,
+    MachineSigns,
     alarm_subject,
     kind_of,
     settings_of,

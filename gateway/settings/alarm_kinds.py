@@ -1,10 +1,10 @@
 """The kinds of alarms a machine may have, in one table, and what a plant file may say of each."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from math import isinf
 from shlex import join
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import Field, field_validator
 
@@ -19,104 +19,31 @@ MOST_URGENT, LEAST_URGENT = 1, 4
 """The priorities: 1 is the most urgent."""
 
 
-class PredictionSeen(Protocol):
-    """What is seen of a prediction: how the `worst` of its inputs is, 0 good, 1 uncertain, 2 bad."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MachineSigns:
+    """What a machine and its plant show their alarms at a scan, beside what sensors and models find.
 
-    @property
-    def worst(self) -> int: ...
+    `good` gives the scan's reading of a tag, None for a bad one; `worst_inputs` how the worst input of each prediction
+    is: 0 good, 1 uncertain, 2 bad. Texts are "" where nothing is wrong, numbers None where they are not known; `rival`
+    is None where nothing is written. `clock_speed` is in plant seconds a real one, `clock_error` in s, `free_mb` in MB.
+    """
 
-
-class FollowedSeen(Protocol):
-    """What is seen of a temperature that a model follows; None without one."""
-
-    @property
-    def prediction(self) -> PredictionSeen | None: ...
-
-
-class RecordsSeen(Protocol):
-    """What is wrong with the records, and which other parts failed ("": nothing)."""
-
-    complaint: str
+    config: "Config"
+    good: Callable[[str], float | None]
+    worst_inputs: tuple[float, ...]
+    link_alive: bool
+    records_complaint: str
     failed_parts: str
-
-
-class SurroundingsSeen(Protocol):
-    """The room left (MB), the days until a certificate runs out, the clock's error (s); None: not known."""
-
-    free_mb: float | None
-    days: float | None
-    clock_error: float | None
-
-
-class PlantSeen(Protocol):
-    """Whom messages about alarms do not reach, and which systems are out of reach ("": none)."""
-
-    undelivered: Callable[[], str]
-    unreached: Callable[[], str]
-
-
-class LinkSeen(Protocol):
-    """Whether good readings arrive."""
-
-    @property
-    def alive(self) -> bool: ...
-
-
-class ClockSeen(Protocol):
-    """Plant seconds per real second."""
-
-    @property
-    def speed(self) -> float: ...
-
-
-class WritingSeen(Protocol):
-    """Who else writes the blocks ("": nobody)."""
-
-    def rival(self, now: float) -> str: ...
-
-
-class ScanSeen(Protocol):
-    """A scan: its time (plant s), and the readings that are good."""
-
-    @property
-    def time(self) -> float: ...
-
-    def good(self, name: str) -> float | None: ...
-
-
-class MachineSeen(Protocol):
-    """What a machine shows its alarms at a scan, beside what its sensors and models find."""
-
+    missing_parts: Mapping[str, str]
     clock_complaint: str
-
-    @property
-    def config(self) -> "Config": ...
-
-    @property
-    def followed(self) -> Sequence[FollowedSeen]: ...
-
-    @property
-    def records_watch(self) -> RecordsSeen: ...
-
-    @property
-    def missing_parts(self) -> Mapping[str, str]: ...
-
-    @property
-    def surroundings(self) -> SurroundingsSeen: ...
-
-    @property
-    def common(self) -> PlantSeen: ...
-
-    @property
-    def link(self) -> LinkSeen: ...
-
-    @property
-    def clock(self) -> ClockSeen: ...
-
-    @property
-    def writing(self) -> WritingSeen | None: ...
-
-    def complaints(self) -> tuple[str, ...]: ...
+    clock_speed: float
+    clock_error: float | None
+    free_mb: float | None
+    certificate_days: float | None
+    undelivered: str
+    unreached: str
+    complaints: tuple[str, ...]
+    rival: str | None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -140,8 +67,8 @@ class AlarmKind:
 
     `subject` is what there is one of for each: the plant, a machine, a watched temperature of it, a predicted one.
     `applies` says whether there is such an alarm somewhere, `limit` what its number must not exceed there, `more` what
-    else of its condition is not as usual. `finding` gives that number of a machine or the plant at a scan, None where
-    it is not known; of temperatures the stages of a scan find it (`SensorWatch`, `ModelUnit`) under the kind's name.
+    else of its condition is not as usual. `finding` gives that number by what a machine shows at a scan, None where it
+    is not known; of temperatures the stages of a scan find it (`SensorWatch`, `ModelUnit`) under the kind's name.
 
     `title` and `response` are said in the reader's language while it is so, `past` where it was; `{tag}`, `{twin}`,
     `{limit}` and `{unit}` stand for the alarm's. Of one `cause` ("": none) are the kinds that tell of the same thing.
@@ -158,7 +85,7 @@ class AlarmKind:
     consequence: str
     applies: Callable[[AlarmPlace], bool]
     limit: Callable[[AlarmPlace], float]
-    finding: Callable[[MachineSeen, ScanSeen], float | None] | None = None
+    finding: Callable[[MachineSigns], float | None] | None = None
     more: Callable[[AlarmPlace], Mapping[str, Any]] = lambda _: {}
     bit: int | None = None
     priority: int = 2
@@ -233,15 +160,14 @@ def _drift(at: AlarmPlace) -> Mapping[str, Any]:
     return {"off_delay": 0.0, "response": f"{drifts}; find out what has changed with: {join(command)}"}
 
 
-def _not_steered(one: MachineSeen, _: ScanSeen) -> float | None:
+def _not_steered(signs: MachineSigns) -> float | None:
     # A replay's clock is nobody's to steer.
-    error = one.surroundings.clock_error if one.clock.speed == 1.0 else None
+    error = signs.clock_error if signs.clock_speed == 1.0 else None
     return None if error is None else found(isinf(error))
 
 
-def _lacking_mb(one: MachineSeen, _: ScanSeen) -> float | None:
-    free = one.surroundings.free_mb
-    return None if free is None else one.config.alarms.disk_mb - free
+def _lacking_mb(signs: MachineSigns) -> float | None:
+    return None if signs.free_mb is None else signs.config.alarms.disk_mb - signs.free_mb
 
 
 def _inputs(at: AlarmPlace) -> Mapping[str, Any]:
@@ -249,11 +175,10 @@ def _inputs(at: AlarmPlace) -> Mapping[str, Any]:
     return {"tag": ", ".join(at.inputs) or at.config.machine, "on_delay": at.stale_after, "off_delay": 0.0}
 
 
-def _worst_input(one: MachineSeen, scan: ScanSeen) -> float:
-    predictions = [each.prediction for each in one.followed if each.prediction is not None]
-    if not predictions:
-        return found(any(scan.good(name) is None for name in one.config.watched))
-    return max(float(prediction.worst) for prediction in predictions)
+def _worst_input(signs: MachineSigns) -> float:
+    if not signs.worst_inputs:
+        return found(any(signs.good(name) is None for name in signs.config.watched))
+    return max(signs.worst_inputs)
 
 
 _LOOK_AT_SENSOR = Phrase(
@@ -474,7 +399,7 @@ ALARM_KINDS: Mapping[str, AlarmKind] = {
         ),
         applies=always,
         limit=yes_or_no,
-        finding=lambda one, _: found(one.records_watch.complaint),
+        finding=lambda signs: found(signs.records_complaint),
         watches="whether historian, audit log and log take what happens",
         response=Phrase(
             "what happens may not be on record: see historian and parts in the status, and make room or mend the disk",
@@ -499,7 +424,7 @@ ALARM_KINDS: Mapping[str, AlarmKind] = {
         ),
         applies=always,
         limit=yes_or_no,
-        finding=lambda one, _: found(one.records_watch.failed_parts or one.missing_parts),
+        finding=lambda signs: found(signs.failed_parts or signs.missing_parts),
         watches="parts of the gateway that failed and were begun anew, or could not be begun, as a model whose file is "
         "damaged",
         response=Phrase(
@@ -517,7 +442,7 @@ ALARM_KINDS: Mapping[str, AlarmKind] = {
         past=Phrase("the clock was wrong", it="l'orologio era errato", de="die Uhr ging falsch"),
         applies=always,
         limit=yes_or_no,
-        finding=lambda one, _: found(one.clock_complaint),
+        finding=lambda signs: found(signs.clock_complaint),
         watches="the clock, against the newest record, the monotonic clock and the PLC's (`clock.tag`)",
         response=Phrase(
             "the clock has jumped: set it and start the gateway anew; nothing is deleted by age meanwhile",
@@ -563,7 +488,7 @@ ALARM_KINDS: Mapping[str, AlarmKind] = {
         ),
         applies=always,
         limit=yes_or_no,
-        finding=lambda one, _: found(not one.link.alive),
+        finding=lambda signs: found(not signs.link_alive),
         watches="whether good readings arrive at all",
         response=Phrase(
             "no good reading arrives: see link in the status, then look at network, cable and PLC",
@@ -593,7 +518,7 @@ ALARM_KINDS: Mapping[str, AlarmKind] = {
         past=Phrase("a certificate ran out", it="un certificato era in scadenza", de="ein Zertifikat lief ab"),
         applies=lambda at: bool(at.config.certificate_folders),
         limit=lambda at: -at.config.alarms.certificate_days,
-        finding=lambda one, _: None if one.surroundings.days is None else -one.surroundings.days,
+        finding=lambda signs: None if signs.certificate_days is None else -signs.certificate_days,
         watches="the days until a certificate of the link or of the OPC UA server runs out, against "
         "`alarms.certificate_days`",
         response=Phrase(
@@ -616,7 +541,7 @@ ALARM_KINDS: Mapping[str, AlarmKind] = {
         ),
         applies=lambda at: bool(at.config.notify.to),
         limit=yes_or_no,
-        finding=lambda one, _: found(one.common.undelivered()),
+        finding=lambda signs: found(signs.undelivered),
         watches="whether messages about alarms are delivered",
         response=Phrase(
             "messages about alarms are not delivered: see the log for the recipient, then mail server or web hook",
@@ -641,7 +566,7 @@ ALARM_KINDS: Mapping[str, AlarmKind] = {
         ),
         applies=lambda at: bool(at.config.northbound.sinks),
         limit=yes_or_no,
-        finding=lambda one, _: found(one.common.unreached()),
+        finding=lambda signs: found(signs.unreached),
         watches="whether the brokers and databases that are told what is on record can be reached",
         response=Phrase(
             "a broker or database is out of reach: see the log for which one and why, then network and server",
@@ -657,7 +582,7 @@ ALARM_KINDS: Mapping[str, AlarmKind] = {
         past=Phrase("another gateway wrote", it="scriveva un altro gateway", de="ein anderes Gateway schrieb"),
         applies=lambda at: at.config.map.writeback is not None and at.config.writeback.mode != "off",
         limit=yes_or_no,
-        finding=lambda one, scan: None if one.writing is None else found(one.writing.rival(scan.time)),
+        finding=lambda signs: None if signs.rival is None else found(signs.rival),
         watches="the PLC's word of another gateway that writes its blocks",
         response=Phrase(
             "another gateway writes to this PLC: other_writer in the status is its number, writer is this one's; "
@@ -683,7 +608,7 @@ ALARM_KINDS: Mapping[str, AlarmKind] = {
         ),
         applies=lambda at: at.complains,
         limit=yes_or_no,
-        finding=lambda one, _: found(one.complaints()),
+        finding=lambda signs: found(signs.complaints),
         watches="what the device itself says is wrong with it (as by EMCY)",
         response=Phrase(
             "the device or its bus says that something is wrong: see complaints in the status",

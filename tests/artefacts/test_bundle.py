@@ -165,7 +165,7 @@ def test_the_artefacts_of_a_model_give_its_automaton_back() -> None:
     assert to_sha(to_artefacts(model)).sha == model.sha
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(models(), st.sampled_from(["rate", "target"]))
 def test_the_artefacts_of_any_model_read_back_as_its_automaton(model: Model, parameter: Parameter) -> None:
     written = texts(to_artefacts(model))

@@ -15,7 +15,7 @@ from sim.sha.model import Model
 from tests.artefacts.models import decanter_model, models
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(models())
 def test_written_and_read_again_a_model_is_the_same(model: Model) -> None:
     text = model_text(model)

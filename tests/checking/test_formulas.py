@@ -32,7 +32,7 @@ BOUND = 40.0
 @pytest.mark.parametrize("reference", references(), ids=lambda reference: reference.text)
 def test_the_answer_is_that_of_the_matrix_exponential(reference: Reference) -> None:
     """Within 4 standard errors: among 39 right answers one beyond comes once in 400 times, and seeds are fixed."""
-    runs = 2000
+    runs = 1000
     found = answer(reference.query(MODEL), initial(MODEL), QuerySettings(rule="fixed", runs=runs, seed=1))
     error = np.sqrt(reference.exact * (1.0 - reference.exact) / runs)
     assert abs(found.numbers["probability"] - reference.exact) < 4.0 * error

@@ -70,7 +70,7 @@ QUERIES = (
 )
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=150, deadline=None)
 @given(QUERIES)
 def test_the_printed_query_is_the_query(query: q.Query) -> None:
     assert parse_query(query_text(query, PLANT), PLANT) == query

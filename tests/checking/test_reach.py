@@ -25,7 +25,7 @@ from sim.sha.trace import UNKNOWN, Event
 from tests.checking.verify_models import SYMBOLS, assumptions, linear, models, normal, of, relaxing, thesis
 
 FEW = settings(
-    max_examples=120,
+    max_examples=60,
     deadline=None,
     suppress_health_check=[HealthCheck.too_slow],
     phases=[Phase.explicit, Phase.reuse, Phase.generate],  # a failing model is small enough as it is
@@ -123,7 +123,7 @@ def test_the_bounds_are_reached_and_not_only_safe(model: Model, assumed: Assumpt
     assert find_bounds(model, low - 0.05, high + 0.05, assumed).verdict == "proven"
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(models(), st.integers(0, 2**32 - 1))
 def test_the_products_own_simulator_stays_inside_when_nothing_is_random(model: Model, seed: int) -> None:
     sha = model.sha

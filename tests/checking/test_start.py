@@ -120,9 +120,9 @@ def test_runs_in_one_stay_are_the_same_runs_worked_out_together_or_apart(
     flows = [flow(kind, **constants), flow("exponential", k=0.05)]
     made = model(flows, [law, normal(43.0)], first=normal(40.0, 0.2), stay=normal(300.0, 60.0), max_rate=max_rate)
     asked = eventually(compare(">=", {"linear": 46.0, "exponential": 45.0}.get(kind, 42.0)), 400.0)
-    together = answer(asked, initial(made), replace(FIXED, runs=1000))
+    together = answer(asked, initial(made), replace(FIXED, runs=300))
     monkeypatch.setattr(unknown_events, "_in_one_stay", lambda state: False)
-    apart = answer(asked, initial(made), replace(FIXED, runs=1000))
+    apart = answer(asked, initial(made), replace(FIXED, runs=300))
     assert (together.numbers, together.notes) == (apart.numbers, apart.notes)
     assert together.passages is not None
     assert apart.passages is not None

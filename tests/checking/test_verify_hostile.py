@@ -204,6 +204,6 @@ def test_thousands_of_random_words_stay_in_the_proven_intervals_and_would_leave_
     for model in (BASE, ring, replace(ring, correction=Correction(1.1, 4.0))):
         found = verify(model)
         assert found.bounds is not None and found.deployable
-        assert left_out(model, found.bounds, 800, rng) == 0
+        assert left_out(model, found.bounds, 400, rng) == 0
         tight = {name: (low + 0.1, high - 0.1) for name, (low, high) in found.bounds.intervals.items()}
         assert left_out(model, replace(found.bounds, intervals=tight), 100, rng) > 20

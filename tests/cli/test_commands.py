@@ -1,10 +1,12 @@
 """Every command answers wrong input with one sentence and its exit code, and --json with one strict object."""
 
+import ast
 import json
 import os
 import re
 import subprocess
 import sys
+from collections import defaultdict
 from pathlib import Path
 
 import click
@@ -76,6 +78,15 @@ def test_emulate_refuses_a_wrong_map_in_one_sentence(wrong: Path) -> None:
     )
     assert (done.returncode, done.stdout) == (2, "")
     assert "none.toml: there is no such file" in done.stderr and done.stderr.count("\n") == 1
+
+
+def test_an_option_that_is_the_same_in_two_commands_is_declared_once() -> None:
+    places = defaultdict(list)
+    for path in sorted((ROOT / "gateway").rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Call) and ast.unparse(node.func) == "click.option":
+                places[ast.unparse(node)].append(f"{path.relative_to(ROOT)}:{node.lineno}")
+    assert places and {option: found for option, found in places.items() if len(found) > 1} == {}
 
 
 def test_unknown_words_are_refused() -> None:

@@ -12,10 +12,8 @@ from gateway.machine.reading.scan import Scan
 from gateway.machine.records import Keeper
 from gateway.store.read_back import recent
 from sim.effects.kinds import ROLES
-from sim.lab.discrepancy.workflow import diagnose
 from sim.lab.formats.find import find_model
 from sim.lab.recordings.column_map import load_map
-from sim.lab.recordings.traces import load_traces
 from sim.plant.cooled import EPOCH, CooledPlant, cooled_days
 from sim.plant.scenarios import scenario
 from sim.sha.trace import Trace
@@ -144,6 +142,3 @@ def test_the_demonstration_names_what_is_hidden_and_nothing_else(
     new = find_model(data["model_after"]).runnable()
     assert [effect.kind for effect in new.sha.effects] == ["pump-cooling"]
     assert new.provenance.parent and new.provenance.synthetic and new.provenance.method == "diagnose"
-    traces, _ = load_traces(tmp_path / "demo" / "after", load_map(ROOT / "config" / "traces" / "decanter.toml"))
-    left = diagnose(new, traces, seed=0).diagnosis
-    assert left.effects == (), "the new model can be diagnosed too, and nothing is left to be named"

@@ -101,7 +101,7 @@ def test_tune_searches_writes_the_model_and_refuses_other_traces(
     # The bands, for which each model is fitted three times more: no objective looks at them.
     without_bands(monkeypatch)
     file, out = tmp_path / "s.db", tmp_path / "best"
-    options = ("--map", "decanter", "--study", file, "--folds", 2)
+    options = ("--map", "decanter", "--study", file, "--folds", 2, "--method", "lsha")
     command = ("model", "tune", "--traces", halves, *options)
     found = only_object(decanter(*command, "--trials", 1, "--out", out, "--name", "best", "--json").stdout)
     assert found["best"]["settings"] == {} and found["default"]["number"] == 0
@@ -110,7 +110,7 @@ def test_tune_searches_writes_the_model_and_refuses_other_traces(
     assert learned.sha.name == "best"
     assert learned.provenance.scores["tuning_crps"] == pytest.approx(found["best"]["value"])
     again = decanter(*command, "--trials", 1)
-    assert again.exit_code == 0 and "bins: 1 trials; the best by held-out CRPS" in again.stdout
+    assert again.exit_code == 0 and "lsha: 1 trials; the best by held-out CRPS" in again.stdout
     other = ("model", "tune", "--traces", traces / "cd1.csv", "--cycles", *options, "--trials", 2)
     said = refused(decanter(*other), 2)
     assert "usable traces" in said or "another data" in said
@@ -179,7 +179,7 @@ def begun(study: Path) -> bool:
 
 def test_control_c_stops_a_search_with_a_sentence_and_its_own_code(halves: Path, tmp_path: Path) -> None:
     file = tmp_path / "s.db"
-    words = ["model", "tune", "--traces", str(halves), "--study", str(file), "--folds", "2"]
+    words = ["model", "tune", "--traces", str(halves), "--study", str(file), "--folds", "2", "--method", "lsha"]
     command = [sys.executable, "-m", "gateway.cli.main", *words]
     with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         while not begun(file):

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from gateway.console import CommandResult, conclude
 from gateway.lab.gap.diagnose import DiagnosisRequest, run, show
 from sim.sha.trace import Trace, unit_of
 from tests.cli.support import decanter
@@ -100,7 +101,13 @@ def test_a_diagnosis_says_kw_and_so_does_its_report(tmp_path: Path) -> None:
     )
     result = run(request, given, [trace], {}, lambda _stage, _share: None)
     assert result.diagnosis.effects and result.diagnosis.shifts
-    printed = CliRunner().invoke(click.command()(lambda: show(result, request.out))).output
+    printed = (
+        CliRunner()
+        .invoke(
+            click.command()(lambda: conclude(CommandResult({}), lambda _: show(result, request.out), as_json=False))
+        )
+        .output
+    )
     files = [(request.out / name).read_text(encoding="utf-8") for name in ("diagnosis.json", "report.html")]
     for text in (printed, *files):
         assert "kW" in text and "°C" not in text and "degC" not in text

@@ -216,6 +216,22 @@ def test_an_iec_address_lies_where_its_maker_says(
         assert "--plc" in str(row(tmp_path, "Address;Type", f"{cell};{kind}"))
 
 
+def test_a_tag_table_of_tia_portal_is_the_process_image_and_nothing_of_its_memory(tmp_path: Path) -> None:
+    header = "Name;Path;Data Type;Logical Address;Comment;Hmi Visible;Hmi Accessible;Hmi Writeable\n"
+    rows = [
+        ("Run", "Bool", "%I1.3"), ("Open", "Bool", "%Q0.7"), ("Level", "Int", "%IW64"), ("Flow", "Real", "%ID68"),
+        ("Speed", "Int", "%MW100"), ("Total", "Real", "%MD50"), ("Flag", "Bool", "%M10.2"), ("Out", "Word", "%QW4"),
+        ("Odd", "Int", "%IW65"), ("Block", "Real", "%DB1.DBD4"), ("Beside", "Bool", "%DB2.DBX0.1"),
+    ]  # fmt: skip
+    table = header + "".join(f"{name};Tags;{kind};{place};;True;True;True\n" for name, kind, place in rows)
+    found = read(tmp_path, table)
+    assert {tag.name: tag.keys["address"] for tag in found.tags} == {
+        "Run": "discrete:11", "Open": "coil:7", "Level": "input:32", "Flow": "input:34"
+    }  # fmt: skip
+    assert sum("MB_HOLD_REG" in problem for problem in found.problems) == 6 and len(found.problems) == 7
+    assert "middle of a register" in str(found.problems)
+
+
 def test_numbers_that_may_be_hexadecimal_are_asked_for(tmp_path: Path) -> None:
     text = "Name;Address;Type\nA;0064;INT\nB;00A6;INT\n"
     assert all("--numbers" in problem or "no address" in problem for problem in read(tmp_path, text).problems)
@@ -236,6 +252,15 @@ def test_numbers_that_may_be_hexadecimal_are_asked_for(tmp_path: Path) -> None:
 def test_a_bit_is_counted_as_its_header_says(header: str, cell: str, bit: int, tmp_path: Path) -> None:
     found = row(tmp_path, f"Address;{header}", f"100;{cell}")
     assert isinstance(found, dict) and found["bit"] == bit
+
+
+def test_a_place_that_the_list_writes_in_two_ways_is_two_tags_and_one_that_was_copied_is_none(tmp_path: Path) -> None:
+    found = read(tmp_path, "Name;Address;Type\nA;40101-40102;REAL\nB;100~101;DINT\nC;40101-40102;DINT\n")
+    assert [tag.keys["address"] for tag in found.tags] == ["holding:100", "holding:100"]
+    assert "'A' of line 2" in found.tags[1].taken and "'40101-40102'" in found.tags[1].taken
+    assert "line 4, 'Address'" in found.problems[0] and "'A' of line 2" in found.problems[0]
+    bits = read(tmp_path, "Name;Address;Type\nA;40101.1;BOOL\nB;100.1;BOOL\nC;100;INT\n")
+    assert len(bits.tags) == 1 and len(bits.problems) == 2, "a bit shown otherwise is a slip of the spreadsheet"
 
 
 def test_several_sentinels_are_a_list(tmp_path: Path) -> None:
@@ -266,7 +291,11 @@ _RIGHT: dict[str, dict[str, dict[str, Any]]] = {
         "Serial": {"address": "holding:199", "dtype": "string", "length": 20},
     },
     "list_order_in_the_type": {"Bearing": {"dtype": "float32", "order": "DCBA"}},
-    "list_ranges_and_functions": {"A": {"address": "holding:100", "dtype": "float32"}, "C": {"address": "input:118"}},
+    "list_ranges_and_functions": {
+        "A": {"address": "holding:100", "dtype": "float32"},
+        "B": {"address": "holding:100", "dtype": "int32"},
+        "C": {"address": "input:118"},
+    },
 }  # fmt: skip
 
 

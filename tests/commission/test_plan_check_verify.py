@@ -1,6 +1,7 @@
 """`plan`, `check`, `verify`, `soak` and `replay` against the software PLC, over several links."""
 
 import csv
+import json
 import math
 from collections.abc import Iterator
 from pathlib import Path
@@ -230,6 +231,19 @@ def test_a_device_that_speaks_by_itself_is_judged_by_the_age_of_what_it_said(
     assert data["scans"] >= 1, data
     assert data["age_ms"]["max"] >= data["age_ms"]["p50"] > 0
     assert data["recommended_period_s"] is None and "speaks by itself" in " ".join(data["notes"])
+
+
+@pytest.mark.parametrize(("fault", "told"), [("silent", True), ("busy", False)])
+def test_a_silent_device_has_its_cure_told_over_any_link(tmp_path: Path, fault: str, told: bool) -> None:
+    file = tmp_path / "soft.toml"
+    file.write_text(
+        f'[device]\nname = "soft"\ndriver = "soft"\noutages = [[0.0, 1e9, "{fault}"]]\n'
+        '[[tags]]\nname = "five"\naddress = "five"\n'
+    )
+    result = plc(tmp_path, "soak", "--seconds", 0.3, "--period", 0.1, "--device", file, "--json")
+    data = json.loads(result.stdout.splitlines()[0])
+    assert data["exit"] != 0 and data["scans_with_bad"] == data["scans"]
+    assert ("does not help" in result.output) is told and (data["recommended_period_s"] is None) is told
 
 
 @pytest.mark.parametrize(

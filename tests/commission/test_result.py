@@ -1,4 +1,4 @@
-"""Every command of `plc` tells what it found in one way: data with a complaint, and a view of lines and tables."""
+"""Every command tells what it found in one way: data with a complaint, and a view of lines and tables."""
 
 import ast
 import json
@@ -14,12 +14,27 @@ from gateway.console import CommandResult, Line, Part, Rows, conclude
 from gateway.entry import Exit
 from tests.plc.bench import ROOT
 
-PRINTS = {"echo", "secho", "print", "table", "emit", "print_json"}
-BEFORE_THE_RESULT = {
-    ("verify.py", "tell"): "the answer to a question, on standard error",
-    ("watch.py", "_lines"): "each change as it comes",
-    ("writeback/arm.py", "disarm"): "a plant file that cannot be used, on standard error",
-    ("served.py", "served"): "the table as CSV, for another program",
+PRINTS = {"echo", "secho", "print", "table", "print_json", "echo_via_pager"}
+ROOMS = ("commission", "lab", "cli", "demo")
+BESIDE_THE_RESULT = {
+    ("commission/verify.py", "tell"): "the answer to a question, on standard error",
+    ("commission/watch.py", "_lines"): "each change as it comes",
+    ("commission/writeback/arm.py", "disarm"): "a plant file that cannot be used, on standard error",
+    ("commission/served.py", "served"): "the table as CSV, for another program",
+    ("lab/gap/diagnose.py", "diagnose"): "that traces overlap, on standard error",
+    ("lab/ingestion/ingest.py", "_tell"): "each file as it comes",
+    ("lab/regression/standard.py", "models_in"): "a model that cannot be read, on standard error",
+    ("lab/traces/load.py", "load_reported"): "what of the files was not read, on standard error",
+    ("lab/traces/load.py", "warned_of"): "what the traces do not show, on standard error",
+    ("lab/traces/map.py", "asked_map"): "questions and their answers, on standard error",
+    ("cli/keep/configurations.py", "diff"): "the difference as it is, for another program",
+    ("cli/plant/accounts.py", "add"): "a sentence of a command without --json",
+    ("cli/plant/accounts.py", "password"): "a sentence of a command without --json",
+    ("cli/plant/accounts.py", "remove"): "a sentence of a command without --json",
+    ("cli/plant/plant_file.py", "control_socket"): "a plant file that cannot be used, on standard error",
+    ("cli/plant/run.py", "_say"): "each change as it comes",
+    ("cli/setup/certificates.py", "certificates"): "sentences of a command without --json",
+    ("cli/setup/completion.py", "completion"): "a script for a shell",
 }
 FOUND = CommandResult({"rows": [{"tag": "T", "value": 1.5, "reason": None}]}, "T is hot", Exit.TIMEOUT)
 
@@ -36,8 +51,8 @@ def told(result: CommandResult, *, as_json: bool) -> Result:
 
 
 def test_no_command_prints_its_result_by_itself() -> None:
-    folder, printing = ROOT / "gateway" / "commission", set()
-    for path in sorted(folder.rglob("*.py")):
+    folder, printing = ROOT / "gateway", set()
+    for path in sorted(path for room in ROOMS for path in (folder / room).rglob("*.py")):
         for function in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             if isinstance(function, ast.FunctionDef | ast.AsyncFunctionDef):
                 calls = [node.func for node in ast.walk(function) if isinstance(node, ast.Call)]
@@ -45,7 +60,7 @@ def test_no_command_prints_its_result_by_itself() -> None:
                 of_click = {call.attr for call in calls if isinstance(call, ast.Attribute) and _is_click(call.value)}
                 if (plain | of_click) & PRINTS:
                     printing.add((path.relative_to(folder).as_posix(), function.name))
-    assert printing - {("verify.py", "verify")} == set(BEFORE_THE_RESULT)
+    assert printing - {("commission/verify.py", "verify")} == set(BESIDE_THE_RESULT)
 
 
 def _is_click(node: ast.expr) -> bool:
@@ -72,6 +87,20 @@ def test_a_program_gets_one_object_that_says_whether_all_is_in_order() -> None:
 def test_a_result_without_a_complaint_is_in_order_whatever_code_would_go_with_one(code: Exit) -> None:
     assert CommandResult({}, "", code).code == Exit.OK
     assert CommandResult({}, "it is not there", code).code == code
+
+
+def test_what_is_not_in_order_may_be_said_by_what_is_shown_alone() -> None:
+    shown = told(CommandResult({"rows": []}, failing=Exit.NOT_ARMED, ok=False), as_json=False)
+    assert shown.exit_code == Exit.NOT_ARMED and not shown.stderr and "as it stands" in shown.stdout
+    plain = told(CommandResult({}, ok=False), as_json=True)
+    assert json.loads(plain.stdout) == {"ok": False} and plain.exit_code == Exit.CHECK_FAILED
+
+
+def test_what_stands_aside_is_on_standard_error() -> None:
+    done = CliRunner().invoke(
+        click.command()(lambda: conclude(CommandResult({}), lambda _: [Line("aside", aside=True)], as_json=False)), []
+    )
+    assert (done.stdout, done.stderr) == ("", "aside\n")
 
 
 def test_of_steps_the_first_that_failed_is_the_complaint() -> None:

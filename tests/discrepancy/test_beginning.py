@@ -120,7 +120,7 @@ def test_clean_plants_begin_nowhere() -> None:
 
 
 def test_an_exchanged_bearing_is_a_gap_with_its_date() -> None:
-    trace = plant(6, days=5, exchanged=0.08)
+    trace = plant(6, days=5, exchanged=0.08, period=60.0)
     found = diagnose(model(), [trace], seed=0).diagnosis
     assert found.verdict != "agree" and found.began is not None
     middle = float(trace.times[trace.times.size // 2])

@@ -17,6 +17,7 @@ from sim.lab.discrepancy.gap import (
     scatter_of_equal_cycles,
     size_by_equal_cycles,
     stated_errors,
+    told_by_all,
 )
 from sim.lab.discrepancy.held_out import as_given, compared, let_run, mean_squares, runs_before
 from sim.lab.discrepancy.judging import NamingResult, above, doubts, least_told
@@ -75,6 +76,21 @@ def test_a_model_that_takes_everything_for_noise_does_not_lift_the_floor(clean: 
     least = floor(modest, plant(1), base, held_out)
     assert least.source == "the most that the model's own noise can be taken for"
     assert least.error < 0.8 * made.error
+
+
+def test_where_nothing_is_missing_held_out_cycles_tell_the_floor_too_and_no_verdict_hangs_on_that() -> None:
+    made = NoiseFloor(0.2, (0.1, 0.4), np.arange(3), np.array([0.1, 0.2, 0.3]), "what equal cycles differ by")
+    for error in (0.12, 0.2, 0.36):
+        all_tell = told_by_all(made, error, 0.3)
+        assert all_tell.error**2 == pytest.approx(0.7 * 0.2**2 + 0.3 * error**2)
+        assert min(error, 0.2) <= all_tell.error <= max(error, 0.2), "between what both say"
+        assert all_tell.interval[0] < error < all_tell.interval[1], "what agreed still does"
+        assert all_tell.per_cycle / all_tell.error == pytest.approx(made.per_cycle / 0.2)
+    found = diagnose(model(), [plant(1, days=2)], seed=0).diagnosis
+    assert found.verdict == "agree" and found.floor is not None and found.held_out is not None
+    assert found.floor.source.endswith("and what the held-out ones err by")
+    assert found.held_out.noise_floor == found.floor.error
+    assert [floor for *_, floor in found.held_out.per_cycle] == found.floor.per_cycle.tolist()
 
 
 def test_what_the_model_states_draws_the_floor_towards_it_by_as_much_as_the_cycles_leave_open() -> None:

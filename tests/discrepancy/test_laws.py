@@ -157,7 +157,7 @@ def failing(t: float, x: float, signals: dict[str, float]) -> float:
     ids=["fading events", "less cooling", "the clock", "a beginning"],
 )
 def test_what_comes_with_a_date_or_the_clock_is_said_with_it(hidden: Hidden, words: str) -> None:
-    laws = laws_of(hidden, seed=2, days=6)
+    laws = laws_of(hidden, seed=2, days=4)
     assert laws and re.fullmatch(words, laws[0].words), [(law.words, law.gain) for law in laws]
     assert f"of what is left goes with {laws[0].words}" in law_sentence(laws[0])
     assert laws[0].line is None and laws[0].cycles[0] >= 0.6 * laws[0].cycles[1]

@@ -197,7 +197,7 @@ def test_what_a_recorder_did_ends_no_diagnosis(seed: int) -> None:
 
 
 def test_a_row_that_is_missing_before_a_start_ends_no_diagnosis_and_changes_no_name() -> None:
-    trace = plant(6, days=3, pump=2e-4, period=60.0)
+    trace = plant(6, days=2, pump=2e-4, period=60.0)
     starts = np.flatnonzero(np.diff(trace.signals["MarciaDecanter"]) > 0)
     without = only(trace, np.delete(np.arange(trace.times.size), starts[-1]))
     whole, less = (diagnose(model(), [each], seed=0, most=1).diagnosis for each in (trace, without))

@@ -119,7 +119,7 @@ def named(found: Diagnosis) -> dict[str, dict[str, float]]:
 
 def test_the_heat_of_a_winding_is_named_with_its_lag() -> None:
     """Two masses of 120 s and 60 s, rows of 30 s: one mass of their sum is the nearest form."""
-    trace = plant(2, winding=0.006)
+    trace = plant(2, days=2, winding=0.006)
     found = diagnose(model(), [trace], seed=0)
     (params,) = named(found.diagnosis).values()
     assert 120.0 < params["lag"] < 240.0
@@ -136,7 +136,7 @@ def heated(lag: float, kind: str = "quadratic-current-heating", gain: float = 2e
     """Days at many currents, of the very automaton with a heat of the current that comes so late."""
     rng, rough = np.random.default_rng(5), random_model(2e-4, 400.0, 0.2)
     effect = Effect(kind, {"gain": gain, "reference": 200.0, "lag": lag}, CURRENT, ("LOW", "HIGH"))
-    trace = simulated(rough, 3)
+    trace = simulated(rough, 3, days=2)
     levels = np.repeat(rng.uniform(80.0, 330.0, trace.times.size // 40 + 1), 40)[: trace.times.size]
     signals = {**trace.signals, "Assorbimento": levels * trace.signals["MarciaDecanter"]}
     driven = replace(trace, signals=signals, events=())
@@ -186,5 +186,5 @@ def test_a_further_name_looks_like_an_earlier_one_by_the_shape_that_it_has_there
 
 def test_a_sensor_that_lags_is_told_as_one() -> None:
     lag = Effect("sensor-lag", {"tau": 150.0, "order": 2.0})
-    trace = simulated(random_model(2e-4, 400.0, 0.2, lag), 3)
+    trace = simulated(random_model(2e-4, 400.0, 0.2, lag), 3, days=2)
     assert "sensor-lag" in named(diagnose(random_model(2e-4, 400.0, 0.2), [trace], seed=0).diagnosis)

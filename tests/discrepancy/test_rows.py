@@ -6,11 +6,15 @@ import numpy as np
 import pytest
 
 from sim.engine import linear_recursion
-from sim.lab.discrepancy.fitting import Whitener, frame_of, grid_at, record_of
+from sim.lab.discrepancy.fitting import Whitener, fit, frame_of, grid_at, on, record_of
 from sim.lab.discrepancy.fitting.candidates import catalogue
 from sim.lab.discrepancy.fitting.course import LATE_APART, LATE_TOGETHER, inrush, lateness, run_free
+from sim.lab.discrepancy.fitting.free_run_fit import as_read_here
 from sim.lab.discrepancy.fitting.named import Named
 from sim.lab.discrepancy.fitting.noise import NoiseModel
+from sim.lab.discrepancy.gap import floor_of
+from sim.lab.discrepancy.held_out import let_run
+from sim.lab.discrepancy.rules import RULES
 from sim.lab.discrepancy.workflow import diagnose
 from sim.sha.events import encode
 from tests.discrepancy.plants import ALPHABET, TARGETS, model, plant, sparse
@@ -137,9 +141,42 @@ def test_the_row_of_a_start_is_not_in_the_piece_that_ends_with_it() -> None:
     assert np.isnan(first.runs.reading[-1]) and first.rows[-1] == len(first.runs) - 2
 
 
+def test_what_all_that_turns_is_late_by_is_told_by_the_fitted_cycles_and_is_no_error_of_others() -> None:
+    """At rows of five minutes half a row at each switch was most of the held-out error, and the floor as much."""
+    fine = plant(5, days=6, period=15.0)
+    sampled = sparse(fine, 20)
+    # The same rows of a plant that turns at them alone: no row is late.
+    on_time = plant(5, days=6, period=300.0)
+    for trace, behind in ((sampled, 0.5 * 19 / 20), (on_time, 0.0)):
+        record = record_of(model(), [trace], ())
+        base = fit(on(frame_of(record), record.where(record.cycle < 12)))
+        held_out = record.where(record.cycle >= 12).by_cycles()
+        rows, error = base.behind
+        assert 0.0 < error < 0.15 and abs(rows - behind) < 3.0 * error, base.behind
+        blind = replace(base, behind=(0.0, LATE_TOGETHER))
+        runs = [let_run(each, held_out) for each in (blind, base)]
+        errors = [float(np.sqrt(np.mean(run.residual**2))) for run in runs]
+        assert errors[1] < (0.9 if behind else 1.05) * errors[0], errors
+        if behind:
+            stated = np.full(np.unique(base.frame.record.whole).size, np.inf)
+            floors = [floor_of(stated, each, held_out, 0, RULES).error for each in (blind, base)]
+            assert floors[1] < 0.95 * floors[0], floors
+
+
+def test_a_fit_begins_from_one_of_cycles_that_stand_on_the_steps_of_their_rounding_or_do_not() -> None:
+    record = record_of(model(), [plant(1, days=2)], ())
+    frame = on(frame_of(record), record)
+    before = fit(frame, rounds=1)
+    assert before.noise.lasting == 0.0
+    stands = replace(before, noise=replace(before.noise, lasting=0.1, fades=30.0))
+    assert fit(frame, begin=stands, rounds=1).noise.lasting == 0.0
+    centre = replace(before.noise, lasting=0.2)
+    assert as_read_here(before.noise, centre).lasting == 0.2
+
+
 def test_no_second_name_makes_up_for_starts_that_lie_between_two_rows() -> None:
     """With the times of the switches taken as known, a step of the sensor was named beside the pump, and did harm."""
-    found = diagnose(model(), [sparse(plant(4, period=10.0, pump=2e-4), 6)], seed=0).diagnosis
+    found = diagnose(model(), [sparse(plant(4, days=3, period=10.0, pump=2e-4), 6)], seed=0).diagnosis
     assert [effect.name for effect in found.effects] == ["pump-cooling"]
     assert found.effects[0].params["loss"] == pytest.approx(2e-4, rel=0.3)
     assert found.held_out is not None and found.held_out.rmse_after < 0.3 * found.held_out.rmse_before

@@ -51,7 +51,7 @@ def test_a_valve_that_opens_gradually_is_followed_and_not_only_named() -> None:
 
 
 def test_a_switch_that_takes_its_time_stays_a_switch() -> None:
-    found = diagnose(model(), [plant(11, opening(switch, 3e-4, lag=60.0))], seed=0).diagnosis
+    found = diagnose(model(), [plant(11, opening(switch, 3e-4, lag=60.0), days=2)], seed=0).diagnosis
     effect = found.effects[0]
     assert (effect.name, effect.params["gradual"]) == ("thermostatic-cooling", 0.0)
     assert effect.params["opens"] == pytest.approx(48.0, abs=0.5)

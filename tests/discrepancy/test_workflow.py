@@ -16,7 +16,8 @@ from sim.lab.discrepancy.fitting.free_run_fit import fit
 from sim.lab.discrepancy.fitting.named import named_of
 from sim.lab.discrepancy.fitting.record import record_of
 from sim.lab.discrepancy.gap import floor_of
-from sim.lab.discrepancy.rules import DecisionRules
+from sim.lab.discrepancy.locate import places
+from sim.lab.discrepancy.rules import RULES, DecisionRules
 from sim.lab.discrepancy.workflow import DiagnosisOutcome, diagnose
 from sim.lab.learning.structure import LearningError
 from sim.sha.automaton import Effect, Flow
@@ -25,7 +26,7 @@ from tests.discrepancy.plants import PERIOD, model, plant, random_model, simulat
 
 @pytest.fixture(scope="module")
 def pumped() -> DiagnosisOutcome:
-    return diagnose(model(), [plant(3, pump=2e-4)], seed=0)
+    return diagnose(model(), [plant(3, days=2, pump=2e-4)], seed=0)
 
 
 @pytest.fixture(scope="module")
@@ -35,13 +36,13 @@ def churned() -> DiagnosisOutcome:
 
 def test_nothing_is_named_where_nothing_is_missing() -> None:
     """`python -m benchmarks.discrepancy` counts over many plants what is named and is not there."""
-    found = diagnose(model(), [plant(1)], seed=0).diagnosis
+    found = diagnose(model(), [plant(1, days=2)], seed=0).diagnosis
     assert found.verdict == "agree", found.sentence
     assert found.effects == ()
 
 
 def test_moved_parameters_are_a_shift_and_no_missing_effect() -> None:
-    found = diagnose(model(shift=0.06), [plant(4)], seed=0).diagnosis
+    found = diagnose(model(shift=0.06), [plant(4, days=2)], seed=0).diagnosis
     assert found.verdict == "agree"
     assert {one.location for one in found.shifts if one.parameter == "target"} >= {"LOW", "HIGH"}
     assert all(one.change < 0 for one in found.shifts if one.parameter == "target" and one.location != "OFF")
@@ -58,8 +59,13 @@ def test_a_hidden_pump_is_named_with_its_strength_and_the_gap_shrinks(pumped: Di
     assert held is not None
     assert held.rmse_after < 0.6 * held.rmse_before
     assert held.ci95[0] > 0.5
-    assert found.places
-    assert {one.correlates for one in found.places} == {"MarciaPmpFango"}
+
+
+def test_the_heat_is_placed_where_the_pump_runs() -> None:
+    record = record_of(model(), [plant(3, pump=2e-4)], ("Assorbimento", "MarciaPmpFango", "TAmbiente"))
+    found = places(fit(frame_of(record)), 0, RULES)
+    assert found
+    assert {one.correlates for one in found} == {"MarciaPmpFango"}
 
 
 def test_the_augmented_model_runs_as_the_diagnosis_ran(pumped: DiagnosisOutcome) -> None:
@@ -67,7 +73,7 @@ def test_the_augmented_model_runs_as_the_diagnosis_ran(pumped: DiagnosisOutcome)
     fitted = pumped.fitted
     made = augmented(fitted, name="augmented")
     assert [effect.kind for effect in made.sha.effects] == ["pump-cooling"]
-    trace = plant(3, pump=2e-4)
+    trace = plant(3, days=2, pump=2e-4)
     record = fitted.frame.record
     cut = trace.between(float(record.runs.time[0]), float(record.runs.time[-1]) + 1.0)
     start = float(fitted.state.course[0])
@@ -87,7 +93,7 @@ def test_an_augmented_model_is_diagnosed_again_and_then_agrees(pumped: Diagnosis
 
 
 def test_an_offset_of_the_sensor_is_told_from_wear() -> None:
-    found = diagnose(model(), [plant(6, days=3, offset=0.8)], seed=0).diagnosis
+    found = diagnose(model(), [plant(6, days=2, offset=0.8)], seed=0).diagnosis
     assert [one.name for one in found.effects] == ["sensor-offset-step"]
     assert found.effects[0].params["size"] == pytest.approx(0.8, abs=0.25)
 
@@ -111,7 +117,7 @@ def test_what_is_random_in_the_model_is_no_finding() -> None:
 def test_a_hidden_effect_is_named_beside_what_is_random_and_the_new_model_keeps_both() -> None:
     made = random_model(1e-3, 1600.0, 5.0)
     pump = Effect("pump-cooling", {"loss": 2e-4, "sink": 19.0}, {"pump": "MarciaPmpFango"}, locations=("LOW", "HIGH"))
-    outcome = diagnose(made, [simulated(random_model(1e-3, 1600.0, 5.0, pump), 10)], seed=0)
+    outcome = diagnose(made, [simulated(random_model(1e-3, 1600.0, 5.0, pump), 10, days=2)], seed=0)
     assert [one.name for one in outcome.diagnosis.effects] == ["pump-cooling"]
     assert outcome.diagnosis.effects[0].params["loss"] == pytest.approx(2e-4, rel=0.25)
     assert outcome.fitted is not None
@@ -140,19 +146,19 @@ def test_a_sensors_error_that_lasts_is_not_counted_twice() -> None:
 
 def test_heat_that_is_rougher_than_the_model_has_learned_is_a_gap() -> None:
     made = random_model(3e-4, 400.0, 0.5)
-    found = diagnose(made, [simulated(random_model(2.5e-3, 400.0, 0.5), 10)], seed=0).diagnosis
+    found = diagnose(made, [simulated(random_model(2.5e-3, 400.0, 0.5), 10, days=2)], seed=0).diagnosis
     assert found.verdict == "unexplained"
     assert found.effects == ()
 
 
 def test_a_feed_that_acts_by_itself_and_not_by_the_difference_from_the_bearing_is_named_as_what_it_is() -> None:
-    found = diagnose(model(), [plant(6, days=3, bowl=2e-4)], seed=0).diagnosis
+    found = diagnose(model(), [plant(6, days=2, bowl=2e-4)], seed=0).diagnosis
     assert (found.verdict, [one.name for one in found.effects]) == ("named", ["feed-temperature-coupling"])
     assert found.held_out is not None and found.held_out.rmse_after < 0.5 * found.held_out.rmse_before
 
 
 def test_a_room_that_counts_for_more_while_the_machine_runs_is_told_with_its_share_at_rest() -> None:
-    outcome = diagnose(model(), [plant(6, room=0.5)], seed=0)
+    outcome = diagnose(model(), [plant(6, days=2, room=0.5)], seed=0)
     found = outcome.diagnosis
     assert (found.verdict, [one.name for one in found.effects]) == ("named", ["ambient-coupling"])
     # Heat is lost at 1/3600 s at rest and at 1/1500 s running.

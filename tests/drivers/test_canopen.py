@@ -15,6 +15,7 @@ import pytest
 from drivers.can.bus.hub import Hub
 from drivers.can.bus.hub_bus import HubBus
 from drivers.canopen.driver import CanopenDriver, open_canopen
+from drivers.canopen.options import read_options
 from drivers.errors import AddressError, DriverError, LinkDown, WriteForbidden, WriteUnverified
 from drivers.tag import DType, Quality, Sample, Tag
 from tests.drivers.bench_canopen import TAGS
@@ -427,3 +428,27 @@ async def test_the_plan_says_which_tpdo_brings_what(opened: Open) -> None:
         "TPDO 1 (0x185), late after 0.15 s: level, state, flag",
         "by SDO, worst case 0.3 s a cycle: mode",
     )
+
+
+async def test_another_node_than_the_pinned_one_is_not_read_and_not_written(bus: Path, opened: Open) -> None:
+    node = ScriptedNode(bus, {1: 125, 2: 7, 3: 2})
+    node.start()
+    try:
+        driver = await opened(wait=False, identity={"serial": 0x1268, "product": 0x77})
+        sentence, deadline = "", time.monotonic() + 120.0
+        while "another device" not in sentence and time.monotonic() < deadline:
+            with pytest.raises(LinkDown) as caught:
+                await driver.open()
+            sentence = str(caught.value)
+        assert re.search(r"of its serial .* it says 0x00001267, and 0x00001268 is pinned", sentence)
+        assert not any(sample.quality.is_good for sample in await driver.read(TAGS.read))
+        own = await opened(identity={"serial": 0x1267, "product": 0x77})
+        await level_until(own, lambda sample: sample.quality.is_good)
+    finally:
+        node.stop()
+
+
+@pytest.mark.parametrize("given", [{}, {"colour": 1}, {"serial": -1}, {"serial": "4711"}, 3])
+def test_an_identity_that_no_node_has_is_refused(given: object) -> None:
+    with pytest.raises(DriverError, match="identity"):
+        read_options({"channel": "can0", "node": 1, "identity": given})

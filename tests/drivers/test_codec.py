@@ -1,6 +1,7 @@
 import math
 import struct
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from itertools import product
 from typing import Any
@@ -10,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.codec import decode, encode, encoder, reader, registers_needed
+from drivers.codec import decode, encode, encoder, judge, reader, registers_needed
 from drivers.errors import AddressError, EncodingError
 from drivers.tag import DType, Order, Quality, Tag, Value
 
@@ -420,3 +421,91 @@ def test_each_of_several_sentinels_is_no_value(tag: Tag, words: list[int], said:
         assert read[:2] == (None, Quality.NO_DATA) and said in read[2]
     with pytest.raises(EncodingError):
         encode(tag, tag.sentinels[-1])
+
+
+def test_a_bit_beside_the_sentinel_is_a_bit_with_nothing_to_say() -> None:
+    for more in ({"dtype": DType.BOOL}, {"dtype": DType.UINT16, "bit": 3}):
+        tag = Tag("b", "holding:0", sentinel=0xFFFF, **more)  # type: ignore[arg-type]
+        for word in (0, 1, 8, 9, 0xFFFE):
+            wanted = bool(word & 8) if tag.bit is not None else bool(word)
+            assert decode(tag, [word]) == (wanted, Quality.GOOD, "")
+        assert decode(tag, [0xFFFF])[:2] == (None, Quality.NO_DATA)
+        assert decode(replace(tag, sentinel=None), [0xFFFF]) == (True, Quality.GOOD, "")
+
+
+@pytest.mark.parametrize(("unit", "scale"), [("", 1.0), ("A", 1.0), ("", 0.1), ("A", 0.1)])
+def test_a_measured_number_with_an_empty_end_is_doubted_and_a_code_is_not(unit: str, scale: float) -> None:
+    tag = Tag("n", "holding:0", DType.UINT32, unit=unit, scale=scale)
+    value, quality, reason = decode(tag, [40, 0])
+    assert value == (40 << 16) * scale
+    assert quality is (Quality.UNCERTAIN if unit or scale != 1.0 else Quality.GOOD)
+    if quality is Quality.UNCERTAIN:
+        assert "only the highest register is in use; the words look swapped: as CDAB it reads" in reason
+    assert decode(tag, [40, 1])[1] is Quality.GOOD is decode(tag, [0, 40])[1] is decode(tag, [0, 0])[1]
+    assert decode(replace(tag, labels={40 << 16: "on"}), [40, 0])[1] in (Quality.GOOD, Quality.OUT_OF_RANGE)
+    signed = replace(tag, dtype=DType.INT32)
+    assert (decode(signed, [0xFFD8, 0xFFFF])[1] is Quality.UNCERTAIN) == bool(unit or scale != 1.0)
+    assert decode(signed, [0xFFFF, 0xFFFF])[1] is Quality.GOOD is decode(signed, [0x7FD8, 0xFFFF])[1]
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_the_least_and_the_largest_that_is_measured_is_written_and_read(sign: float) -> None:
+    tag = Tag("f", "holding:0", DType.FLOAT64, low=-math.inf, high=math.inf)
+    for number in (1e-30, 1e30):
+        words = encode(tag, sign * number)
+        assert struct.pack(">4H", *words) == struct.pack(">d", sign * number)
+        assert decode(tag, words, one_order=True)[:2] == (sign * number, Quality.GOOD)
+    below = encode(tag, sign * math.nextafter(1e-30, 0.0))
+    assert struct.pack(">4H", *below) == struct.pack(">d", sign * 0.0)
+    with pytest.raises(EncodingError, match="it would be stored as"):
+        encode(tag, sign * math.nextafter(1e30, math.inf))
+    assert decode(tag, list(struct.unpack(">4H", struct.pack(">d", sign * 9e-31))), one_order=True)[:2] == (
+        None,
+        Quality.DATA_ENCODING_INVALID,
+    )
+
+
+def test_what_is_swapped_is_named_by_what_must_be_swapped_back() -> None:
+    payload = struct.pack(">f", 40.8)
+    for read, sent in product(Order, repeat=2):
+        tag = Tag("f", "holding:0", DType.FLOAT32, read, low=0.0, high=100.0)
+        words = (read in (Order.CDAB, Order.DCBA)) != (sent in (Order.CDAB, Order.DCBA))
+        octets = (read in (Order.BADC, Order.DCBA)) != (sent in (Order.BADC, Order.DCBA))
+        swapped = " and ".join([*["words"] * words, *["bytes"] * octets])
+        reason = decode(tag, wire(payload, sent))[2]
+        assert f"; the {swapped} look swapped: as {sent} it reads 40.8; " in reason if swapped else reason == ""
+
+
+@pytest.mark.parametrize("dtype", FORMATS)
+def test_a_reader_gives_no_value_of_another_number_of_registers(dtype: DType) -> None:
+    for tag in (Tag("t", "holding:0", dtype), Tag("t", "holding:0", dtype, sentinel=7)):
+        for words in ([], [1, 2], [1, 2, 3]):
+            value, quality, reason = reader(tag)(words)
+            assert (value, quality) == (None, Quality.DECODING_ERROR)
+            assert reason == f"{len(words)} registers for a {dtype}, which has 1"
+
+
+def test_a_small_limit_is_drawn_as_wide_as_it_is_small() -> None:
+    for limits in ({"high": 1e-6}, {"low": 0.0, "high": 1e-6}, {"low": -1e-6, "high": 0.0}, {"low": -1e-6}):
+        tag = Tag("t", "holding:0", DType.FLOAT64, unit="m", **limits)  # type: ignore[arg-type]
+        sign = 1.0 if limits.get("high") else -1.0
+        assert judge(tag, sign * 1e-6) == (Quality.GOOD, "")
+        assert judge(tag, sign * 1e-6 * (1 + 2**-24)) == (Quality.GOOD, "")
+        quality, reason = judge(tag, sign * 1.001e-6)
+        which = "above the highest" if sign > 0 else "below the lowest"
+        assert (
+            quality is Quality.OUT_OF_RANGE
+            and reason == f"{sign * 1.001e-6:.6g} m is {which} plausible value {sign * 1e-6:g}"
+        )
+    for value in (True, False, "text"):
+        assert judge(tag, value) == (Quality.GOOD, "")
+
+
+@pytest.mark.parametrize("text", ["X", "MIXX", "XX XX", " x", "a b"])
+def test_of_a_text_only_blanks_at_its_end_are_padding(text: str) -> None:
+    tag = Tag("t", "holding:0", DType.STRING, length=len(text))
+    assert registers_needed(tag) == (len(text) + 1) // 2
+    words = encode(tag, text)
+    assert decode(tag, words) == (text, Quality.GOOD, "")
+    if len(text) % 2 == 0:
+        assert decode(replace(tag, length=len(text) + 2), [*words, 0x2020]) == (text, Quality.GOOD, "")

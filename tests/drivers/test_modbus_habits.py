@@ -2,8 +2,9 @@
 
 import asyncio
 import random
+import re
 import struct
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Sequence
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
 from itertools import count
@@ -11,11 +12,13 @@ from typing import Any
 
 import pytest
 
-from drivers.errors import DeviceException, ReplyTimeout
+from drivers.errors import DeviceException, LinkDown, NotAsked, ReplyTimeout, WriteUnverified
 from drivers.modbus import rtu
 from drivers.modbus.driver import ModbusDriver, open_modbus
+from drivers.modbus.settings import ModbusSettings
 from drivers.modbus.survey import open_survey
 from drivers.tag import DType, Quality, Tag
+from tests.rig.device_habits import HABITS, LINE, PAGE, TCP, DeviceHabit, page
 
 TAGS = [Tag(f"T{number}", f"holding:{number}", DType.INT16, writable=True) for number in range(8)]
 SOON = {"timeout": 0.15, "backoff_first": 0.01, "backoff_cap": 0.02}
@@ -35,6 +38,11 @@ class Habit:
     lead: bytes = b""
     late: float = 0.0
     echo: bool = False
+    hidden: bool = False
+    single: bool = False
+    hangs_up: bool = False
+    even: bool = False
+    most: int = 125
     serial: bool = False
     registers: dict[int, int] = field(default_factory=lambda: {number: number for number in range(8)})
     requests: list[tuple[int, int, int]] = field(default_factory=list)
@@ -46,6 +54,14 @@ class Habit:
         self.requests.append((function, start, number))
         if self.busy and next(self._asked) % 3 < self.busy:
             return bytes((function | 0x80, 6))
+        if function == 16 and self.single:
+            return bytes((16 | 0x80, 1))
+        if function == 6:
+            self._former = [dict(self.registers)] * self.stale
+            self.registers[start] = number
+            return pdu[:5]
+        if function == 3 and (number > self.most or (self.even and (start % 2 or number % 2))):
+            return bytes((3 | 0x80, 3))
         if function == 3 and start <= self.silent_at < start + number:
             return None
         if function == 16:
@@ -55,6 +71,8 @@ class Habit:
             )
             return pdu[:5]
         shown = self._former.pop() if self._former else self.registers
+        if self.hidden:
+            shown = {number: number for number in range(8)}
         return struct.pack(f">BB{number}H", function, 2 * number, *(shown[at] for at in range(start, start + number)))
 
     async def serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
@@ -78,6 +96,9 @@ class Habit:
                     continue
                 number = head[:2] if self.transaction is None else self.transaction.to_bytes(2, "big")
                 writer.write(number + b"\0\0" + (len(pdu) + 1).to_bytes(2, "big") + unit + pdu)
+                if self.hangs_up:
+                    writer.close()
+                    return
         except (asyncio.IncompleteReadError, OSError, asyncio.CancelledError):
             writer.close()
 
@@ -149,11 +170,30 @@ async def test_silence_at_one_register_costs_that_register(place: int) -> None:
         assert f"holding:{place}" in (await driver.read(TAGS))[place].reason
 
 
+async def test_silence_at_one_register_of_a_line_costs_that_register_too() -> None:
+    async with driven(Habit(serial=True, silent_at=5), longest_reply=0.2) as driver:
+        found = await values(driver, lambda found: found.count(None) == 1)
+        assert found[5] is None
+
+
+async def test_a_search_by_silence_takes_no_reading_longer_than_its_time() -> None:
+    loop = asyncio.get_running_loop()
+    async with driven(Habit(silent_at=5), timeout=0.3, attempts=1) as driver:
+        while True:
+            before, began = driver.statistics()["timeouts"], loop.time()
+            samples = await driver.read(TAGS)
+            # Two silent questions more than its time has room for: the one under way, and the one that found out.
+            assert driver.statistics()["timeouts"] - before <= 3, f"{loop.time() - began:.2f} s"
+            if sum(sample.quality.is_good for sample in samples) == 7:
+                break
+
+
 async def test_silence_is_found_by_hand_too() -> None:
     async with served(Habit(silent_at=5)) as settings, open_survey(settings, clock=lambda: 0.0) as survey:
         raws = await survey.tags(TAGS)
         assert [raw.sample.value for raw in raws] == [0, 1, 2, 3, 4, None, 6, 7]
-        assert raws[5].sample.quality is Quality.TIMEOUT
+        # As the gateway has it: the place waits in quarantine.
+        assert raws[5].sample.quality is Quality.CONFIGURATION_ERROR and "no reply" in raws[5].sample.reason
 
 
 async def test_a_late_read_back_is_waited_for_within_the_writes_time() -> None:
@@ -210,28 +250,66 @@ async def test_a_device_that_is_not_there_is_said_to_be_silent() -> None:
         assert not survey.statistics()["foreign_replies"]
 
 
-def drawn(rng: random.Random) -> tuple[Habit, dict[str, Any]]:
-    """Two or three habits of one device, and the settings that they need."""
-    serial = rng.random() < 0.4
-    pool: dict[str, Any] = {"quiet": 0.4, "silent_at": rng.randrange(8), "busy": 1, "late": 0.05, "stale": 1}
-    pool |= {"lead": b"\0"} if serial else {"transaction": 0, "unit": 255}
-    names = rng.sample(sorted(pool), rng.choice((2, 3)))
-    if serial or {"transaction", "unit"} & {*names}:
-        # One question at a time: a place that is refused by silence is not looked for.
-        names = [name for name in names if name != "silent_at"]
-    needed = {"transaction": {"transaction_id": "any"}, "unit": {"answers_as": 255}}
-    settings: dict[str, Any] = {"timeout": 0.5, "longest_reply": 0.6} if serial else {"timeout": 0.5}
-    for name in names:
-        settings |= needed.get(name, {})
-    return Habit(serial=serial, **{name: pool[name] for name in names}), settings
+# ---------------------------------------------------------------- the table of habits
+
+WALKED = [row for row in HABITS if row.wire]
+_APART = ({"quiet", "hangs_up"}, {"hidden", "stale"})
+"""Habits that no device has together: one that is quiet after each connection and ends each would never be read."""
+
+
+async def walk(rows: Sequence[DeviceHabit], link: str) -> None:
+    """A device with these habits is read, all but what it refuses, and takes a block; nothing wrong is good."""
+    needs = {key: value for row in rows for key, value in row.needs.items()}
+    habit = Habit(serial=link == LINE, **{key: value for row in rows for key, value in row.wire.items()})
+    own = {"timeout": 0.5, "longest_reply": 0.6} if link == LINE else {"timeout": 0.5}
+    silent = set() if habit.silent_at < 0 else {habit.silent_at}
+    lost = {4, 5} if silent and habit.even else silent
+    async with driven(habit, **own, **needs) as driver:
+        found = await values(driver, lambda found: found.count(None) == len(lost))
+        assert {place for place, value in enumerate(found) if value is None} == lost
+        async with asyncio.timeout(60):
+            while True:
+                try:
+                    await driver.write([(TAGS[0], 100), (TAGS[1], 101)])
+                    break
+                except (LinkDown, NotAsked):
+                    # It hung up, or an old answer is waited for: whether to write again is the caller's to decide.
+                    await asyncio.sleep(0.01)
+                except WriteUnverified as error:
+                    # One that hangs up under a question whose answer would not say what it answers is waited for.
+                    assert habit.hangs_up and "not asked" in str(error)
+                    break
+        assert (habit.registers[0], habit.registers[1]) == (100, 101)
+
+
+@pytest.mark.parametrize(
+    ("row", "link"), [(row, link) for row in WALKED for link in row.over], ids=lambda of: getattr(of, "habit", of)
+)
+async def test_each_habit_is_read_alone(row: DeviceHabit, link: str) -> None:
+    await walk([row], link)
+
+
+def drawn(rng: random.Random) -> tuple[list[DeviceHabit], str]:
+    """Two or three habits that a device may have together, and its link."""
+    while True:
+        link = rng.choice((TCP, LINE))
+        rows = rng.sample([row for row in WALKED if link in row.over], rng.choice((2, 3)))
+        wires = {key for row in rows for key in row.wire}
+        if not any(apart <= wires for apart in _APART):
+            return rows, link
 
 
 async def test_drawn_habits_together_leave_every_other_register_readable() -> None:
-    async def one(seed: int) -> None:
-        habit, settings = drawn(random.Random(seed))
-        lost = [] if habit.silent_at < 0 else [habit.silent_at]
-        async with driven(habit, **settings) as driver:
-            found = await values(driver, lambda found: found.count(None) == len(lost))
-            assert [place for place, value in enumerate(found) if value is None] == lost
+    rng = random.Random(39)
+    await asyncio.gather(*(walk(*drawn(rng)) for _ in range(60)))
 
-    await asyncio.gather(*(one(seed) for seed in range(24)))
+
+def test_the_page_of_habits_is_the_table() -> None:
+    assert PAGE.read_text(encoding="utf-8") == page(), "python -m tests.rig.device_habits"
+    known = set(ModbusSettings.model_fields) | {"sentinel"}
+    for row in HABITS:
+        named = re.findall(r"[a-z_]{4,}", re.sub(r'"[^"]*"', "", row.setting.replace("a list", "")))
+        assert set(named) <= known and set(row.needs) <= known, row.habit
+        path, _, name = row.test.partition("::")
+        assert f"def {name}(" in (PAGE.parents[1] / path).read_text(encoding="utf-8"), row.habit
+        assert all(re.fullmatch(r"[\w.-]+/[\w.-]+#\d+", thread) for thread in row.threads), row.habit

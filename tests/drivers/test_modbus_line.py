@@ -269,13 +269,13 @@ async def test_a_write_without_an_answer_is_sent_once_and_its_late_confirmation_
     ("settings", "said"),
     [
         ({"transport": "rtu"}, "serial must be given"),
-        ({"transport": "udp", "host": "h"}, "transport: must be 'tcp', 'tls', 'rtu' or 'rtu-tcp', got 'udp'"),
-        ({"host": "h", "serial": "/dev/ttyS0"}, "serial means nothing with transport 'tcp': it is for 'rtu'"),
+        ({"transport": "sctp", "host": "h"}, "transport: must be 'tcp', 'tls', 'rtu', 'rtu-tcp', "),
+        ({"host": "h", "serial": "/dev/ttyS0"}, "serial means nothing with transport 'tcp': it is for 'rtu' or "),
         ({"transport": "rtu", "serial": "/dev/ttyS0", "unit": 0}, "1 to 247 (0 is for all)"),
         ({"transport": "rtu", "serial": "/dev/ttyS0", "parity": "X"}, "parity: must be 'N', 'E' or 'O', got 'X'"),
         ({"transport": "rtu-tcp"}, "host must be given"),
         ({}, "host must be given"),
-        ({"host": "h", "echo": True}, "echo means nothing with transport 'tcp': it is for 'rtu' or 'rtu-tcp'"),
+        ({"host": "h", "echo": True}, "echo means nothing with transport 'tcp': it is for 'rtu' or 'rtu-tcp' or"),
     ],
 )
 def test_settings_that_do_not_go_together_are_refused_in_one_sentence(settings: dict[str, Any], said: str) -> None:

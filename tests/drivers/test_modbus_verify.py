@@ -5,7 +5,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.errors import DeviceException, ReplyMismatch
-from drivers.modbus.verify import Asked, asked, check_reply, split_frames
+from drivers.modbus.verify import EXCEPTIONS, Asked, asked, check_reply, quality_of, split_frames, words_of
+from drivers.tag import Quality
 from tests.drivers.scripted import ScriptedPlc, mbap
 
 
@@ -41,7 +42,57 @@ def test_what_cannot_be_a_header_is_said_at_once(head: bytes) -> None:
         split_frames(head)
 
 
+@pytest.mark.parametrize("protocol", [0, 1, 0x100, 0x8000])
+def test_a_length_is_believed_exactly_from_3_to_254(protocol: int) -> None:
+    for length in (*range(400), 0x7FFF, 0x8000, 0xFFFF):
+        head = struct.pack(">HHH", 0xFFFF, protocol, length)
+        if protocol == 0 and 3 <= length <= 254:
+            assert split_frames(head) == ([], head), "the rest may come yet"
+            assert split_frames(head + bytes(length)) == ([head + bytes(length)], b"")
+            continue
+        with pytest.raises(ReplyMismatch, match=rf"\(protocol id {protocol}, length {length}\)"):
+            split_frames(head)
+
+
+def test_of_a_header_that_is_not_whole_each_byte_that_can_be_wrong_is_looked_at() -> None:
+    for size in range(6):
+        for place in range(size):
+            bent = bytearray(size)
+            bent[place] = 1
+            if place < 2 or place == 5:  # the transaction, and the low byte of the length
+                assert split_frames(bytes(bent)) == ([], bytes(bent))
+                continue
+            with pytest.raises(ReplyMismatch, match=rf"\(it begins with {bent.hex(' ')}\)"):
+                split_frames(bytes(bent))
+
+
+@pytest.mark.parametrize("function", [1, 2, 3, 4, 15, 16])
+def test_a_request_is_read_as_it_was_written(function: int) -> None:
+    for transaction, unit, address, count in [(0, 0, 0, 1), (0x0102, 3, 0x0405, 0x0607), (65535, 255, 65535, 125)]:
+        request = mbap(transaction, unit, struct.pack(">BHH", function, address, count) + b"\x2b\x2b")
+        assert asked(request) == Asked(transaction, unit, function, address, count)
+
+
+def test_a_request_for_the_identity_has_neither_address_nor_count() -> None:
+    for transaction, unit in [(0x0102, 9), (65535, 0)]:
+        assert asked(mbap(transaction, unit, b"\x2b\x0e\x01\x00")) == Asked(transaction, unit, 43, 0, 0)
+
+
+def test_registers_and_bits_come_in_their_order_and_of_a_write_comes_nothing() -> None:
+    assert words_of(Asked(7, 1, 3, 0, 3), b"\0\1\x80\0\xff\xfe") == (1, 0x8000, 0xFFFE)
+    assert words_of(Asked(7, 1, 4, 0, 1), b"\1\2") == (0x0102,)
+    for function in (1, 2):
+        for count in range(1, 18):
+            for place in range(count):
+                data = (1 << place).to_bytes((count + 7) // 8, "little")
+                assert words_of(Asked(7, 1, function, 0, count), data) == tuple(int(n == place) for n in range(count))
+    for function in (15, 16, 43):
+        assert words_of(Asked(7, 1, function, 0, 2), b"\0\0\0\2") == ()
+
+
 READ = Asked(7, 1, 3, 100, 4)
+FAR = Asked(7, 1, 16, 65535, 65535)
+IDENTITY = Asked(7, 1, 43, 0, 0)
 WRITE = Asked(7, 1, 16, 100, 4)
 
 
@@ -58,6 +109,9 @@ WRITE = Asked(7, 1, 16, 100, 4)
         (WRITE, mbap(7, 1, struct.pack(">BHH", 16, 100, 3)), "confirms"),
         (WRITE, mbap(7, 1, struct.pack(">BHH", 16, 101, 4)), "confirms"),
         (WRITE, mbap(7, 1, struct.pack(">BHHH", 16, 100, 4, 0)), "confirms"),
+        (FAR, mbap(7, 1, struct.pack(">BHH", 16, 65534, 65535)), "confirms fffeffff instead of ffffffff"),
+        (IDENTITY, mbap(7, 1, b"\x2b\x0d\x01\x01\x00\x00\x00"), "identity:0 count 0: the reply holds no ident"),
+        (IDENTITY, mbap(7, 1, b"\x2b\x0e\x01\x01\x00\x00"), "holds no identification"),
     ],
 )
 def test_a_reply_that_does_not_answer_is_refused_with_what_is_wrong(
@@ -65,6 +119,30 @@ def test_a_reply_that_does_not_answer_is_refused_with_what_is_wrong(
 ) -> None:
     with pytest.raises(ReplyMismatch, match=sentence):
         check_reply(question, reply)
+
+
+def test_what_confirms_passes() -> None:
+    check_reply(FAR, mbap(7, 1, struct.pack(">BHH", 16, 65535, 65535)))
+    check_reply(IDENTITY, mbap(7, 1, b"\x2b\x0e\x01\x01\x00\x00\x00"))
+
+
+def test_a_device_may_refuse_any_function() -> None:
+    for function in (1, 2, 3, 4, 15, 16, 43):
+        question = Asked(7, 1, function, 0, 1)
+        for answered in range(0x80, 0x100):
+            error = DeviceException if answered == function + 0x80 else ReplyMismatch
+            with pytest.raises(error):
+                check_reply(question, mbap(7, 1, bytes([answered, 2])))
+
+
+def test_every_code_of_an_exception_has_its_sentence_and_takes_the_value_away() -> None:
+    for code in range(256):
+        with pytest.raises(DeviceException) as caught:
+            check_reply(READ, mbap(7, 1, bytes([0x83, code])))
+        words = EXCEPTIONS[code][0] if code in EXCEPTIONS else "a code that the standard does not know"
+        assert str(caught.value) == f"holding:100 count 4: exception {code}, {words}"
+        assert quality_of(code) is (EXCEPTIONS[code][1] if code in EXCEPTIONS else Quality.BAD)
+        assert quality_of(code).is_bad
 
 
 @pytest.mark.parametrize(("code", "words"), [(2, "illegal data address"), (6, "busy"), (99, "does not know")])

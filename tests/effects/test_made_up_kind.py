@@ -98,7 +98,7 @@ def test_it_is_bounded() -> None:
 
 
 def test_a_diagnosis_names_it_and_adds_it_to_the_model() -> None:
-    trace = small_plant(3, days=3)
+    trace = small_plant(3, days=2)
     rng = np.random.default_rng(5)
     slow = np.cumsum(rng.standard_normal(trace.times.size)) * 0.8
     humidity = 50.0 + 20.0 * np.sin(trace.times / 7000.0) + slow - np.linspace(0.0, slow[-1], slow.size)

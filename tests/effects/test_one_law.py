@@ -23,10 +23,11 @@ def test_every_optional_role_is_present_in_one_example_and_absent_in_another() -
 
 CASES = [
     pytest.param(name, learner, first, id=f"{name}-{learner}{'-read late' if first else ''}")
-    for name, (example,) in EXAMPLES.items()
+    for number, (name, (example,)) in enumerate(EXAMPLES.items())
     for learner in LEARNERS
-    for first in ((0.0, 250.0) if example.signals else (0.0,))
+    for first in ((0.0, 250.0) if example.signals and learner == LEARNERS[number % len(LEARNERS)] else (0.0,))
 ]
+"""What is read late is so whatever a learner calls its locations: of each effect with one of them."""
 
 
 @pytest.mark.parametrize(("name", "learner", "first"), CASES)

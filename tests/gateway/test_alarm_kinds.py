@@ -23,7 +23,7 @@ TOY: dict[str, Any] = {
     "consequence": "nothing",
     "applies": always,
     "limit": yes_or_no,
-    "finding": lambda machine, scan: found(scan.good("AcknowledgeBits") == 0),
+    "finding": lambda signs: found(signs.good("AcknowledgeBits") == 0),
 }
 
 

@@ -85,6 +85,54 @@ def test_a_flood_is_what_counting_at_every_moment_finds() -> None:
         assert [(flood.start, flood.end) for flood in alarm_floods(times, 6000.0)] == floods
 
 
+def test_each_finding_begins_one_beyond_what_a_person_can_deal_with() -> None:
+    # Ten within ten minutes are a person's most, eleven are too many, and a flood from the last one on.
+    for count, said in [(10, []), (11, ["11 alarms within ten minutes; nobody can deal with more than 10"])]:
+        rows = [row(5000.0 + n, f"a{n}") for n in range(count)]
+        found = alarm_rates(rows, 2000.0, 2000.0 + 0.75 * DAY)
+        assert found.findings == [*said, *["1 flood of alarms"] * bool(said)]
+        assert found.per_ten_minutes == pytest.approx(count / (0.75 * 144))
+        # Eleven at 5000..5010: fewer than five are left when the seventh leaves.
+        assert found.flooded == pytest.approx((5606.0 - 5010.0) / (0.75 * DAY) * bool(said))
+    twice = [row(start + n, f"a{n}") for start in (5000.0, 9000.0) for n in range(11)]
+    assert "2 floods of alarms" in alarm_rates(twice, 0.0, DAY).findings
+    cut = alarm_rates(twice, 1.0, 9100.0)
+    assert (cut.start, cut.end, cut.announced) == (1.0, 9100.0, 22)
+    assert cut.flooded == pytest.approx((596.0 + 90.0) / 9099.0)
+
+
+def test_findings_name_the_alarms_they_are_about() -> None:
+    chatter = [row(at, name) for name in ("a", "b") for at in (1.0, 2.0, 60.9)] + [row(at, "c") for at in (1.0, 61.0)]
+    assert alarm_rates(chatter, 0.0, DAY).findings == ["chattering: a, b; give them a delay or a deadband"]
+    old = [row(-1.0, "young"), row(-9.0, "old"), row(0.0, "on time")]
+    assert alarm_rates(old, 0.5, DAY).findings == [
+        "standing for more than a day: old, young; mend it, or take the alarm out of service"
+    ]
+    assert list(alarm_rates(old, 0.5, DAY).standing.items()) == [
+        ("old", DAY + 9.0),
+        ("young", DAY + 1.0),
+        ("on time", DAY),
+    ]
+    busy = [row(100.0 * n, f"a{n}") for n in range(1, 8)]
+    assert alarm_rates(busy, 0.0, 3600.0).findings == ["1.2 alarms in ten minutes on average; more than 1 is too many"]
+
+
+def test_urgent_ones_are_a_share_only_of_twenty_and_more() -> None:
+    for count, urgent, said in [(19, 19, False), (20, 2, False), (20, 3, True), (29, 3, True), (30, 3, False)]:
+        rows = [row(2800.0 * n, f"a{n}", priority=1 if n <= urgent else 2) for n in range(1, count + 1)]
+        found = alarm_rates(rows, 0.0, DAY)
+        share = f"{urgent / count:.0%} of the alarms have priority 1; of many alarms that are urgent none is"
+        assert found.findings == [share] * said
+        assert list(found.priorities) == sorted(found.priorities)
+        assert found.shares[1] == urgent / count and sum(found.shares.values()) == pytest.approx(1.0)
+
+
+def test_the_ten_most_frequent_are_shown_the_most_frequent_first() -> None:
+    rows = [row(700.0 * (n * 20 + m), f"a{n:02d}") for n in range(12) for m in range(n + 1)]
+    found = alarm_rates(rows, -1.0, 10 * DAY).frequent
+    assert list(found.items()) == [(f"a{n:02d}", n + 1) for n in range(11, 1, -1)]
+
+
 def test_chattering_is_three_within_a_minute_of_one_alarm() -> None:
     rows = [row(0.5), row(30.0), row(60.4), row(100.0, "b"), row(160.0, "b"), row(219.0, "b"), row(7.0, "c")]
     found = alarm_rates(rows, 0.0, DAY)
@@ -101,12 +149,18 @@ def test_what_stands_is_told_from_what_is_stale_also_when_it_began_before() -> N
         row(20.0, "over", "returned unacknowledged"),
         row(-DAY, "latched"),
         row(-0.5 * DAY, "latched", "latched unacknowledged"),
+        row(-3 * DAY, "from before the journal", "acknowledged"),
         row(5.0, "hidden"),
         row(6.0, "hidden", "shelved"),
     ]
     found = alarm_rates(rows, 0.0, DAY)
-    assert dict(found.standing) == {"old": 3 * DAY, "latched": 2 * DAY, "young": DAY}
-    assert set(found.stale) == {"old", "latched"}, "a day exactly is not more than a day"
+    assert dict(found.standing) == {
+        "from before the journal": 4 * DAY,
+        "old": 3 * DAY,
+        "latched": 2 * DAY,
+        "young": DAY,
+    }
+    assert set(found.stale) == {"from before the journal", "old", "latched"}, "a day exactly is not more than a day"
 
 
 def test_shares_by_priority_and_machines_together() -> None:

@@ -113,6 +113,40 @@ def test_a_change_that_the_table_does_not_have_leaves_the_alarm_as_it_is(state: 
     assert moved(alarm, change, 9.0) == alarm
 
 
+def test_every_move_keeps_account_of_who_made_it_when_and_why() -> None:
+    for state, change, latching, standing, kept in product(AlarmState, Change, (False, True), (False, True), SHOWN):
+        alarm = Alarm(
+            *("c", "T", 1, state, 5.0, "Bea", 4.0),
+            standing=standing,
+            kept=kept,
+            until=30.0,
+            by="Bea",
+            reason="old",
+            raised=3.0,
+            first_up=True,
+        )
+        after = moved(alarm, change, 9.0, "Ada", reason="why", latching=latching, until=20.0)
+        if after is alarm:
+            continue
+        # What is hidden and stays hidden in the same state is not moved: only what it comes out as may change.
+        stays = after.state is state
+        assert (after.since, after.by, after.reason) == ((5.0, "Bea", "old") if stays else (9.0, "Ada", "why"))
+        assert after.until == (30.0 if stays else 20.0 if after.state in HIDDEN else None)
+        if change is Change.ACKNOWLEDGE and after.state not in HIDDEN:
+            assert after.acknowledged_by == "Ada"
+        else:
+            anew = after.state is AlarmState.UNACKNOWLEDGED
+            assert after.acknowledged_by == ("" if anew else "Bea")
+        assert after.pending == (None if change in (Change.RAISE, Change.CLEAR) else 4.0)
+        assert after.standing == (change is Change.RAISE or (standing and change is not Change.CLEAR))
+        assert after.raised == (9.0 if after.state is AlarmState.UNACKNOWLEDGED else 3.0)
+        assert after.first_up == (not (change is Change.RAISE and state is AlarmState.NORMAL))
+        if after.state not in HIDDEN:
+            assert after.kept is AlarmState.NORMAL
+        elif stays:
+            assert after.kept is (AlarmState.LATCHED_UNACKNOWLEDGED if change is Change.RAISE and latching else kept)
+
+
 def test_a_shelving_has_an_end() -> None:
     with pytest.raises(ValueError, match="needs an end"):
         moved(new_alarm(HOT, 0.0), Change.SHELVE, 1.0, "Ada")

@@ -5,10 +5,11 @@ from dataclasses import replace
 from itertools import product
 from math import inf, nan
 
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gateway.machine.writing.block import SessionWords, Validity, build, next_heartbeat, validity
+from gateway.machine.writing.block import SessionWords, Validity, build, next_heartbeat, read_numbers, validity
 from gateway.settings.devices import WritebackLayout, load_device
 from tests.gateway.support import MAP
 
@@ -91,6 +92,38 @@ def test_whatever_is_said_the_frame_is_whole(values: dict[str, float | None], se
     assert len(words) == 26 and all(0 <= word <= 0xFFFF for word in words)
     assert words[1] == words[-1] == sequence
     assert words[-2] == crc_by_bits(struct.pack(">24H", *words[:-2]))
+
+
+def test_every_word_is_read_as_the_number_that_makes_it() -> None:
+    by_name = {field.name: field for field in LAYOUT.fields}
+    numbers = tuple(by_name[name] for name in ("temperature_now", "p_limit", "minutes_low"))
+    part = replace(LAYOUT, fields=(by_name["validity"], *numbers, by_name["crc"]), unknown=0xFFFF)
+    for word in range(0x10000):
+        read = read_numbers(part, (1, word, word, word, 2))
+        signed = int.from_bytes(word.to_bytes(2, "big"), "big", signed=True)
+        whole = (None if word == 0x8000 else signed, *[None if word == 0xFFFF else word] * 2)
+        assert read == {
+            each.name: None if count is None else count * each.scale for each, count in zip(numbers, whole, strict=True)
+        }
+        if word % 31 == 0:  # what makes them costs ten times as much
+            assert build(part, read, Validity(1), session(1, 1)).words[1:4] == (word,) * 3
+    assert read_numbers(replace(part, unknown=7), (1, 7, 7, 7, 2)) == {
+        "temperature_now": pytest.approx(0.07),
+        "p_limit": pytest.approx(0.007),
+        "minutes_low": None,
+    }
+    with pytest.raises(ValueError, match="shorter"):
+        read_numbers(part, (1, 2, 3))
+
+
+@pytest.mark.parametrize("unknown", [0, 1, 300, 0xFFFE, 0xFFFF])
+def test_minutes_that_are_known_are_never_the_word_for_those_that_are_not(unknown: int) -> None:
+    layout = replace(LAYOUT, unknown=unknown)
+    for count in {0, 1, 2, 299, 300, 301, 0xFFFD, 0xFFFE, 0xFFFF, 0x10000}:
+        words = read(build(layout, {"minutes_low": count * 0.1}, Validity.NONE, session(1, 1)).words)
+        told = min(count, 0xFFFE)
+        assert words["minutes_low"] == (told if told != unknown else told - 1 if told else 1)
+        assert words["minutes_median"] == unknown
 
 
 def test_the_heartbeat_counts_from_1_to_65535_and_never_says_0() -> None:

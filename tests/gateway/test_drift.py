@@ -12,7 +12,7 @@ import pytest
 
 from gateway.machine.alarms.conditions import make_conditions
 from gateway.machine.alarms.states import AlarmState, new_alarm, step
-from gateway.machine.model.drift import LEAST, CycleDrift, follow_cycle, restored, rule_of
+from gateway.machine.model.drift import LEAST, CycleDrift, follow_cycle, rule_of
 from gateway.machine.model.predict import Predictor, ScanPrediction
 from gateway.machine.pipeline import Machine
 from gateway.plant.app import run
@@ -130,7 +130,7 @@ def test_a_reading_without_a_free_run_is_left_out() -> None:
 
 def test_what_is_known_comes_back_from_json() -> None:
     drift = after([2.0, 2.0])
-    assert restored(json.loads(json.dumps(asdict(drift)))) == drift
+    assert CycleDrift(**json.loads(json.dumps(asdict(drift)))) == drift
 
 
 def test_the_alarm_has_bit_3_stands_from_the_third_cycle_on_and_names_the_command(tmp_path: Path) -> None:

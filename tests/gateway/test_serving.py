@@ -90,6 +90,21 @@ def test_a_request_of_which_nothing_is_known_is_refused_as_for_a_silent_device(t
     assert image.read("input", place(config, CURRENT), 1) == [Quality.NO_DATA >> 16]
 
 
+def test_a_hole_between_tags_reads_as_0_and_is_no_request_of_its_own(tmp_path: Path) -> None:
+    config, now = config_in(tmp_path), [EPOCH]
+    rows = [row for row in served_rows(config) if row.table == "holding"]
+    first, end = min(row.start for row in rows), max(row.start + row.count for row in rows)
+    gone = next(row for row in rows if row.tag.name == CURRENT)
+    tags = tuple(tag for tag in config.map.tags if tag.name != CURRENT)
+    link = replace(config.links[0], map=replace(config.map, tags=tags))
+    image = image_of(replace(config, links=(link,)), now)
+    image.take(scan_of({name: value for name, value in at_rest(config).items() if name != CURRENT}, EPOCH))
+    words = image.read("holding", first, min(125, end - first))
+    assert isinstance(words, list) and words[gone.start - first] == 0
+    assert image.read("holding", gone.start, 1) == 2 and image.read("holding", end - 1, 2) == 2
+    assert image.read("holding", first - 1, 2) == 2
+
+
 def test_what_cannot_be_served_beside_the_devices_registers_is_refused_at_the_start(tmp_path: Path) -> None:
     config = config_in(tmp_path)
     for address, words in ((65500, "leaves no room for"), (60, "holding:60 to .* lies over MarciaDecanter")):
@@ -176,6 +191,9 @@ def test_a_client_that_knows_of_no_units_reads_the_first_machine() -> None:
     server = PeerServer("127.0.0.1", 0, {3: Numbers()})
     request_ = bytes((3, 0, 100, 0, 1))
     assert server.answer(255, request_) == server.answer(0, request_) == server.answer(3, request_)
+    assert server.answer(1, request_) == server.answer(3, request_)
+    several = PeerServer("127.0.0.1", 0, {3: Numbers(), 5: Numbers()})
+    assert several.answer(1, request_) == bytes((0x83, 10)), "of several machines none is unit 1"
     assert server.answer(4, request_) == bytes((0x83, 10))
 
 

@@ -26,7 +26,7 @@ from sim.plc.record.recording import BlockRow, PlcRecording, read_recording
 from tests.rig.blocks import old_numbers, unaccounted
 from tests.rig.pair import FOLLOWING, MAP, PATIENCE_S, Gateway, Plc, Rig, end, make_rig, restless_trace
 
-KILLS, SEED, PERIOD = 8, 56, 0.1
+KILLS, SEED, PERIOD = 5, 16, 0.1
 VICTIMS = ("plc", "gateway", "both")
 EARLY = 0.25
 """The share of kills that do not wait for the gateway to be well: they strike while it starts or connects."""

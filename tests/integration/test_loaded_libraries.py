@@ -3,7 +3,10 @@
 import json
 from pathlib import Path
 
+import pytest
+
 from benchmarks.processes import ROOT, gateway, learned_model, software_plc, until_usable
+from tests.rig.no_bands import without_bands
 
 NEVER = {
     *("scipy", "rich", "pygments", "tomlkit", "smtplib", "http"),
@@ -14,8 +17,9 @@ importlib.metadata loads the half that reads headers."""
 
 
 def test_a_running_gateway_loads_no_library_of_the_laboratory_and_none_that_draws_edits_or_sends(
-    tmp_path: Path,
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    without_bands(monkeypatch)
     model, out = learned_model(tmp_path), tmp_path / "imports.json"
     program = (str(ROOT / "benchmarks/import_memory.py"), str(ROOT), str(out))
     with (

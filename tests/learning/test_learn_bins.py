@@ -32,12 +32,14 @@ ONE_RATE = [candidate for candidate in CANDIDATES if candidate.rates == "shared"
 
 @pytest.fixture(scope="module")
 def constant() -> Learned:
-    return learn_bins(simulate(CONSTANT, 1), DECANTER, "T", seed=0)
+    """Without bands, as `driven`: those of both plants are asked for in test_learned_calibration.py."""
+    with pytest.MonkeyPatch.context() as patch:
+        without_bands(patch)
+        return learn_bins(simulate(CONSTANT, 1), DECANTER, "T", seed=0)
 
 
 @pytest.fixture(scope="module")
 def driven() -> Learned:
-    """Without bands: those of a driven plant are asked for in test_learned_calibration.py."""
     with pytest.MonkeyPatch.context() as patch:
         without_bands(patch)
         return learn_bins(simulate(DRIVEN, 2), DECANTER, "T", seed=0, candidates=ONE_RATE)
@@ -86,10 +88,10 @@ def test_a_known_automaton_is_learned_back(which: str, truth: Truth, request: py
     assert 0.5 * truth.sensor < learned.noise.sensor < 1.5 * truth.sensor
 
 
-@pytest.mark.parametrize(("truth", "seeds", "least"), [(CONSTANT, 5, 3), (DRIVEN, 3, 3)], ids=["constant", "driven"])
+@pytest.mark.parametrize(("truth", "seeds", "least"), [(CONSTANT, 3, 2), (DRIVEN, 1, 1)], ids=["constant", "driven"])
 def test_the_right_flow_is_chosen(truth: Truth, seeds: int, least: int) -> None:
     # One standard error lets a needless gain pass in about one of ten cases (27 of the 30 seeds from 100 on are right):
-    # fewer than 3 of 5 has a probability of 0.9 % then. A gain of 0.1 degC/A was found with all 30.
+    # fewer than 2 of 3 has a probability of 2.8 % then. A gain of 0.1 degC/A was found with all 30.
     flow, right = "driven" if truth.gain else "constant", 0
     for seed in range(100, 100 + seeds):
         runs, base = bins._ground(simulate(truth, seed), DECANTER, "T")
@@ -263,6 +265,7 @@ def test_a_plant_that_only_runs_and_has_no_current_gets_one_location() -> None:
     assert 1 / one.k == pytest.approx(700, rel=0.1)
 
 
+@pytest.mark.usefixtures("_no_bands")
 def test_gaps_bad_rows_and_unencoded_traces_are_no_obstacle() -> None:
     rng = np.random.default_rng(7)
     traces = []
@@ -343,7 +346,7 @@ def test_very_few_data_give_the_simplest_model() -> None:
 @pytest.mark.parametrize(
     ("device", "source"), [("skab", "skab/anomaly-free.csv"), ("femto", "femto_bearing/Bearing2_4_temp.csv")]
 )
-def test_real_data_give_a_sound_model(device: str, source: str) -> None:
+def test_real_data_give_a_sound_model(device: str, source: str, monkeypatch: pytest.MonkeyPatch) -> None:
     if not (DATA / source).exists():
         pytest.skip(f"{DATA / source} is not there")
     from sim.lab.recordings.column_map import load_map
@@ -351,6 +354,8 @@ def test_real_data_give_a_sound_model(device: str, source: str) -> None:
 
     column_map = load_map(ROOT / "config" / "traces" / f"{device}.toml")
     traces, _ = load_traces(DATA / source, column_map)
+    if device != "skab":  # one of them with bands
+        without_bands(monkeypatch)
     learned = learn_bins(traces, column_map.alphabet, column_map.temperature, seed=0)
     assert_sound(learned.model)
     assert set(contexts(column_map.alphabet)) == {location.name for location in learned.model.sha.locations}

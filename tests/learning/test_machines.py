@@ -31,14 +31,26 @@ def of_machine(name: str, offset: float, seed: int, cycles: int = 2) -> list[Tra
     return [replace(trace, name=f"{name}-{trace.name}", machine=name) for trace in traces]
 
 
-def learned(traces: list[Trace], monkeypatch: pytest.MonkeyPatch) -> Learned:
-    without_bands(monkeypatch)
-    return learn_bins(traces, DECANTER, "T", seed=0, candidates=CANDIDATES[:1])
+def learned(traces: list[Trace]) -> Learned:
+    with pytest.MonkeyPatch.context() as patch:
+        without_bands(patch)
+        return learn_bins(traces, DECANTER, "T", seed=0, candidates=CANDIDATES[:1])
 
 
-def test_the_spread_between_machines_is_found_and_its_offsets_too(monkeypatch: pytest.MonkeyPatch) -> None:
-    traces = [trace for n, (name, offset) in enumerate(OFFSETS.items()) for trace in of_machine(name, offset, n)]
-    spread = learned(traces, monkeypatch).spread
+@pytest.fixture(scope="module")
+def different() -> Learned:
+    """Of the machines of OFFSETS."""
+    return learned([each for n, (name, offset) in enumerate(OFFSETS.items()) for each in of_machine(name, offset, n)])
+
+
+@pytest.fixture(scope="module")
+def alone() -> Learned:
+    """Of one machine."""
+    return learned(of_machine("m", 0.0, 1, cycles=4))
+
+
+def test_the_spread_between_machines_is_found_and_its_offsets_too(different: Learned) -> None:
+    spread = different.spread
     mean = np.mean(list(OFFSETS.values()))
     for name, offset in OFFSETS.items():
         assert spread.offsets[name] == pytest.approx(offset - mean, abs=1.5)
@@ -46,17 +58,15 @@ def test_the_spread_between_machines_is_found_and_its_offsets_too(monkeypatch: p
     assert spread.sigma > 1.4 * spread.between, "four machines tell little of the fifth"
 
 
-def test_machines_that_are_alike_and_a_single_one_have_no_offset(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_machines_that_are_alike_and_a_single_one_have_no_offset(alone: Learned) -> None:
     alike = [trace for n in range(4) for trace in of_machine(f"m{n}", 0.0, n)]
-    assert learned(alike, monkeypatch).spread.between < 0.6
-    alone = learned(of_machine("m", 0.0, 1, cycles=4), monkeypatch)
+    assert learned(alike).spread.between < 0.6
     assert alone.spread.sigma == 0.0
     assert not [effect for effect in alone.model.sha.effects if effect.kind == "machine-offset"]
 
 
-def test_the_belief_of_a_new_machine_begins_wide_and_finds_its_offset(monkeypatch: pytest.MonkeyPatch) -> None:
-    traces = [trace for n, (name, offset) in enumerate(OFFSETS.items()) for trace in of_machine(name, offset, n)]
-    tracker = compile_model(learned(traces, monkeypatch).model)
+def test_the_belief_of_a_new_machine_begins_wide_and_finds_its_offset(different: Learned) -> None:
+    tracker = compile_model(different.model)
     (new,) = of_machine("new", 9.0, 11, cycles=1)
     belief, events = start(tracker, float(new.times[0])), list(new.events)
     before = machine_offset(tracker, belief)
@@ -131,8 +141,8 @@ def test_a_trend_is_learned_where_there_is_one_and_left_out_where_there_is_none(
     assert [member.name for member in learn_plain([walk], "T")] == [PERSISTENCE]
 
 
-def test_a_trend_member_goes_on_with_the_trend(monkeypatch: pytest.MonkeyPatch) -> None:
-    model = learned(of_machine("m", 0.0, 1, cycles=3), monkeypatch).model
+def test_a_trend_member_goes_on_with_the_trend(alone: Learned) -> None:
+    model = alone.model
     trend = compile_model(plain_model(model, PlainMember(TREND, 0.05, 0.001, heat=0.01, memory=1600.0)))
     still = compile_model(plain_model(model, PlainMember(PERSISTENCE, 0.05, 0.05)))
     ends = []
@@ -144,9 +154,9 @@ def test_a_trend_member_goes_on_with_the_trend(monkeypatch: pytest.MonkeyPatch) 
     assert ends[0] == pytest.approx(43.6, abs=0.1) and ends[1] == pytest.approx(43.0, abs=0.1)
 
 
-def test_beyond_the_models_range_the_trend_is_still_followed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_beyond_the_models_range_the_trend_is_still_followed() -> None:
     hot = [with_signal(trace, T=trace.signals["T"] + 60.0) for trace in of_machine("m", 0.0, 1, cycles=3)]
-    model = learned(hot, monkeypatch).model
+    model = learned(hot).model
     hottest = max(float(trace.signals["T"].max()) for trace in hot)
     assert model.sha.high >= hottest + 50.0, "the next machine may run hotter than any before"
     trend = compile_model(plain_model(model, PlainMember(TREND, 0.05, 0.001, heat=0.01, memory=1600.0)))
@@ -157,7 +167,7 @@ def test_beyond_the_models_range_the_trend_is_still_followed(monkeypatch: pytest
     assert float(fan.quantiles[LEVELS.index(0.5), 0]) == pytest.approx(model.sha.high + 13.6, abs=0.3)
 
 
-def test_odds_are_for_who_was_better_on_data_held_out_and_go_through_json(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_odds_are_for_who_was_better_on_data_held_out_and_go_through_json(alone: Learned) -> None:
     good, bad = PlainMember("good", 0.1, 0.1), PlainMember("bad", 0.1, 0.1, heat=0.01, memory=100.0)
     forecasts = HeldOutForecasts((good, bad), 0)
     dues = [100.0 * number for number in range(20)]
@@ -168,7 +178,7 @@ def test_odds_are_for_who_was_better_on_data_held_out_and_go_through_json(monkey
     }
     better, worse = forecasts.members
     assert better.odds[60.0] > 10.0 and worse.odds[60.0] < 0.01
-    model = replace(learned(of_machine("m", 0.0, 1, cycles=3), monkeypatch).model, plain=forecasts.members)
+    model = replace(alone.model, plain=forecasts.members)
     assert parse_model(model_text(model)).plain == forecasts.members
 
 

@@ -3,6 +3,7 @@
 import asyncio
 import http.client
 import json
+import re
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -11,6 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import gateway.outside.web
 from drivers.tag import Quality, Value
 from gateway.machine.reading import plant_clock
 from gateway.outside.web.access import AccountRole, add_account
@@ -55,6 +57,14 @@ class Served:
     def audited(self) -> list[tuple[str, str, dict[str, Any]]]:
         """Kind, who and detail of the rows that people have made, as they are on the disk."""
         return [(row.entry.kind, row.entry.who, dict(row.entry.detail)) for row in read(self.config.audit)]
+
+
+def page_views() -> tuple[str, ...]:
+    """The names of the page's views, as its frame has them."""
+    frame = (Path(gateway.outside.web.__file__).parent / "static/page.js").read_text(encoding="utf-8")
+    found = re.search(r"const VIEWS = \{(.*?)\};", frame, re.DOTALL)
+    assert found is not None
+    return tuple(re.findall(r"(\w+): \w+,", found[1]))
 
 
 def eventually(true: Callable[[], Any], seconds: float = 300.0) -> Any:

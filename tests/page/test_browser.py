@@ -21,14 +21,14 @@ from sim.lab.formats import save
 from tests.discrepancy_report.made_diagnoses import of
 from tests.gateway.status_picture import alarm, picture
 from tests.gateway.support import EPOCH, MAP, TEMPERATURE, two_modes
-from tests.page.served import PAGE, PASSWORD, Served, eventually, served
+from tests.page.served import PAGE, PASSWORD, Served, eventually, page_views, served
 
 playwright = pytest.importorskip("playwright.sync_api")
 from playwright.sync_api import Browser, Page, Route, expect  # noqa: E402 - only where it is there
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 AXE = os.environ.get("AXE_CORE")
-VIEWS = ("plant", "machine/decanter", "alarms", "trends", "scorecard", "model", "communication", "box")
+VIEWS = (*page_views(), "machine/decanter")
 WAIT_MS = 30_000
 LONG = "Dekanterzentrifuge-Schlammentwaesserung-Halle-3-Linie-B"
 MARKUP = '<img src=x onerror="window.ran=1">"><script>window.ran=1</script>{{7*7}}'

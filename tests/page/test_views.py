@@ -19,6 +19,7 @@ from sim.lab.discrepancy.fitting import catalogue
 from sim.phrase import Phrase
 from tests.gateway.status_picture import alarm, picture, tag
 from tests.gateway.support import EPOCH, TEMPERATURE
+from tests.page.served import page_views
 
 WORDS = all_words()
 LABELS = {TEMPERATURE: "gearbox bearing", "decanter": "Decanter 2"}
@@ -138,6 +139,13 @@ def test_every_text_is_there_in_every_language_with_the_same_parts_and_is_used()
             }
             assert len({frozenset(each) for each in parts.values()}) == 1, f"{section}.{key}"
             assert re.search(rf"{section}\.(?:{key}\b|\$\{{|\{{)", used), f"{section}.{key} is used nowhere"
+
+
+def test_every_word_that_the_page_says_is_there_and_every_view_has_its_name() -> None:
+    home = Path(gateway.outside.web.__file__).parent / "static"
+    scripts = "".join(file.read_text(encoding="utf-8") for file in home.glob("*.js"))
+    said = set(re.findall(r'say\(\s*"([^"]+)"', scripts)) | {f"nav.{view}" for view in page_views()}
+    assert said and said - set(WORDS["en"].texts) == set()
 
 
 def test_every_kind_of_alarm_and_every_check_has_its_words() -> None:

@@ -8,7 +8,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sim.engine.belief import advance, anomaly, filter_trace, observe, on_event, start, with_inputs
+from sim.engine.belief import (
+    advance,
+    anomaly,
+    filter_trace,
+    machine_offset,
+    observe,
+    on_event,
+    restarted,
+    start,
+    with_inputs,
+    with_machine_offset,
+)
+from sim.engine.belief_state import Belief, Innovation
 from sim.engine.moment_equations import moments
 from sim.engine.schedules import schedule
 from sim.engine.tracker import compile_model
@@ -274,6 +286,8 @@ def test_a_trace_with_missing_readings_gives_rows_without_predictions() -> None:
     assert np.isnan(run.predicted).tolist() == [True, True, True, False]
     assert run.locations == ("cold", "hot", "hot", "hot")
     assert run.innovation[3] == pytest.approx(30.2 - run.predicted[3])
+    unread = filter_trace(two_states(gain=0.1), Trace("t", np.arange(2.0), {"T": readings[:2]}))
+    assert unread.belief.signals == {} and unread.x[1] == 30.0, "an input that no row has"
     with pytest.raises(ValueError, match="no signal 'T'"):
         filter_trace(model, Trace("t", np.arange(4.0), {}))
     with pytest.raises(ValueError, match="no row"):
@@ -326,3 +340,127 @@ def test_a_sojourn_law_is_no_mode_parameter_but_any_law_with_moments_may_be() ->
     model = single(relaxing(0.01, 0.01), Distribution("weibull", {"shape": 2.0, "scale": 40.0}))
     belief = start(model, 0.0, 20.0)
     assert belief.m == pytest.approx(40.0 * np.sqrt(np.pi) / 2)
+
+
+def test_a_belief_begins_with_nothing_read_and_x_and_m_apart() -> None:
+    model = single(relaxing(0.01, 0.02, [Input("A", 0.5, 50.0)]), normal(40.0, 3.0), low=-10.0, high=90.0)
+    begun = start(model, 7.0, signals={"A": 60.0, "B": 1.0})
+    assert begun == Belief(
+        location="q",
+        entered=7.0,
+        time=7.0,
+        x=40.0,
+        m=40.0,
+        xx=100.0**2 / 12.0,
+        xm=0.0,
+        mm=9.0,
+        offset=5.0,
+        signals={"A": 60.0},
+    )
+    assert start(model, 7.0, signals={"A": float("inf")}).signals == {}
+    read = start(model, 7.0, 21.0)
+    assert read == replace(start(model, 7.0), x=21.0, xx=0.1 * 0.1, samples=1, seen=True, read_at=7.0)
+    endless = start(single(relaxing(0.01, 0.02), normal(40.0, 3.0), low=-float("inf"), high=90.0), 0.0)
+    assert (endless.x, endless.xx) == (0.0, 1000.0**2 / 12.0)
+    drawn = single(relaxing(0.01, 0.02), normal(40.0, 3.0), entry="resample")
+    assert (start(drawn, 0.0).x, start(drawn, 0.0).xx) == (40.0, 9.0)
+    for time in (float("nan"), float("inf")):
+        with pytest.raises(ValueError, match=r"cannot start at (nan|inf) s"):
+            start(model, time)
+
+
+def test_a_step_beyond_the_range_is_put_back_to_its_border_and_counted() -> None:
+    model = single(Flow("linear", {"noise": 0.0}), normal(1.0, 0.0), low=20.0, high=50.0)
+    for rate in (1.0, -1.0):
+        begun = replace(start(model, 0.0, 35.0), m=rate)
+        at_border = advance(model, begun, 15.0)
+        assert (at_border.x, at_border.clamps) == (35.0 + 15.0 * rate, 0), "the border itself is inside"
+        beyond = advance(model, at_border, 16.0)
+        assert (beyond.x, beyond.clamps) == (at_border.x, 1)
+        assert advance(model, beyond, 17.0).clamps == 2 and advance(model, beyond, 16.0).clamps == 1
+        seen = observe(model, beyond, 17.0, at_border.x + 3.0 * rate)
+        assert seen.clamps == 2 and seen.last is not None and seen.last.value == pytest.approx(3.0 * rate)
+        assert (seen.x - at_border.x) * rate > 0, "what the sensor says beyond it is believed"
+        anew = restarted(model, replace(seen, seen=False), 44.0)
+        assert anew == replace(seen, x=44.0, xx=0.1 * 0.1, xm=0.0, clamps=0, read_at=17.0)
+
+
+def test_one_step_of_the_filter_by_hand() -> None:
+    # A linear flow: X gains m each second, with a noise of 0.3 degC in a second; the sensor's variance is 0.04.
+    model = single(Flow("linear", {"noise": 0.3}), normal(2.0, 0.5), sensor=0.2)
+    begun = replace(start(model, 0.0, 30.0), m=2.0, evidence=-7.0, recent=(4.0,))
+    seen = observe(model, begun, 4.0, 41.0)
+    xx, xm, mm = 0.04 + 16.0 * 0.25 + 4.0 * 0.09, 4.0 * 0.25, 0.25
+    expected = xx + 0.04
+    value, square = 41.0 - 38.0, 9.0 / expected
+    assert seen.last is not None
+    assert (seen.last.value, seen.last.variance, seen.last.square) == pytest.approx((value, expected, square))
+    assert seen.recent == pytest.approx((4.0, square))
+    assert (seen.x, seen.m) == pytest.approx((38.0 + xx / expected * value, 2.0 + xm / expected * value))
+    assert (seen.xx, seen.xm) == pytest.approx((xx * 0.04 / expected, xm * 0.04 / expected))
+    assert seen.mm == pytest.approx(mm - xm * xm / expected)
+    assert seen.evidence == pytest.approx(-7.0 - 0.5 * np.log(2 * np.pi * expected) - 0.5 * square)
+    assert (seen.time, seen.read_at, seen.samples, seen.late, seen.seen) == (4.0, 4.0, 2, 0, True)
+    again = observe(model, seen, 5.0, 42.0)
+    assert again.xm != 0.0
+    carried = seen.xx + 2.0 * seen.xm + seen.mm + 0.09
+    assert again.last is not None and again.last.variance == pytest.approx(carried + 0.04)
+
+
+def test_errors_that_last_correct_less_and_are_expected_all_the_same() -> None:
+    model = replace(single(Flow("constant", {"noise": 0.5}), None, sensor=0.2), sensor_memory=60.0)
+    for read_at, since in ((0.0, 4.0), (-56.0, 60.0), (4.0, 0.06), (4.0, 0.0)):
+        begun = replace(start(model, 0.0, 30.0), read_at=read_at)
+        seen = observe(model, begun, 4.0, 31.0)
+        xx = 0.04 + 4.0 * 0.25
+        factor = 1.0 / np.tanh(0.5 * max(since / 60.0, 1e-3))
+        assert seen.last == Innovation(1.0, pytest.approx(xx + 0.04), pytest.approx(1.0 / (xx + 0.04)))
+        assert seen.x == pytest.approx(30.0 + xx / (xx + 0.04 * factor))
+        assert seen.xx == pytest.approx(xx * 0.04 * factor / (xx + 0.04 * factor))
+    unread = observe(model, replace(start(model, 0.0, 30.0), read_at=None), 4.0, 31.0)
+    assert unread.x == pytest.approx(30.0 + xx / (xx + 0.04)), "nothing was read by which it could be the same error"
+
+
+def test_only_times_from_now_on_are_taken() -> None:
+    model = two_states(gain=0.1)
+    belief = start(model, 10.0, 30.0)
+    inf, nan = float("inf"), float("nan")
+    for time in (9.9, inf, -inf, nan):
+        assert observe(model, belief, time, 30.0) == replace(belief, late=1)
+        with pytest.raises(ValueError, match="time only goes forward"):
+            advance(model, belief, time)
+        late = on_event(model, belief, Event(time, "W_ON"))
+        assert (late.late, late.time, late.entered, late.location) == (1, 10.0, 10.0, "hot")
+        held = with_inputs(model, belief, time, {"A": 60.0})
+        assert held == replace(belief, signals={"A": 60.0}, offset=0.0)
+    assert advance(model, belief, 10.0) == belief
+    assert observe(model, belief, 10.0, 30.0).late == 0 == on_event(model, belief, Event(10.0, "W_ON")).late
+    assert with_inputs(model, belief, 12.0, {"A": nan}) == advance(model, belief, 12.0)
+
+
+def test_an_event_begins_a_stay_of_its_own() -> None:
+    model = two_states(gain=0.1)
+    begun = replace(start(model, 0.0, 30.0, {"A": 70.0}), hidden=None)
+    hot = on_event(model, begun, Event(5.0, "W_ON"))
+    before = advance(model, begun, 5.0)
+    assert hot == replace(before, location="hot", entered=5.0, m=70.0, mm=9.0, xm=0.0, offset=0.1 * 20.0)
+    ignoring = compile_model(model, policy="ignore")
+    late = on_event(ignoring, hot, Event(4.0, "A_3"))
+    assert late == replace(hot, late=1, unmatched=1)
+
+
+def test_the_window_of_the_anomaly_test_holds_the_newest_readings() -> None:
+    tracker = compile_model(two_states(), window=3)
+    belief, squares = start(tracker, 0.0, 30.0), []
+    for second in range(1, 6):
+        belief = observe(tracker, belief, float(second), 30.0 + second)
+        assert belief.last is not None
+        squares.append(belief.last.square)
+    assert belief.recent == tuple(squares[-3:]) and belief.samples == 6
+    assert anomaly(replace(belief, recent=())) == 0.0
+
+
+def test_without_effects_there_is_no_machines_offset() -> None:
+    model = two_states()
+    belief = start(model, 0.0, 30.0)
+    assert machine_offset(model, belief) is None and with_machine_offset(model, belief, 1.0, 2.0) is belief

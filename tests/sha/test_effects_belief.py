@@ -12,8 +12,19 @@ from scipy.linalg import expm
 from scipy.stats import multivariate_normal
 
 from gateway.machine.model.predict import Predictor
-from sim.engine.belief import Belief, advance, filter_trace, observe, on_event, restarted, start, with_inputs
-from sim.engine.belief_state import belief_of
+from sim.engine.belief import (
+    Belief,
+    advance,
+    filter_trace,
+    machine_offset,
+    observe,
+    on_event,
+    restarted,
+    start,
+    with_inputs,
+    with_machine_offset,
+)
+from sim.engine.belief_state import Delayed, belief_of
 from sim.engine.moment_equations import moments
 from sim.engine.plant import compile_plant
 from sim.engine.schedules import schedule
@@ -163,6 +174,64 @@ def test_an_event_without_an_edge_is_counted_when_it_is_felt() -> None:
     tracker = tracker_of("linear", EFFECTS["dead-time"])
     belief = on_event(tracker, start(tracker, 0.0, 21.0), Event(1.0, "W_OFF"))
     assert (belief.unmatched, advance(tracker, belief, 30.0).unmatched) == (0, 1)
+
+
+def test_what_a_dead_time_holds_back_acts_in_its_order_and_events_before_signals() -> None:
+    tracker = tracker_of("driven", (*EFFECTS["dead-time"], *EFFECTS["pump with sink"]))
+    delay = EFFECTS["dead-time"][0].params["delay"]
+    begun = start(tracker, 0.0, 21.0)
+
+    def queue(belief: Belief) -> list[tuple[float, str, dict[str, float]]]:
+        assert belief.hidden is not None
+        return [(each.due, each.symbol, dict(each.signals)) for each in belief.hidden.pending]
+
+    belief = with_inputs(tracker, begun, 5.0, {"P": 1.0, "I": 60.0, "other": 4.0})
+    held = (5.0 + delay, "", {"P": 1.0, "I": 60.0})
+    assert queue(belief) == [held] and belief.signals == {} and belief.time == 5.0
+    belief = on_event(tracker, belief, Event(5.0, "W_ON"))
+    assert queue(belief) == [(5.0 + delay, "W_ON", {}), held], "at one instant events come first"
+    again = with_inputs(tracker, belief, 6.0, {"P": 1.0, "I": 61.0})
+    assert queue(again)[2:] == [(6.0 + delay, "", {"I": 61.0})], "what is held back already is no news"
+    assert queue(with_inputs(tracker, again, 7.0, {"P": 1.0, "I": 61.0})) == queue(again)
+    # What comes late is due a dead time after its own moment, but not before now; of no moment at all, after now.
+    far = advance(tracker, begun, 100.0)
+    for time, due in ((99.0, 99.0 + delay), (50.0, 100.0), (float("nan"), 100.0 + delay)):
+        late = on_event(tracker, far, Event(time, "W_ON"))
+        assert queue(late) == [(due, "W_ON", {})] and (late.late, late.time) == (1, 100.0)
+        assert queue(with_inputs(tracker, far, time, {"P": 1.0})) == [(due, "", {"P": 1.0})]
+    # It acts at its own moment, however long the step is, and at a reading of that moment already.
+    assert advance(tracker, belief, 5.0 + delay - 0.1).location == "off"
+    at_once, later = advance(tracker, belief, 5.0 + delay), advance(tracker, belief, 60.0)
+    for each in (at_once, later):
+        assert (each.location, each.entered, dict(each.signals), queue(each)) == (
+            "on",
+            5.0 + delay,
+            {"P": 1.0, "I": 60.0},
+            [],
+        )
+    seen = observe(tracker, belief, 5.0 + delay, 22.0)
+    assert seen.location == "on" and seen.read_at == seen.time == 5.0 + delay
+    assert Delayed(1.0).symbol == "" and Delayed(1.0).signals == {}
+
+
+def test_what_is_known_of_a_machine_is_put_in_and_found_again() -> None:
+    tracker = tracker_of("exponential", (Effect("machine-offset", {"sigma": 4.0}),))
+    begun = start(tracker, 0.0, 21.0)
+    assert machine_offset(tracker, begun) == pytest.approx((0.0, 4.0))
+    known = with_machine_offset(tracker, begun, 2.5, 0.5)
+    assert machine_offset(tracker, known) == pytest.approx((2.5, 0.5))
+    assert advance(tracker, known, 600.0).x - advance(tracker, begun, 600.0).x > 0.5, "its targets lie above"
+    assert machine_offset(tracker, with_machine_offset(tracker, begun, 0.0, 0.0)) == (0.0, 0.0)
+
+
+def test_with_a_late_heat_the_belief_keeps_what_it_is_late_behind() -> None:
+    name = next(iter(LATE))
+    tracker = tracker_of("linear", LATE[name])
+    begun = start(tracker, 0.0, 21.0, {"I": 80.0})
+    news = with_inputs(tracker, begun, 30.0, {"I": 120.0})
+    assert begun.hidden is not None and news.hidden is not None
+    assert news.hidden.late != begun.hidden.late and news.signals == {"I": 120.0}
+    assert with_inputs(tracker, begun, 30.0, {"I": 80.0}) == advance(tracker, begun, 30.0)
 
 
 def test_the_gateway_reads_the_signals_of_effects() -> None:

@@ -28,7 +28,8 @@ def tolerance(name: str) -> float:
 
 @pytest.mark.parametrize("name", ALL)
 def test_the_mean_course_is_the_solution_of_the_written_equations(name: str) -> None:
-    for seed, kind in enumerate(FLOWS):
+    """Each effect over every other flow, and the next effect over those between them."""
+    for seed, kind in list(enumerate(FLOWS))[list(ALL).index(name) % 2 :: 2]:
         sha = plant(kind, ALL[name])
         events, inputs = course(seed, 1400.0)
         expected = reference(sha, events, OUTPUTS, inputs, 21.0)

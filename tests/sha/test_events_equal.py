@@ -152,7 +152,7 @@ def rows_of(trace: Trace) -> list[Row]:
     return rows
 
 
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=200, deadline=None)
 @given(traces(), alphabets(), MODES)
 def test_batch_equals_streaming_equals_the_reference(trace: Trace, alphabet: Alphabet, mode: Mode) -> None:
     rows = rows_of(trace)
@@ -162,7 +162,7 @@ def test_batch_equals_streaming_equals_the_reference(trace: Trace, alphabet: Alp
     assert list(encode(trace, alphabet, mode)) == streamed
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(traces(), alphabets(), MODES, st.data())
 def test_a_restart_between_any_two_rows_and_ticks_at_any_time_change_nothing(
     trace: Trace, alphabet: Alphabet, mode: Mode, data: st.DataObject
@@ -183,7 +183,7 @@ def test_a_restart_between_any_two_rows_and_ticks_at_any_time_change_nothing(
     assert told == list(encode(trace, alphabet, mode))
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=75, deadline=None)
 @given(traces(), alphabets())
 def test_events_never_go_back_in_time_and_name_only_symbols_of_the_alphabet(trace: Trace, alphabet: Alphabet) -> None:
     events = encode(trace, alphabet)
@@ -191,7 +191,7 @@ def test_events_never_go_back_in_time_and_name_only_symbols_of_the_alphabet(trac
     assert {event.symbol for event in events} <= {*alphabet_symbols(alphabet), UNKNOWN}
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=50, deadline=None)
 @given(traces(), alphabets())
 def test_full_has_the_filtered_events_and_at_least_one_a_row(trace: Trace, alphabet: Alphabet) -> None:
     filtered, full = encode(trace, alphabet), list(encode(trace, alphabet, "full"))

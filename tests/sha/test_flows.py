@@ -179,6 +179,12 @@ def test_offset_adds_what_each_input_says() -> None:
         (Flow("driven", {"k": 1.0, "noise": 0.1}), "needs inputs"),
         (Flow("constant", {"noise": 0.1}, DRIVEN_BY), "takes none"),
         (Flow("driven", {"k": 1.0, "noise": 0.1}, (Input("I", inf),)), "'I': gain inf"),
+        (
+            Flow("driven", {"k": 1.0, "noise": 0.1}, (Input("I", 1.0, -inf),)),
+            "gain 1.0 and reference -inf must be finite",
+        ),
+        (Flow("linear", {}), "takes the constants noise .and m, where nothing draws it.; got none"),
+        (Flow("quadratic", {}), "known are constant, linear, exponential, driven, logarithmic, transient"),
     ],
 )
 def test_an_unusable_flow_is_refused_with_what_would_be_right(bad: Flow, said: str) -> None:
@@ -188,3 +194,36 @@ def test_an_unusable_flow_is_refused_with_what_would_be_right(bad: Flow, said: s
 
 def test_a_negative_fixed_parameter_is_a_cooling_drift_and_allowed() -> None:
     flows.check_flow(Flow("linear", {"noise": 0.0, "m": -0.05}))
+
+
+@pytest.mark.parametrize("kind", CONSTANTS)
+def test_whole_numbers_are_numbers_like_others(kind: str) -> None:
+    given, real = flow(kind), [1.0, 2.0]
+    for whole in ([1, 2], np.array([1, 2]), np.array([1, 2], dtype=np.int8)):
+        for rate in (0.01, inf):
+            step = flows.mean_step(given, whole, whole, age=whole, dt=whole, max_rate=rate)
+            wanted = flows.mean_step(given, real, real, age=real, dt=real, max_rate=rate)
+            assert step.dtype == np.float64 and step.tolist() == wanted.tolist()
+        for found, wanted in zip(
+            flows.coefficients(given, whole, whole), flows.coefficients(given, real, real), strict=True
+        ):
+            assert found.dtype == np.float64 and found.tolist() == wanted.tolist()
+        slope = flows.drift(given, whole, whole, whole)
+        assert slope.dtype == np.float64 and slope.tolist() == flows.drift(given, real, real, real).tolist()
+    assert flows.fading(given, 1).dtype == np.float64
+    if kind == "driven":
+        many = np.array([200], dtype=np.uint8)
+        assert flows.offset(given, {"Assorbimento": many}).tolist() == [5.0]
+
+
+def test_only_a_relaxing_flow_leaves_its_limit_by_distance() -> None:
+    for kind in CONSTANTS:
+        wanted = 0.5 / 0.02 if kind in ("exponential", "driven") else inf
+        assert flows.free_distance(flow(kind), 0.5) == wanted
+
+
+def test_without_noise_a_relaxing_flow_has_the_same_mean_and_no_variance() -> None:
+    decay, pull, variance = flows.coefficients(flow("exponential", 0.0), 3.0, [0.0, 10.0])
+    loud = flows.coefficients(flow("exponential", 0.3), 3.0, [0.0, 10.0])
+    assert (decay.tolist(), pull.tolist(), variance.tolist()) == (loud[0].tolist(), loud[1].tolist(), [0.0, 0.0])
+    assert loud[2][1] == pytest.approx(0.09 * (1.0 - exp(-0.4)) / 0.04)

@@ -42,7 +42,7 @@ def traces(draw: st.DrawFn) -> Trace:
     return Trace("t", times, signals, bad=bad, origin="here, or there", synthetic=draw(st.booleans()))
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=75, deadline=None)
 @given(traces())
 def test_a_trace_that_is_written_is_read_back_to_the_last_bit(trace: Trace) -> None:
     with TemporaryDirectory() as folder:
@@ -64,7 +64,7 @@ def test_a_trace_that_is_written_is_read_back_to_the_last_bit(trace: Trace) -> N
 CELLS = st.sampled_from(["", "0", "1", "20.5", "1e3", "nan", "x", '"', "#", " 7 ", "1,5", "inf", "\x00", "1_0"])
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(st.lists(st.lists(CELLS, min_size=0, max_size=5), max_size=15))
 @example([["0", "", '"'], ['"', "0"]])
 def test_whatever_the_rows_hold_every_one_is_used_or_refused_with_a_reason(rows: list[list[str]]) -> None:
@@ -121,7 +121,7 @@ def test_the_fingerprint_is_of_the_content_and_not_of_order_or_names() -> None:
     assert len(hashes) == len(others) + 1
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(st.lists(st.integers(0, 12), min_size=1, max_size=9))
 def test_no_larger_set_of_rows_leaves_a_rising_clock(values: list[int]) -> None:
     times = np.array(values, dtype=float)

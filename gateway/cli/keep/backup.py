@@ -13,8 +13,8 @@ from drivers.named_files import MOST_TOML_BYTES, place_of, writing
 from gateway.cli.plant.plant_file import config_option
 from gateway.commission.session import login
 from gateway.commission.writeback.block_writer import gateway_runs
-from gateway.console import emit, json_option
-from gateway.entry import Exit, fail, sentences
+from gateway.console import CommandResult, Part, conclude, json_option
+from gateway.entry import sentences
 from gateway.machine.writing import own_process
 from gateway.plant import configuration_files, require_named_places, without_arming
 from gateway.replacement import replacing
@@ -77,11 +77,11 @@ def backup(path: Path, folder: Path, as_json: bool) -> None:
         head = f"; THE AUDIT LOG IS DAMAGED, and in the backup as it is: {manifest.damaged}"
     signed = "signed by the gateway's key" if key is not None else f"not signed ({unsigned})"
 
-    def show() -> None:
-        click.echo(f"{folder}: {len(manifest.files)} files, {size / 1e6:.1f} MB{head}")
-        click.echo(f"seal {manifest.seal}, {signed}; keep the seal elsewhere: it vouches for the backup without a key")
+    def show() -> Iterator[Part]:
+        yield f"{folder}: {len(manifest.files)} files, {size / 1e6:.1f} MB{head}"
+        yield f"seal {manifest.seal}, {signed}; keep the seal elsewhere: it vouches for the backup without a key"
 
-    emit({"ok": True, **data}, show, as_json_line=as_json)
+    conclude(CommandResult(data), lambda _: show(), as_json=as_json)
 
 
 def _held_key(config: Config) -> tuple[Ed25519PrivateKey | None, str]:
@@ -174,21 +174,22 @@ def restore(
                     discard(drafts)
     data = {"folder": str(folder), "files": [str(place) for place in drafts], "aside": [str(p) for p in aside]}
 
-    def show() -> None:
-        click.echo(f"{len(drafts)} files are restored, as of {time.strftime('%F %T UTC', time.gmtime(manifest.made))}")
+    def show() -> Iterator[Part]:
+        yield f"{len(drafts)} files are restored, as of {time.strftime('%F %T UTC', time.gmtime(manifest.made))}"
         for place in aside:
-            click.echo(f"set aside: {place}")
-        click.echo(said)
+            yield f"set aside: {place}"
+        yield said
         if manifest.damaged:
-            click.echo(f"THE AUDIT LOG IN IT IS DAMAGED: {manifest.damaged}")
+            yield f"THE AUDIT LOG IN IT IS DAMAGED: {manifest.damaged}"
 
     data["damaged"] = manifest.damaged
-    emit({"ok": True, **data, "said": said}, show, as_json_line=as_json)
+    complaint = ""
     if roles.get("plant") is not None:
         try:
             load_plant(roles["plant"])
         except ValueError as error:
-            fail(f"the restored plant file names what is not there: {str(error).splitlines()[0]}", Exit.CHECK_FAILED)
+            complaint = f"the restored plant file names what is not there: {str(error).splitlines()[0]}"
+    conclude(CommandResult({**data, "said": said}, complaint), lambda _: show(), as_json=as_json)
 
 
 def _require_own_places(folder: Path, manifest: Manifest) -> None:

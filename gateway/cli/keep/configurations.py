@@ -10,9 +10,9 @@ import click
 
 from drivers.named_files import place_of
 from drivers.settings import ConfigError, read_toml
-from gateway.cli.plant.plant_file import config_option
+from gateway.cli.plant.plant_file import by_option, config_option
 from gateway.commission.session import login
-from gateway.console import emit, json_option, service_of, table
+from gateway.console import CommandResult, Part, Rows, conclude, json_option, service_of
 from gateway.entry import Exit, fail, sentences
 from gateway.outside.status import ControlError, connect
 from gateway.plant import (
@@ -91,14 +91,14 @@ def history(path: Path, folder: Path | None, as_json: bool) -> None:
         for one in found
     ]
 
-    def show() -> None:
+    def show() -> Iterator[Part]:
         cells = [
             (str(one.number), _date(one.manifest.made), one.manifest.note, str(len(one.manifest.files)))
             for one in found
         ]
-        table(f"{found[0].folder.parent}", ("number", "taken over", "at", "files"), cells)
+        yield Rows(f"{found[0].folder.parent}", ("number", "taken over", "at", "files"), cells)
 
-    emit({"ok": True, "configurations": rows}, show, as_json_line=as_json)
+    conclude(CommandResult({"configurations": rows}), lambda _: show(), as_json=as_json)
 
 
 def _date(seconds: float) -> str:
@@ -128,7 +128,7 @@ def diff(path: Path, folder: Path | None, old: int | None, new: int | None) -> N
 @click.command(short_help="Put the files of a former configuration back, never armed.")
 @click.argument("number", type=int)
 @click.option("--reason", required=True, help="Why, for the history.")
-@click.option("--by", default="", envvar="DECANTER_BY", help="Who does it.  [default: the login]")
+@by_option
 @config_option
 @_history_option
 @json_option
@@ -179,10 +179,10 @@ def rollback(path: Path, folder: Path | None, number: int, reason: str, by: str,
             finally:
                 line.close()
     said = {"ok": True, "number": number, "files": list(map(str, content)), "said": taken}
-    emit(
-        said,
-        lambda: click.echo(f"{len(content)} files are as in configuration {number}; {taken}"),
-        as_json_line=as_json,
+    conclude(
+        CommandResult(said),
+        lambda _: [f"{len(content)} files are as in configuration {number}; {taken}"],
+        as_json=as_json,
     )
 
 

@@ -25,7 +25,7 @@ from gateway.cli.keep.masking import make_mask, masked, written_forms
 from gateway.cli.plant.plant_file import config_option
 from gateway.clock_sync import clock_error
 from gateway.commission.session import versions
-from gateway.console import emit, json_option
+from gateway.console import CommandResult, conclude, json_option
 from gateway.entry import sentences
 from gateway.machine.alarms import read_journal
 from gateway.outside.status import ControlError, connect, findings, health_of, read_status
@@ -86,7 +86,7 @@ def support(path: Path, file: Path | None, as_json: bool) -> None:
     sentence = (
         f"{file}: {len(members)} files, {len(packed.getvalue()) / 1e3:.0f} kB; look through it before you send it"
     )
-    emit(data, lambda: click.echo(sentence), as_json_line=as_json)
+    conclude(CommandResult(data), lambda _: [sentence], as_json=as_json)
 
 
 def bundle(path: Path, now: float) -> dict[str, str]:

@@ -1,12 +1,13 @@
 """The commands of `decanter user`: who may change something at the page."""
 
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import click
 
 from gateway.cli.plant.plant_file import config_option
-from gateway.console import emit, json_option, table
+from gateway.console import CommandResult, Part, Rows, conclude, json_option
 from gateway.entry import sentences
 from gateway.outside.web.access import ROLES, AccountRole, add_account, change_password, read_accounts, remove_account
 from gateway.settings import Config, load_plant
@@ -53,14 +54,14 @@ def list_accounts(path: Path, as_json: bool) -> None:
         file = _config(path).users
         accounts = {name: account.role for name, account in read_accounts(file).items()}
 
-    def show() -> None:
+    def show() -> Iterator[Part]:
         if accounts:
             rows = [(name, str(role), ROLES[role]) for name, role in accounts.items()]
-            table(str(file), ("account", "role", "may do"), rows)
+            yield Rows(str(file), ("account", "role", "may do"), rows)
         else:
-            click.echo(f"there is no account yet ({file}); make one with `decanter user add NAME --role administrator`")
+            yield f"there is no account yet ({file}); make one with `decanter user add NAME --role administrator`"
 
-    emit({"ok": True, "file": str(file), "accounts": accounts}, show, as_json_line=as_json)
+    conclude(CommandResult({"file": str(file), "accounts": accounts}), lambda _: show(), as_json=as_json)
 
 
 @click.command(short_help="Give an account another password; its sessions end.")

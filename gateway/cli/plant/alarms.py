@@ -1,7 +1,7 @@
 """The commands of `decanter alarm`: asked of the running gateway, or read from its historian."""
 
 import getpass
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import asdict
 from datetime import UTC, datetime
@@ -10,8 +10,8 @@ from typing import Any
 
 import click
 
-from gateway.cli.plant.plant_file import config_option, control_socket, machine_option
-from gateway.console import emit, json_option, table
+from gateway.cli.plant.plant_file import by_option, config_option, control_socket, machine_option
+from gateway.console import CommandResult, Part, Rows, conclude, json_option
 from gateway.entry import Exit, fail, sentences
 from gateway.machine.alarms import (
     BY_PERSONS,
@@ -30,7 +30,6 @@ from gateway.store import moment_of, newest_scan, reading
 PATIENCE_S = 15.0
 """What hides an alarm waits until it is on record."""
 
-_by_option = click.option("--by", default="", envvar="DECANTER_BY", help="Who does it.  [default: the login]")
 _reason_option = click.option("--reason", required=True, help="Why, for the audit log and the journal.")
 
 
@@ -87,7 +86,7 @@ def list_alarms(path: Path, machine: str | None, every: bool, as_json: bool) -> 
     ]
     urgent = [row for row in rows if row["active"] or Change.ACKNOWLEDGE in row["possible"]]
 
-    def show_rows() -> None:
+    def show_rows() -> Iterator[Part]:
         cells = [
             [
                 row["priority"],
@@ -100,10 +99,9 @@ def list_alarms(path: Path, machine: str | None, every: bool, as_json: bool) -> 
             for row in rows
         ]
         head = ("", *(("machine",) if len(found) > 1 else ()), "alarm", "state", "since", "what to do, or why")
-        table(f"{len(urgent)} to be dealt with, {len(rows)} in all", head, cells)
+        yield Rows(f"{len(urgent)} to be dealt with, {len(rows)} in all", head, cells)
 
-    emit({"ok": not urgent, "alarms": rows}, show_rows, as_json_line=as_json)
-    raise SystemExit(Exit.CHECK_FAILED if urgent else Exit.OK)
+    conclude(CommandResult({"alarms": rows}, ok=not urgent), lambda _: show_rows(), as_json=as_json)
 
 
 @click.command(short_help="Show one alarm: what it watches, what to do, what comes of not doing it.")
@@ -120,7 +118,7 @@ def show(name: str, path: Path, machine: str | None, as_json: bool) -> None:
         known = sorted({row["name"] for alarms in found.values() for row in alarms})
         fail(f"there is no alarm {name!r}; there are {', '.join(known)}")
 
-    def show_rows() -> None:
+    def show_rows() -> Iterator[Part]:
         for row in rows:
             state, kind = AlarmState(row["state"]), ALARM_KINDS.get(row["kind"])
             lines = {
@@ -139,9 +137,9 @@ def show(name: str, path: Path, machine: str | None, as_json: bool) -> None:
             }
             for title, text in lines.items():
                 if text:
-                    click.echo(f"{title + ':':<17}{text}")
+                    yield f"{title + ':':<17}{text}"
 
-    emit({"ok": True, "alarms": rows}, show_rows, as_json_line=as_json)
+    conclude(CommandResult({"alarms": rows}), lambda _: show_rows(), as_json=as_json)
 
 
 def _change(
@@ -161,13 +159,13 @@ def _change(
             line.close()
     states: dict[str, str] = answer["alarms"]
 
-    def show_states() -> None:
+    def show_states() -> Iterator[Part]:
         for name, state in states.items():
-            click.echo(f"{name}: {BY_PERSONS[change]}, now {state}")
+            yield f"{name}: {BY_PERSONS[change]}, now {state}"
         if not states:
-            click.echo("no alarm waits for an acknowledgement")
+            yield "no alarm waits for an acknowledgement"
 
-    emit({"ok": True, "alarms": states}, show_states, as_json_line=as_json)
+    conclude(CommandResult({"alarms": states}), lambda _: show_states(), as_json=as_json)
 
 
 def _names(required: bool = True) -> Callable[[Any], Any]:
@@ -176,7 +174,7 @@ def _names(required: bool = True) -> Callable[[Any], Any]:
 
 @click.command(short_help="Say that you know: of the named alarms, or of all that wait.")
 @_names(required=False)
-@_by_option
+@by_option
 @click.option("--reason", default="", help="A remark, for the audit log and the journal.")
 @config_option
 @machine_option
@@ -191,7 +189,7 @@ def acknowledge(names: tuple[str, ...], by: str, reason: str, path: Path, machin
 @click.option(
     "--minutes", type=click.FloatRange(0, min_open=True), required=True, help="For how long (alarms.longest_shelving)."
 )
-@_by_option
+@by_option
 @_reason_option
 @config_option
 @machine_option
@@ -207,7 +205,7 @@ def _signed_command(change: Change, name: str, short_help: str, long_help: str) 
     """The command of a change that takes names, a person and a reason."""
 
     @_names()
-    @_by_option
+    @by_option
     @_reason_option
     @config_option
     @machine_option
@@ -267,7 +265,7 @@ def journal(since: str, path: Path, machine: str | None, as_json: bool) -> None:
         historian, start, _ = _window(path, since, machine)
         rows = read_journal(historian, machine=machine, start=start)
 
-    def show_rows() -> None:
+    def show_rows() -> Iterator[Part]:
         several = len({row.subject for row in rows}) > 1
         cells = [
             [
@@ -281,9 +279,9 @@ def journal(since: str, path: Path, machine: str | None, as_json: bool) -> None:
             for row in rows
         ]
         head = ("time", *(("machine",) if several else ()), "alarm", "state", "value", "by")
-        table(f"{len(rows)} changes since {_date(start)}", head, cells)
+        yield Rows(f"{len(rows)} changes since {_date(start)}", head, cells)
 
-    emit({"ok": True, "journal": [asdict(row) for row in rows]}, show_rows, as_json_line=as_json)
+    conclude(CommandResult({"journal": [asdict(row) for row in rows]}), lambda _: show_rows(), as_json=as_json)
 
 
 @click.command(short_help="Hold the alarms against what a person can deal with (EEMUA 191).")
@@ -301,7 +299,7 @@ def rates(since: str, path: Path, machine: str | None, as_json: bool) -> None:
         historian, start, end = _window(path, since, machine)
         found = alarm_rates(read_journal(historian, machine=machine, end=end + 1e-6), start, end)
 
-    def show_rates() -> None:
+    def show_rates() -> Iterator[Part]:
         cells: list[list[object]] = [
             ["alarms", found.announced, f"{_date(start)} to {_date(end)}"],
             ["in ten minutes, on average", f"{found.per_ten_minutes:.2f}", found.verdict],
@@ -317,9 +315,7 @@ def rates(since: str, path: Path, machine: str | None, as_json: bool) -> None:
             for priority, advised in PRIORITIES.items()
         ]  # fmt: skip
         cells += [[name, count, "most frequent"] for name, count in found.frequent.items()]
-        table("alarms against EEMUA 191 and ISA-18.2", ("what", "count", ""), cells)
-        for sentence in found.findings:
-            click.echo(sentence)
+        yield Rows("alarms against EEMUA 191 and ISA-18.2", ("what", "count", ""), cells)
+        yield from found.findings
 
-    emit({"ok": found.ok, **asdict(found)}, show_rates, as_json_line=as_json)
-    raise SystemExit(Exit.OK if found.ok else Exit.CHECK_FAILED)
+    conclude(CommandResult(asdict(found), ok=found.ok), lambda _: show_rates(), as_json=as_json)

@@ -1,5 +1,6 @@
 """The commands of `decanter machine`: the machines of a plant file, and of the gateway that runs with it."""
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -7,7 +8,7 @@ import click
 
 from gateway.cli.plant.plant_file import config_option
 from gateway.commission.files import DRY_RUN, Edit, commit, plant_findings, with_machine, without_machine
-from gateway.console import emit, json_option, table
+from gateway.console import CommandResult, Line, Part, Rows, conclude, json_option
 from gateway.entry import sentences
 from gateway.outside.status import ControlError, connect, health_of, read_status
 from gateway.settings import load_plant
@@ -36,7 +37,7 @@ def list_machines(path: Path, as_json: bool) -> None:
         for config in configs
     ]
 
-    def show() -> None:
+    def show() -> Iterator[Part]:
         cells = [
             [
                 config.machine,
@@ -48,9 +49,9 @@ def list_machines(path: Path, as_json: bool) -> None:
             for config in configs
         ]
         count = f"{len(rows)} machine{'' if len(rows) == 1 else 's'}"
-        table(f"{path}: {count}", ("machine", "place", "temperatures", "write-back", "now"), cells)
+        yield Rows(f"{path}: {count}", ("machine", "place", "temperatures", "write-back", "now"), cells)
 
-    emit({"ok": True, "machines": rows}, show, as_json_line=as_json)
+    conclude(CommandResult({"machines": rows}), lambda _: show(), as_json=as_json)
 
 
 def _health(socket: Path) -> dict[str, str]:
@@ -111,13 +112,13 @@ def _carry_out(edit: Edit, *, dry_run: bool, as_json: bool) -> None:
     backup = None if dry_run else commit(edit, load_plant)
     findings = [] if dry_run else plant_findings(edit.path)
 
-    def show() -> None:
+    def show() -> Iterator[Part]:
         for line in edit.diff().splitlines():
-            click.secho(line, fg={"+": "green", "-": "red", "@": "cyan"}.get(line[:1]))
-        click.echo("dry run: nothing was written" if dry_run else f"written (before: {backup}); {RELOAD}")
+            yield Line(line, {"+": "green", "-": "red", "@": "cyan"}.get(line[:1]))
+        yield "dry run: nothing was written" if dry_run else f"written (before: {backup}); {RELOAD}"
         for finding in findings:
-            click.secho(finding, fg="yellow")
+            yield Line(finding, "yellow")
 
     data = {"ok": True, "diff": edit.diff(), "written": not dry_run, "backup": backup and str(backup)}
     data["findings"] = findings
-    emit(data, show, as_json_line=as_json)
+    conclude(CommandResult(data), lambda _: show(), as_json=as_json)

@@ -33,6 +33,7 @@ def config_option(command: Any) -> Any:
     )(command)
 
 
+by_option = click.option("--by", default="", envvar="DECANTER_BY", help="Who does it.  [default: the login]")
 machine_option = click.option(
     "--machine", metavar="NAME", help="One machine of several.  [default: the only one, else all]"
 )

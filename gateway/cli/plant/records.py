@@ -17,7 +17,7 @@ import click
 
 from drivers.csv_rows import write_rows
 from gateway.cli.plant.plant_file import config_option, machine_option
-from gateway.console import emit, json_option, table
+from gateway.console import CommandResult, Part, Rows, conclude, json_option
 from gateway.entry import sentences
 from gateway.extras import missing
 from gateway.settings import load_plant
@@ -144,7 +144,7 @@ def export(
     size = file.stat().st_size
     data = {"file": str(file), "table": name, "rows": count, "bytes": size}
     sentence = f"{file}: {count} rows of {name}, {size / 1e6:.2f} MB"
-    emit({"ok": True, **data}, lambda: click.echo(sentence), as_json_line=as_json)
+    conclude(CommandResult(data), lambda _: [sentence], as_json=as_json)
 
 
 @contextmanager
@@ -248,10 +248,10 @@ def query(
     shown = [[_date(cell) if place == moment else cell for place, cell in enumerate(row)] for row in found]  # type: ignore[arg-type]
     rows = [dict(zip(head, row, strict=True)) for row in shown]
 
-    def show_rows() -> None:
-        table(f"{len(rows)} rows", head, [["–" if cell is None else cell for cell in row] for row in shown])
+    def show_rows() -> Iterator[Part]:
+        yield Rows(f"{len(rows)} rows", head, [["–" if cell is None else cell for cell in row] for row in shown])
 
-    emit({"ok": True, "rows": rows}, show_rows, as_json_line=as_json)
+    conclude(CommandResult({"rows": rows}), lambda _: show_rows(), as_json=as_json)
 
 
 def _means(window: RecordsWindow, name: str, tag: str | None, width: int) -> list[Cells]:
@@ -277,8 +277,8 @@ def tables(as_json: bool) -> None:
         for name, columns in TABLE_COLUMNS.items()
     }
 
-    def show_tables() -> None:
+    def show_tables() -> Iterator[Part]:
         for name, columns in TABLE_COLUMNS.items():
-            table(name, ("column", "kind", "what it is"), [[one.name, one.kind, one.meaning] for one in columns])
+            yield Rows(name, ("column", "kind", "what it is"), [[one.name, one.kind, one.meaning] for one in columns])
 
-    emit({"ok": True, "tables": data}, show_tables, as_json_line=as_json)
+    conclude(CommandResult({"tables": data}), lambda _: show_tables(), as_json=as_json)

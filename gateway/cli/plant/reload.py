@@ -1,11 +1,12 @@
 """`decanter reload`: a running gateway takes over what its plant file says now."""
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import click
 
 from gateway.cli.plant.plant_file import config_option
-from gateway.console import emit, json_option, socket_option
+from gateway.console import CommandResult, Line, Part, conclude, json_option, socket_option
 from gateway.entry import Exit, fail, sentences
 from gateway.outside.status import ControlError, connect
 from gateway.settings import load_plant
@@ -44,16 +45,16 @@ def reload(path: Path, dry_run: bool, socket: Path | None, as_json: bool) -> Non
     changes: dict[str, list[str]] = answer["changes"]
     next_start: list[str] = answer["next_start"]
 
-    def show() -> None:
+    def show() -> Iterator[Part]:
         for name, sentences_of in changes.items():
             for sentence in sentences_of:
-                click.echo(f"{name}: {sentence}")
+                yield f"{name}: {sentence}"
         if not changes:
-            click.echo("nothing has changed")
+            yield "nothing has changed"
         else:
-            click.echo("dry run: nothing was taken over" if dry_run else "taken over")
+            yield "dry run: nothing was taken over" if dry_run else "taken over"
         for sentence in next_start:
-            click.secho(sentence, fg="yellow")
+            yield Line(sentence, "yellow")
 
     data = {"ok": True, "changes": changes, "applied": answer["applied"], "next_start": next_start}
-    emit(data, show, as_json_line=as_json)
+    conclude(CommandResult(data), lambda _: show(), as_json=as_json)

@@ -12,7 +12,7 @@ import click
 from rich.console import Console
 
 from gateway.cli.plant.plant_file import config_option, control_socket, machine_option
-from gateway.console import emit, json_option, socket_option
+from gateway.console import CommandResult, Drawing, conclude, json_option, socket_option
 from gateway.entry import Exit, fail, sentences
 from gateway.outside.panel import follow, panel
 from gateway.outside.status import GatewayStatus, GatewayWatch, Health, Sighting, findings, health_of
@@ -76,19 +76,16 @@ def status(path: Path, machine: str | None, socket: Path | None, as_json: bool) 
     with sentences(), closing(_watch(path, machine, socket)) as watch:
         sighting = watch.look(ANSWER_S)
         if sighting.silence or not sighting.machines:
-            word = Health.ABSENT if sighting.gone else Health.SILENT
-            reason = _absent(sighting, path)
-            emit({"ok": False, "health": word, "reason": reason}, lambda: None, as_json_line=as_json)
-            fail(reason, EXITS[word][0])
+            word, reason = Health.ABSENT if sighting.gone else Health.SILENT, _absent(sighting, path)
+            absent = CommandResult({"health": word, "reason": reason}, reason, EXITS[word][0])
+            conclude(absent, lambda _: [], as_json=as_json)
         answers = {name: _answer(status) for name, status in sighting.machines.items()}
         # The worst word of all machines is the gateway's.
         word = max((answer["health"] for answer in answers.values()), key=WORSE.index)
-        if sighting.status is not None:
-            data = next(iter(answers.values()))
-        else:
-            data = {"ok": word is Health.WELL, "health": word, "machines": answers}
-        emit(data, lambda: Console().print(panel(sighting)), as_json_line=as_json)
-    raise SystemExit(EXITS[word][0])
+        only = sighting.status is not None
+        data = next(iter(answers.values())) if only else {"health": word, "machines": answers}
+        found = CommandResult(data, failing=EXITS[word][0], ok=word is Health.WELL)
+        conclude(found, lambda _: [Drawing(panel(sighting))], as_json=as_json)
 
 
 def _watch(path: Path, machine: str | None, socket: Path | None) -> GatewayWatch:

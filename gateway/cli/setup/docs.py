@@ -6,7 +6,7 @@ from pathlib import Path
 import click
 
 from drivers.errors import did_you_mean
-from gateway.console import config_dir, emit, json_option, make_folder
+from gateway.console import CommandResult, LongText, conclude, config_dir, json_option, make_folder
 from gateway.entry import sentences
 
 
@@ -30,17 +30,17 @@ def docs(page: str | None, examples: Path | None, as_json: bool) -> None:
     with sentences():
         if examples is not None:
             copied = _copy_examples(examples)
-            emit({"examples": copied}, lambda: click.echo("\n".join(copied)), as_json_line=as_json)
+            conclude(CommandResult({"examples": copied}), lambda _: ["\n".join(copied)], as_json=as_json)
         elif page is not None:
             name = _page(page)
             text = (docs_dir() / f"{name}.md").read_text(encoding="utf-8")
-            emit({"page": name, "text": text}, lambda: click.echo_via_pager(text), as_json_line=as_json)
+            conclude(CommandResult({"page": name, "text": text}), lambda _: [LongText(text)], as_json=as_json)
         else:
             titles = {name: _title(name) for name in sorted(_names()) if "/" not in name and name != "index"}
             width = max(map(len, titles))
             lines = [f"{name:{width}}  {title}" for name, title in titles.items()]
             lines.append("\ndecanter docs PAGE prints one, decanter docs 0001 a decision; decisions/index lists these")
-            emit({"pages": titles}, lambda: click.echo("\n".join(lines)), as_json_line=as_json)
+            conclude(CommandResult({"pages": titles}), lambda _: ["\n".join(lines)], as_json=as_json)
 
 
 def _names() -> list[str]:

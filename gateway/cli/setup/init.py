@@ -2,7 +2,7 @@
 
 import re
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -25,7 +25,7 @@ from gateway.commission.files import (
 )
 from gateway.commission.import_list import as_listed, bindings, reading_of
 from gateway.commission.options import SharedOptions, link_options
-from gateway.console import emit, make_folder, service_of, shipped
+from gateway.console import CommandResult, Line, Part, conclude, make_folder, service_of, shipped
 from gateway.entry import sentences
 from gateway.lab.traces.map import asked_map
 from gateway.settings import load_device
@@ -122,16 +122,16 @@ def init(given: SharedOptions, folder: Path, **options: Any) -> None:
     warnings += plant_findings(folder / "plant.toml")
     following = _next(folder, trace, temperatures)
 
-    def show() -> None:
+    def show() -> Iterator[Part]:
         predicted = f"temperature{'s' if len(temperatures) > 1 else ''} {', '.join(temperatures)}"
-        click.echo("\n".join([*(f"made {path}" for path in made), f"{len(known)} tags, {predicted}"]))
+        yield "\n".join([*(f"made {path}" for path in made), f"{len(known)} tags, {predicted}"])
         for sentence in warnings:
-            click.secho(sentence, fg="yellow", err=True)
-        click.echo("next:\n" + "\n".join(f"  {line}" for line in following))
+            yield Line(sentence, "yellow", aside=True)
+        yield "next:\n" + "\n".join(f"  {line}" for line in following)
 
     data = {"files": list(map(str, made)), "tags": len(known), "temperature": temperatures[0], "heartbeat": heartbeat}
     data |= {"temperatures": list(temperatures), "warnings": warnings, "next": following}
-    emit(data, show, as_json_line=given.as_json)
+    conclude(CommandResult(data), lambda _: show(), as_json=given.as_json)
 
 
 def terminal() -> bool:

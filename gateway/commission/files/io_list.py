@@ -13,7 +13,7 @@ from typing import Any
 from drivers.codec import integer_range
 from drivers.tag import DType
 from gateway.commission.files.cells import ListError, ListRow, ListSheet, RowError, key_of, number_of, read_sheet
-from gateway.commission.files.io_places import AddressCell, ListedPlace, Numbering, place_of
+from gateway.commission.files.io_places import SIEMENS, AddressCell, ListedPlace, Numbering, place_of
 from gateway.commission.files.io_units import CountFactor, factor_of, range_of, unit_of
 from gateway.commission.files.io_words import (
     COLUMNS,
@@ -59,12 +59,16 @@ class Reading:
 
 @dataclass(frozen=True, slots=True)
 class Listed:
-    """A tag of the list: its keys as the device file has them (None: not written there), its line, how it was taken."""
+    """A tag of the list: its keys as the device file has them (None: not written there), its line, how it was taken.
+
+    `written` is its address as the list has it.
+    """
 
     name: str
     keys: Mapping[str, Any]
     line: int
     taken: str = ""
+    written: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,14 +144,7 @@ def _listed(row: _ListedRow, before: Sequence[Listed]) -> Listed:
     numeric = dtype not in ("bool", "string")
     scaling = _scaling(row, dtype) if numeric else _Scaling()
     order, said = _order(row, cell, dtype, place)
-    for other in before:
-        # Two tags may share a register only where each takes another bit of it.
-        bits = (place.bit, other.keys["bit"])
-        if address == other.keys["address"] and (None in bits or bits[0] == bits[1]):
-            sentence = f"{line.get('address')!r} is where {other.name!r} of line {other.line} lies"
-            raise RowError(
-                "address", f"{sentence}; correct one of them (a spreadsheet shows bit 0 as no bit, and 10 as .1)"
-            )
+    shared = _shared_with(before, row, address, place)
     keys = {
         "address": address,
         "dtype": dtype,
@@ -161,7 +158,29 @@ def _listed(row: _ListedRow, before: Sequence[Listed]) -> Listed:
         "high": scaling.high,
         "sentinel": _sentinel(line) if numeric else None,
     }
-    return Listed(name, keys, line.number, "; ".join(note for note in (place.note, said, scaling.taken) if note))
+    taken = "; ".join(note for note in (place.note, said, scaling.taken, shared) if note)
+    return Listed(name, keys, line.number, taken, line.get("address"))
+
+
+def _shared_with(before: Sequence[Listed], row: _ListedRow, address: str, place: ListedPlace) -> str:
+    """With which tag it shares its place, to be printed; "" for none.
+
+    Two tags may have one where each takes another bit of it, or where the list itself writes the place in two ways: it
+    names it twice then. What is written alike is a line that was copied. Raises RowError.
+    """
+    text, shared = row.get("address"), ""
+    for other in before:
+        bits = (place.bit, other.keys["bit"])
+        if address != other.keys["address"] or (None not in bits and bits[0] != bits[1]):
+            continue
+        if bits != (None, None) or text == other.written:
+            raise RowError(
+                "address",
+                f"{text!r} is where {other.name!r} of line {other.line} lies; correct one of them (a spreadsheet shows "
+                "bit 0 as no bit, and 10 as .1)",
+            )
+        shared = f"{address} is {other.name!r} of line {other.line} too, written {other.written!r}"
+    return shared
 
 
 _WRITE_ONLY = frozenset({"w", "wo", "write", "write only", "scrittura", "solo scrittura"})
@@ -209,6 +228,8 @@ def _sentinel(line: ListRow) -> int | float | list[int | float] | None:
 def _of_the_layout(sheet: ListSheet, how: Reading) -> Reading:
     """What an export of a known program has by default."""
     headers = {key_of(text) for text in (*sheet.columns.values(), *sheet.ignored)}
+    if not how.plc and "logical address" in headers and any(header.startswith("hmi ") for header in headers):
+        return replace(how, plc=SIEMENS)  # a tag table of TIA Portal
     if not how.order and {"respect data type", "client access"} <= headers:
         return replace(how, order=LOW_WORD_FIRST)
     return how

@@ -49,13 +49,14 @@ class Numbering:
 class _Iec:
     """Where a maker puts one kind of IEC address: `table`, the first one, and so many of the table a number.
 
-    `bits` of a byte or word, for addresses such as 1.3.
+    `bits` of a byte or word, for addresses such as 1.3. With `halves` the number counts bytes, and a register has two.
     """
 
     table: str
     first: int = 0
     step: int = 1
     bits: int = 0
+    halves: bool = False
 
 
 _COMMON = {"qx": _Iec("coil", bits=8), "ix": _Iec("discrete", bits=8), "qw": _Iec("holding"), "iw": _Iec("input")}
@@ -69,9 +70,17 @@ MAKERS: Mapping[str, Mapping[str, _Iec]] = {
     "wago": {"mw": _Iec("holding", 12288), "md": _Iec("holding", 12288, 2), "mx": _Iec("coil", 12288, bits=16)}
     | {"qw": _Iec("holding", 512), "qx": _Iec("coil", 512, bits=16)}
     | {"iw": _Iec("input"), "ix": _Iec("discrete", bits=16)},
+    "siemens": {"i": _Iec("discrete", bits=8), "q": _Iec("coil", bits=8)}
+    | {"iw": _Iec("input", halves=True), "id": _Iec("input", halves=True)},
 }
 """IEC addresses by the runtime that serves them: OpenPLC's Modbus map, CODESYS by size in bytes, Schneider's %M, %MW
-and %MD that overlap, Wago 750 with words of 16 bits from 12288."""
+and %MD that overlap, Wago 750 with words of 16 bits from 12288, an S7's process image as MB_SERVER serves it."""
+SIEMENS = "siemens"
+_NO_PLACE = {
+    SIEMENS: "an S7 serves its process image and the block at MB_HOLD_REG: of a tag in its memory or in another block "
+    "give the register of that block, as holding:0"
+}
+_BLOCK = re.compile(r"%?db\d+\.db[xbwdl]\d+(?:\.\d)?")
 _ANY = {key: MAKERS["schneider"][key] for key in ("m", "mw", "iw", "qw", "i")}
 """What is taken where no maker is named, and said to be: the word's or the bit's own number."""
 
@@ -100,6 +109,8 @@ def place_of(cell: AddressCell) -> ListedPlace:
     if kind == "string" and (match := _TEXT.fullmatch(plain)):
         place = _single(match[1], cell)
         return replace(place, length=int(match[2]), swapped=match[3] == "l")
+    if _BLOCK.fullmatch(plain):
+        raise RowError("address", f"{text!r} lies in a data block: {_NO_PLACE[SIEMENS]}")
     if (span := _stretch(plain, cell)) is not None:
         return span
     if match := _IEC.fullmatch(plain):
@@ -185,7 +196,8 @@ def _iec(match: re.Match[str], text: str, plc: str) -> ListedPlace:
     rule = (MAKERS[plc] if plc else _ANY).get(letters)
     # A bit of a word, as %MW100.3, is the same everywhere.
     if rule is None or (bit is None if rule.bits else bit is not None and letters != "mw"):
-        why = f"{plc} has no such place" if plc else f"none is named; give --plc, one of {', '.join(MAKERS)}"
+        unnamed = f"none is named; give --plc, one of {', '.join(MAKERS)}"
+        why = _NO_PLACE.get(plc, f"{plc} has no such place") if plc else unnamed
         raise RowError("address", f"{text!r}: where it lies is for its maker to say, and {why}")
     if bit is not None and rule.bits:
         if bit >= rule.bits:
@@ -195,7 +207,9 @@ def _iec(match: re.Match[str], text: str, plc: str) -> ListedPlace:
                 _within(Register(rule.table, rule.first + number // 2), text), 8 * (number % 2) + bit, note=plc
             )
         return ListedPlace(_within(Register(rule.table, rule.first + rule.bits * number + bit), text), note=plc)
-    register = Register(rule.table, rule.first + rule.step * number)
+    if rule.halves and number % 2:
+        raise RowError("address", f"{text!r} begins in the middle of a register, of which {plc} counts the bytes")
+    register = Register(rule.table, rule.first + (number // 2 if rule.halves else rule.step * number))
     return ListedPlace(_within(register, text), bit, note=plc or f"%{letters.upper()} by its number: else --plc")
 
 

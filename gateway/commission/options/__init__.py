@@ -4,7 +4,10 @@ from gateway.commission.options.shared import (
     SharedOption,
     SharedOptions,
     audit_option,
+    bit_option,
     link_options,
+    only_option,
+    period_option,
     record_options,
     shared_options,
 )

@@ -190,3 +190,10 @@ def _other(text: str) -> tuple[str, Any]:
         return key.strip(), parse_toml(f"value = {value}")["value"]
     except tomllib.TOMLDecodeError:
         return key.strip(), value.strip()
+
+
+bit_option = click.option("--bit", type=click.IntRange(0, 15), help="One bit of the register.")
+only_option = click.option("--only", multiple=True, metavar="TAG", help="Only this tag; may be given again.")
+period_option = click.option(
+    "--period", type=click.FloatRange(0.01), help="Seconds between two scans.  [default: the plant file's]"
+)

@@ -10,6 +10,7 @@ from typing import Any
 from drivers.capabilities import Capabilities
 from drivers.driver import LINKS, Driver, capabilities, link_of, open_driver
 from drivers.errors import OneLineError
+from drivers.settings import split_place
 from drivers.tag import Tag
 from drivers.tap import Medium
 from gateway.settings import Config, DeviceMap, GatewayPlaces, gateway_places, load_config, load_device
@@ -175,6 +176,12 @@ def _complete(target: Target) -> Target:
             return target
         raise TargetError(f"--link: {target.kind!r} is no link; give one of {', '.join(LINKS)}")
     settings = {**kind.settings, **target.settings}
+    if isinstance(settings.get("host"), str):
+        try:
+            host, port = split_place(settings["host"])
+        except ValueError as error:
+            raise TargetError(f"--host: {error}") from None
+        settings |= {"host": host} | ({} if port is None or "port" in settings else {"port": port})
     if target.config is None and settings.get("host"):
         settings.setdefault("connect_timeout", CONNECT_S)
     missing = [OPTION_OF.get(key, f"--{key}") for key in kind.needs if settings.get(key) in (None, "")]

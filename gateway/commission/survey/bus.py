@@ -20,6 +20,8 @@ HEARTBEAT = 0x700
 STATES = {0: "booting", 4: "stopped", 5: "operational", 127: "pre-operational"}
 _TEXTS = {"name": (0x1008, 0), "hardware": (0x1009, 0), "software": (0x100A, 0)}
 _NUMBERS = {"device type": (0x1000, 0), "vendor": (0x1018, 1), "product": (0x1018, 2), "revision": (0x1018, 3)}
+_NUMBERS |= {"serial": (0x1018, 4)}
+_PINNED = ("vendor", "product", "revision", "serial")
 
 
 async def probe_bus(site: Site, steps: list[CheckStep], facts: dict[str, Any]) -> None:
@@ -40,7 +42,10 @@ async def probe_bus(site: Site, steps: list[CheckStep], facts: dict[str, Any]) -
             else:
                 steps.append(failed("traffic", silence, ReplyTimeout(silence)))
             if site.target.capabilities.nodes:
-                await _node(survey, int(settings.get("node", 1)), frames, steps, facts)
+                node = int(settings.get("node", 1))
+                pinned = settings.get("identity") or {}
+                if await _node(survey, node, frames, steps, facts):
+                    _held_against(pinned, steps, facts)
     except LinkDown as error:
         hint = "is the interface there and up (ip link set can0 up type can bitrate ...)?"
         hint = hint if settings.get("interface", "socketcan") == "socketcan" else "is the hub or adapter there?"
@@ -49,7 +54,8 @@ async def probe_bus(site: Site, steps: list[CheckStep], facts: dict[str, Any]) -
 
 async def _node(
     survey: ListensToBus, node: int, frames: list[BusFrame], steps: list[CheckStep], facts: dict[str, Any]
-) -> None:
+) -> bool:
+    """Whether the node answers, and who it says it is."""
     beats = [frame for frame in frames if not frame.extended and frame.id == HEARTBEAT + node and frame.data]
     if beats:
         state = beats[-1].data[0] & 0x7F  # bit 7 is the toggle bit of node guarding (CiA 301)
@@ -66,6 +72,24 @@ async def _node(
         steps.append(failed("node", str(error), error))
     else:
         steps.append(ok("node", ", ".join(f"{name} {value}" for name, value in facts["identity"].items())))
+        return True
+    return False
+
+
+def _held_against(pinned: Mapping[str, int], steps: list[CheckStep], facts: dict[str, Any]) -> None:
+    """Whether the node is the pinned one; what would pin it, where nothing does."""
+    said = {name: int(facts["identity"][name], 16) for name in _PINNED if name in facts["identity"]}
+    if wrong := [name for name, number in pinned.items() if said.get(name) != number]:
+        name = wrong[0]
+        heard = f"0x{said[name]:08X}" if name in said else "nothing"
+        reason = f"another device: of its {name} it says {heard}, and 0x{pinned[name]:08X} is pinned (identity)"
+        steps.append(failed("pinned", reason, LinkDown(reason)))
+    elif pinned:
+        steps.append(ok("pinned", "it is the pinned device"))
+    elif said:
+        facts["proposed_identity"] = said
+        marks = ", ".join(f"{name} = {number}" for name, number in said.items())
+        steps.append(ok("proposal", f"identity = {{ {marks} }} in [device] tells it from others"))
 
 
 async def identity_of(survey: ListensToBus, node: int, timeout: float = SDO_S) -> dict[str, str]:

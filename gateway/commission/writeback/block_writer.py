@@ -32,6 +32,7 @@ from gateway.machine.writing import (
     arming_of,
     build,
     next_heartbeat,
+    obstacle,
     places_for,
     uptime,
 )
@@ -62,7 +63,10 @@ Ask = Callable[[str], bool]
 
 
 def arming_in_force(places: WitnessPlaces, now: float, subject: str = "") -> Arming:
-    """The arming of a subject in force. Raises WriteForbidden without one, AuditError, SigningKeyError."""
+    """The arming of a subject in force. Raises WriteForbidden without one, AuditError, SigningKeyError.
+
+    One on a log that lacks a row whose head was signed is none: what it lacks may be the disarming.
+    """
     path = places.audit
     row = standing(path, now, uptime(), key=places.key, subject=subject)
     if row is None:
@@ -71,6 +75,8 @@ def arming_in_force(places: WitnessPlaces, now: float, subject: str = "") -> Arm
             f"not armed: nothing is written; arm first: decanter plc arm --by NAME --reason WHY --minutes N (audit log "
             f"{path})"
         )
+    if why := obstacle(places)[0]:
+        raise WriteForbidden(f"not armed: nothing is written: {why}")
     return arming_of(row)
 
 

@@ -11,7 +11,7 @@ from drivers.named_files import writing
 from gateway.commission.writeback.structured_text import Program, generate
 from gateway.commission.writeback.targets import TARGETS
 from gateway.commission.writeback.vectors import plain
-from gateway.console import CommandResult, conclude, config_dir
+from gateway.console import CommandResult, conclude, config_dir, json_option
 from gateway.entry import sentences
 from gateway.settings import load_device
 
@@ -40,7 +40,7 @@ from gateway.settings import load_device
 @click.option("--permit-at", default="", metavar="LOCATION", help="The bit of the permit's switch, such as %IX0.0.")
 @click.option("--cycle", type=click.IntRange(1, 10_000), default=20, show_default=True, help="The task's cycle in ms.")
 @click.option("--suite", type=click.Path(path_type=Path), help="Also write the conformance suite here (JSON).")
-@click.option("--json", "as_json", is_flag=True, help="One JSON object instead of text.")
+@json_option
 def codegen(
     device: Path,
     target: str,

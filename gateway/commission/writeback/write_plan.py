@@ -8,12 +8,13 @@ from typing import Any
 from drivers.device_file import STATUS_TAGS
 from drivers.driver import Writes
 from drivers.errors import DriverError
+from drivers.survey import read_plan
 from gateway.commission.session import Site, at
 from gateway.commission.survey import reference_of
 from gateway.commission.writeback.block_writer import layouts_of
 from gateway.commission.writeback.fields import ALARM_BITS, ALARM_MEANINGS, ALWAYS_KNOWN, MEANINGS, unknown_word
 from gateway.console import CommandResult, Line, Part, Rows
-from gateway.machine.writing import places_for, uptime
+from gateway.machine.writing import obstacle, places_for, uptime
 from gateway.settings import LEAST_BLOCKS, DeviceMap
 from gateway.store import standing
 
@@ -29,9 +30,10 @@ async def plan_writing(site: Site, audit_path: Path) -> CommandResult:
     device, layouts = layouts_of(site)
     problems = list(problems_of(site, device))
     config = site.target.config
-    row = standing(
-        audit_path, time.time(), uptime(), key=places_for(audit_path, config).key, subject=site.target.subject
-    )
+    places = places_for(audit_path, config)
+    row = standing(audit_path, time.time(), uptime(), key=places.key, subject=site.target.subject)
+    if row is not None and (why := obstacle(places)[0]):
+        row, problems = None, [*problems, why]
     words = []
     for layout in layouts:
         for field, tag in zip(layout.fields, layout.words, strict=True):
@@ -50,6 +52,7 @@ async def plan_writing(site: Site, audit_path: Path) -> CommandResult:
                     "meaning": meaning,
                 }
             )
+    plan = read_plan(site.target.driver, site.target.settings, device.tags, device.block_words)
     data: dict[str, Any] = {
         "blocks": len(layouts),
         "words": words,
@@ -63,6 +66,7 @@ async def plan_writing(site: Site, audit_path: Path) -> CommandResult:
         "period_s": config.scan.period if config else None,
         "most_per_second": config.blocks_per_second if config else LEAST_BLOCKS,
         "audit": str(audit_path),
+        "written_by": plan.written_by if plan is not None else "",
         "problems": problems,
     }
     complaint = f"{len(problems)} things stand in the way of writing: {problems[0]}" if problems else ""
@@ -111,7 +115,8 @@ def writing_view(data: Mapping[str, Any]) -> Iterator[Part]:
     bits = ", ".join(f"{bit['bit']} {bit['name']}" for bit in data["alarm_bits"])
     yield f"alarm bits: {bits}"
     period = f"a block a scan ({data['period_s']:g} s)" if data["period_s"] else "a block a scan"
-    yield f"one request a block, sent once; {period}, at most {data['most_per_second']:g} a second"
+    by = data["written_by"] or "one request a block"
+    yield f"{by}, sent once; {period}, at most {data['most_per_second']:g} a second"
     yield f"the PLC's timer: {data['plc_timer_s']:g} s; audit log {data['audit']}"
     if armed := data["armed"]:
         yield Line(f"ARMED until {at(armed['until'])} by {armed['by']}: {armed['reason']}", "yellow")

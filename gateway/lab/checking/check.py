@@ -1,5 +1,6 @@
 """`decanter model check`: a query put to a model, answered by runs or decided over its locations."""
 
+from collections.abc import Iterator
 from math import inf, isfinite, nan, nextafter
 from pathlib import Path
 
@@ -7,8 +8,19 @@ import click
 
 from drivers.csv_rows import write_rows
 from drivers.named_files import writing
-from gateway.console import emit, finite, historian_machine_option, json_option, map_option, progress, table
-from gateway.entry import Exit, sentences
+from gateway.console import (
+    CommandResult,
+    Line,
+    Part,
+    Rows,
+    conclude,
+    finite,
+    historian_machine_option,
+    json_option,
+    map_option,
+    progress,
+)
+from gateway.entry import sentences
 from gateway.lab.checking.answer_picture import draw_answer
 from gateway.lab.traces.load import load
 from gateway.store import newest_scan, reading, to_trace
@@ -170,9 +182,9 @@ def check(
         "csv": courses and str(courses),
         "picture": picture and str(picture),
     }
-    emit(data, lambda: _show(result, query_text, courses, picture, unit=unit), as_json_line=as_json)
-    if result.kind in ("hypothesis", "comparison", "symbolic") and result.verdict is not True:
-        raise SystemExit(int(Exit.CHECK_FAILED))
+    holds = result.kind not in ("hypothesis", "comparison", "symbolic") or result.verdict is True
+    found = CommandResult(data, ok=holds)
+    conclude(found, lambda _: _show(result, query_text, courses, picture, unit=unit), as_json=as_json)
 
 
 def _start(model: Model, trace: Trace | None, *, origin: str, future: str | None, machine: str | None) -> Start:
@@ -211,27 +223,27 @@ def _start(model: Model, trace: Trace | None, *, origin: str, future: str | None
     raise ValueError(f"--from {origin!r}: write initial, location:NAME, trace:SECONDS or historian:FILE")
 
 
-def _show(result: Answer, text: str, courses: Path | None, picture: Path | None, *, unit: str) -> None:
+def _show(result: Answer, text: str, courses: Path | None, picture: Path | None, *, unit: str) -> Iterator[Part]:
     """The answer on one screen: what was asked, the answer, how it came about, what limits it."""
-    click.echo(text)
-    click.secho(f"  {result.sentence}", bold=True)
+    yield text
+    yield Line(f"  {result.sentence}", bold=True)
     if isinstance(result.query, Simulation):
         kinds = ("least", "greatest", "mean at the end")
         named = [(label, [result.numbers[f"{label}: {kind}"] for kind in kinds]) for label in result.query.labels]
         rows = [[label, *(f"{number:.5g}" for number in numbers)] for label, numbers in named]
-        table("courses", ["expression", *kinds], rows)
+        yield Rows("courses", ["expression", *kinds], rows)
     if result.levels:
         # The levels lead to the event; of an invariant that is its violation, and `probability` is the complement.
         chance = result.numbers.get("violation", result.numbers["probability"])
         rows = [[f"{level:.4g} {unit}", f"{share:.2e}"] for level, share in result.levels]
-        table("way", ["level", "chance to reach it"], [*rows, ["the event", f"{chance:.2e}"]])
-    click.echo(f"  method   {result.rule}")
+        yield Rows("way", ["level", "chance to reach it"], [*rows, ["the event", f"{chance:.2e}"]])
+    yield f"  method   {result.rule}"
     if result.runs:
-        click.echo(f"  runs     {result.runs}, seed {result.seed}")
+        yield f"  runs     {result.runs}, seed {result.seed}"
     if result.start:
-        click.echo(f"  start    {result.start}")
+        yield f"  start    {result.start}"
     for note in result.notes:
-        click.echo(f"  note     {note}")
+        yield f"  note     {note}"
     for name, path in (("csv", courses), ("picture", picture)):
         if path is not None:
-            click.echo(f"{name}: {path}")
+            yield f"{name}: {path}"

@@ -1,7 +1,6 @@
 """`decanter model prove`: what is certain about a model before it runs, and the word that shows what is wrong."""
 
-import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -10,9 +9,10 @@ import click
 from click.core import ParameterSource
 
 from drivers.named_files import writing
-from gateway.console import emit, finite, json_option, map_option, shipped, table
-from gateway.entry import Exit, sentences
+from gateway.console import CommandResult, Line, Part, Rows, conclude, finite, json_option, map_option, shipped
+from gateway.entry import sentences
 from gateway.lab.models.show import show_verdict
+from gateway.lab.options import policy_option
 from gateway.lab.traces.load import load
 from sim.engine import Policy
 from sim.lab.formats import FoundModel, find_model
@@ -72,13 +72,7 @@ def _inputs(_: click.Context, __: click.Parameter, texts: Sequence[str]) -> dict
     "--inputs", multiple=True, callback=_inputs, metavar="SIGNAL=LOW..HIGH", help="Range of an input; may be repeated."
 )
 @click.option("--start", type=(float, float), metavar="LOW HIGH", help="Where runs begin (°C).")
-@click.option(
-    "--policy",
-    type=click.Choice(["reject", "ignore", "resync"]),
-    default="resync",
-    show_default=True,
-    help="An event without an edge.",
-)
+@policy_option
 @click.option("--known", is_flag=True, help="No gap ever: UNKNOWN, which leads to the initial location, never comes.")
 @click.option(
     "--wear",
@@ -148,9 +142,9 @@ def prove(
         if out is not None and worst is not None:
             with writing(out):
                 out.write_text(word_text(worst[1]) + "\n", encoding="utf-8")
-    emit(plain(result, found), lambda: _show(result, found, model, out), as_json_line=as_json)
-    if not result.deployable or (found.verdict is not None and found.verdict.word == "unfit"):
-        sys.exit(Exit.CHECK_FAILED)
+    unfit = found.verdict is not None and found.verdict.word == "unfit"
+    proved = CommandResult(plain(result, found), ok=result.deployable and not unfit)
+    conclude(proved, lambda _: _show(result, found, model, out), as_json=as_json)
 
 
 def plain(result: Verification, found: FoundModel) -> dict[str, Any]:
@@ -181,46 +175,46 @@ def plain(result: Verification, found: FoundModel) -> dict[str, Any]:
     }
 
 
-def _show(result: Verification, found: FoundModel, model: str, out: Path | None) -> None:
+def _show(result: Verification, found: FoundModel, model: str, out: Path | None) -> Iterator[Part]:
     seconds = sum(each.seconds for each in result.checks)
     rows = [
         [each.name, each.verdict, "" if each.blocking else "no", f"{1e3 * each.seconds:.1f}"] for each in result.checks
     ]
-    table(f"{found.name}: verified in {seconds:.2f} s", ("check", "verdict", "decides", "ms"), rows)
+    yield Rows(f"{found.name}: verified in {seconds:.2f} s", ("check", "verdict", "decides", "ms"), rows)
     for each in result.checks:
-        click.echo(f"{each.name}: {each.evidence}")
+        yield f"{each.name}: {each.evidence}"
         # The cases, where there is something to look for; those of `bounds` are its intervals, and are long.
         if each.verdict == "proven" or each.name == "bounds" or len(each.details) < 2:
             continue
         for detail in each.details[:CASES]:
-            click.echo(f"    {detail if len(detail) <= WIDTH else detail[:WIDTH] + ' ...'}")
+            yield f"    {detail if len(detail) <= WIDTH else detail[:WIDTH] + ' ...'}"
         if len(each.details) > CASES:
-            click.echo(f"    ... and {len(each.details) - CASES} more (--json has them all)")
+            yield f"    ... and {len(each.details) - CASES} more (--json has them all)"
     if result.bounds is not None:
-        click.echo(f"assumed: {'; '.join(result.assumptions)}")
+        yield f"assumed: {'; '.join(result.assumptions)}"
     worst = _counterexample(result)
     if worst is not None:
         name, word = worst
         size = f"{len(word.steps)} stays"
         if out is not None:
             replayed = f"decanter model simulate {model} --word {out}"
-            click.echo(f"counterexample to {name}, of {size}: {out}; replay it: {replayed}")
+            yield f"counterexample to {name}, of {size}: {out}; replay it: {replayed}"
         elif len(word.steps) <= STAYS:
-            click.echo(f"counterexample to {name}: decanter model simulate {model} --word '{word_text(word)}'")
+            yield f"counterexample to {name}: decanter model simulate {model} --word '{word_text(word)}'"
         else:
-            click.echo(f"a counterexample to {name}, of {size}, was found; --word FILE writes it, for model simulate")
+            yield f"a counterexample to {name}, of {size}, was found; --word FILE writes it, for model simulate"
     against = [each.name for each in result.checks if each.blocking and each.verdict != "proven"]
     # What is not decided is not proven: promotion refuses both alike.
     sentence = f"unfit: not proven: {', '.join(against)}" if against else "proven: every check that decides"
-    click.secho(sentence, fg="red" if against else "green", bold=True)
+    yield Line(sentence, "red" if against else "green", bold=True)
     if found.verdict is not None:
-        show_verdict(found.verdict)
+        yield from show_verdict(found.verdict)
     elif not against:
-        click.echo(UNJUDGED)
+        yield UNJUDGED
     if "growth" in against and result.executable:
-        click.echo(f"next: {GROWS}")
+        yield f"next: {GROWS}"
     elif against:
-        click.echo(f"next: {NEXT}")
+        yield f"next: {NEXT}"
 
 
 def _counterexample(result: Verification) -> tuple[str, TimedWord] | None:

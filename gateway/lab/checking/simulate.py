@@ -1,15 +1,16 @@
 """`decanter model simulate`: a model let run along measured traces, and how far off it comes out; or along a word."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import click
 import numpy as np
 
-from gateway.console import emit, json_option, map_option, progress, seed_option, table
-from gateway.entry import fail, sentence, sentences
+from gateway.console import CommandResult, Part, Rows, conclude, json_option, map_option, progress, seed_option
+from gateway.entry import Exit, sentence, sentences
 from gateway.lab.checking.word import replay_word
+from gateway.lab.options import policy_option, start_option, trace_option
 from gateway.lab.traces.load import load
 from gateway.lab.traces.picture import picture_option
 from sim.engine import Policy, Start, errors, measured, open_loop, open_loop_schedule, start_law
@@ -112,22 +113,14 @@ def _simulate_one(
 
 @click.command(short_help="Let a model run along measured traces; say how far off it is.")
 @click.argument("directory")
-@click.option("--trace", "paths", multiple=True, help="A file, a folder or a glob; may be given again.")
+@trace_option
 @click.option("--word", help="Instead of traces: a timed word, as 'W_ON@0 A_2@30 @600', or a file with one.")
 @map_option
 @click.option(
     "--runs", type=click.IntRange(2, 1_000_000), default=1000, show_default=True, help="Stochastic runs a trace."
 )
-@click.option(
-    "--policy",
-    type=click.Choice(["reject", "ignore", "resync"]),
-    default="resync",
-    show_default=True,
-    help="An event without an edge.",
-)
-@click.option(
-    "--start", type=click.Choice(["measured", "law"]), default="measured", show_default=True, help="First temperature."
-)
+@policy_option
+@start_option
 @seed_option
 @picture_option
 @json_option
@@ -165,16 +158,15 @@ def simulate(
             chosen, traces, runs=runs, policy=policy, start=start, seed=seed, picture=picture, report=report
         )
     data = {"model": chosen.sha.name, "traces": rows, "picture": picture and str(picture)}
-    emit(data, lambda: _show_rows(rows, picture), as_json_line=as_json)
-    if any("error" in row for row in rows):
-        fail("; ".join(str(row["error"]) for row in rows if "error" in row))
+    complaint = "; ".join(str(row["error"]) for row in rows if "error" in row)
+    conclude(CommandResult(data, complaint, Exit.USAGE), lambda _: _show_rows(rows, picture), as_json=as_json)
 
 
-def _show_rows(rows: Sequence[Mapping[str, Any]], picture: Path | None) -> None:
+def _show_rows(rows: Sequence[Mapping[str, Any]], picture: Path | None) -> Iterator[Part]:
     columns = ("trace", "events", "rmse", "mae", "rmse at events", "final", "coverage 90 %", "clamps", "flags")
     done = [[row[name] for name in columns] for row in rows if "error" not in row]
     if done:
         units = " and ".join(dict.fromkeys(shown_unit(row["unit"]) for row in rows if "error" not in row))
-        table(f"open loop ({units})", columns, done)
+        yield Rows(f"open loop ({units})", columns, done)
     if picture is not None:
-        click.echo(f"picture: {picture}")
+        yield f"picture: {picture}"

@@ -1,11 +1,10 @@
 """`decanter model simulate --word`: a timed word run stay by stay, without noise and without clamps."""
 
+from collections.abc import Iterator
 from pathlib import Path
 
-import click
-
 from drivers.named_files import endless_number, regular
-from gateway.console import emit, table
+from gateway.console import CommandResult, Part, Rows, conclude
 from gateway.entry import sentences
 from sim.effects import in_sensor_scale
 from sim.engine import Policy
@@ -42,13 +41,13 @@ def replay_word(directory: str, text_or_file: str, policy: Policy, *, as_json: b
         "stays": [{name: getattr(visit, name) for name in COLUMNS} for visit in done.visits],
     }
 
-    def show() -> None:
+    def show() -> Iterator[Part]:
         rows = [[getattr(visit, name) for name in COLUMNS] for visit in done.visits]
-        table(f"replay without noise and clamps (s, {unit})", COLUMNS, rows)
+        yield Rows(f"replay without noise and clamps (s, {unit})", COLUMNS, rows)
         sentence = (
             f"from {done.lowest:.6g} to {done.highest:.6g} {unit}; the model's range is {low:g} to {high:g} {unit}"
         )
         left = f": it is left in {outside.location!r}, in the stay from {outside.time:.6g} s on" if outside else ""
-        click.echo(sentence + left)
+        yield sentence + left
 
-    emit(data, show, as_json_line=as_json)
+    conclude(CommandResult(data), lambda _: show(), as_json=as_json)

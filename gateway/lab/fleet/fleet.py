@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import asdict
 from pathlib import Path
@@ -14,12 +14,24 @@ import numpy as np
 
 from drivers.csv_rows import write_rows
 from drivers.named_files import writing
-from gateway.console import emit, json_option, map_option, progress, seed_option, shipped, table
+from gateway.console import (
+    CommandResult,
+    Line,
+    Part,
+    Rows,
+    conclude,
+    json_option,
+    map_option,
+    progress,
+    seed_option,
+    shipped,
+)
 from gateway.entry import Exit, fail, interruptible, sentences
 from gateway.lab.fleet.places import place_words
 from gateway.lab.fleet.sources import TABLE, sources_in
 from gateway.lab.fleet.study import MODEL, RESULTS, FleetFindings, FleetRequest, study
 from gateway.lab.models.show import spread_sentence
+from gateway.lab.options import jobs_option, temperature_option
 from sim.forecast import Z90
 from sim.lab.judge import held
 from sim.lab.learning import MachineSpread, StandsOut, spread_of
@@ -43,14 +55,14 @@ PLAIN, STRIKING, BAND = "#1f6fb4", "#b3261e", "#e4e8ec"
 @click.argument("place")
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), required=True, help="The folder to write.")
 @map_option
-@click.option("--temperature", metavar="SIGNAL", help="The signal that is predicted.  [default: the map's]")
+@temperature_option
 @click.option("--schema", default="decanter", show_default=True, help="Of a database: the schema of its samples.")
 @click.option(
     "--sample", type=click.IntRange(1), default=12, show_default=True, help="Machines that teach the type's model."
 )
 @click.option("--own", is_flag=True, help="Learn a model of each machine's own too.")
 @click.option("--diagnose", "diagnosis", is_flag=True, help="Diagnose each machine against its corrected type.")
-@click.option("--jobs", type=click.IntRange(1), help="Worker processes.  [default: one a core]")
+@jobs_option
 @click.option("--cluster", "address", help="Work on the Dask cluster whose scheduler is at this address (tcp://...).")
 @seed_option
 @json_option
@@ -117,27 +129,27 @@ def fleet(
         "machines": rows_of(found, words),
     }
 
-    def show() -> None:
+    def show() -> Iterator[Part]:
         rows = [{name: row[name] for name in row if name not in COSTS} for row in rows_of(found, words)[:MOST_NAMED]]
         title = f"{len(found.results)} machines: targets off the type's, held-out free-run errors, in {unit}"
-        table(title, list(rows[0]), [["" if value is None else value for value in row.values()] for row in rows])
+        yield Rows(title, list(rows[0]), [["" if value is None else value for value in row.values()] for row in rows])
         if len(found.results) > len(rows):
-            click.echo(f"the {len(found.results) - len(rows)} that lie nearest to the type are in {out / TABLE}")
+            yield f"the {len(found.results) - len(rows)} that lie nearest to the type are in {out / TABLE}"
         if len(found.spread.offsets) <= MOST_NAMED:
-            click.echo(spread_sentence(found.spread, unit))
+            yield spread_sentence(found.spread, unit)
         else:
             apart, ahead = f"{found.spread.between:.3g} {unit}", f"{found.spread.sigma:.3g} {unit}"
-            click.echo(f"machines: {apart} between them, {ahead} for the next one")
+            yield f"machines: {apart} between them, {ahead} for the next one"
         for name in found.outstanding:
-            click.secho(outstanding_sentence(found, name, words, unit), fg="yellow")
+            yield Line(outstanding_sentence(found, name, words, unit), "yellow")
         if not found.outstanding:
-            click.echo("no machine stands out")
+            yield "no machine stands out"
         for name, reasons in data["unread"].items():
             for each in reasons:
-                click.secho(f"{name}: without {each}", fg="yellow")
-        click.echo(f"model of the type, with each machine's own: {out / MODEL}\npicture: {out / PICTURE}")
+                yield Line(f"{name}: without {each}", "yellow")
+        yield f"model of the type, with each machine's own: {out / MODEL}\npicture: {out / PICTURE}"
 
-    emit(data, show, as_json_line=as_json)
+    conclude(CommandResult(data), lambda _: show(), as_json=as_json)
 
 
 def outstanding_sentence(found: FleetFindings, name: str, words: Mapping[str, str], unit: str) -> str:

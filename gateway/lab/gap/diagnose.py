@@ -1,7 +1,7 @@
 """`decanter diagnose`: where model and measurement disagree, which effect is missing, and the model that has it."""
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -11,18 +11,21 @@ from typing import Any
 import click
 
 from gateway.console import (
-    emit,
+    CommandResult,
+    Part,
+    Rows,
+    conclude,
     historian_machine_option,
     json_option,
     map_option,
     progress,
     seed_option,
     shipped,
-    table,
 )
 from gateway.entry import sentences
 from gateway.lab.models.adopt import adopt
 from gateway.lab.models.propose import propose, recorded_drift, store_of
+from gateway.lab.options import optional_traces_option
 from gateway.lab.traces.load import load
 from gateway.store import reading, recent
 from sim.artefacts import model_hash, read_effect_lines
@@ -214,7 +217,7 @@ class DiagnoseCommand(click.Command):
 @click.command(cls=DiagnoseCommand, short_help="Find where model and traces disagree; name what is missing.")
 @click.argument("more", nargs=-1, metavar="[TRACES]...")
 @click.option("--model", "where", required=True, help="A model directory, a store, a model.json, or DIR/NAME.")
-@click.option("--traces", "paths", multiple=True, help="A file, a folder or a glob; may be given again.")
+@optional_traces_option
 @click.option("--historian", type=click.Path(path_type=Path), help="A gateway's historian instead of --traces.")
 @click.option("--since", help="Of the historian: from this time (2026-03-01T06:00) or span (7d, 36h) on [14d].")
 @historian_machine_option
@@ -308,7 +311,7 @@ def diagnose(
                     f"not due: the free run was beyond its limit on {drift.cycles} cycles running, fewer than "
                     f"{drift.alarm_cycles}"
                 )
-                emit({"due": False, "drifting": drift.cycles}, lambda: click.echo(said), as_json_line=as_json)
+                conclude(CommandResult({"due": False, "drifting": drift.cycles}), lambda _: [said], as_json=as_json)
                 return
         column_map: ColumnMap | None = None  # a historian's signals have the plant's own names
         if historian is None:
@@ -332,27 +335,27 @@ def diagnose(
     if proposes:
         data |= {"proposed": None if candidate is None else candidate[0], "new": candidate is not None and candidate[1]}
 
-    def shown() -> None:
-        show(result, out)
+    def shown() -> Iterator[Part]:
+        yield from show(result, out)
         if request.experiment:
-            show_experiment(proposed)
+            yield from show_experiment(proposed)
         if candidate is not None:
             name, fresh = candidate
-            click.echo(f"{'proposed' if fresh else 'waits already for the same finding'}: {where}@{name}")
-            click.echo(f"to run it once it is confirmed: decanter model promote {where} {name}")
+            yield f"{'proposed' if fresh else 'waits already for the same finding'}: {where}@{name}"
+            yield f"to run it once it is confirmed: decanter model promote {where} {name}"
 
-    emit(document(result.diagnosis) | data, shown, as_json_line=as_json)
+    conclude(CommandResult(document(result.diagnosis) | data), lambda _: shown(), as_json=as_json)
 
 
-def show(result: DiagnosisResult, out: Path) -> None:
+def show(result: DiagnosisResult, out: Path) -> Iterator[Part]:
     """Print the verdict with its evidence."""
     diagnosis = result.diagnosis
     unit = shown_unit(diagnosis.unit)
-    click.echo(f"{diagnosis.verdict}: {diagnosis.sentence}")
+    yield f"{diagnosis.verdict}: {diagnosis.sentence}"
     for reason in diagnosis.reasons:
-        click.echo(f"  {reason}")
+        yield f"  {reason}"
     for look in look_at(diagnosis):
-        click.echo(f"look at {look}")
+        yield f"look at {look}"
     if diagnosis.places:
         rows = [
             [
@@ -368,19 +371,19 @@ def show(result: DiagnosisResult, out: Path) -> None:
             for place in diagnosis.places[:5]
         ]
         columns = ("location", "after", "seconds", "share", f"heat ({unit}/h)", "cycles", "p", "goes with")
-        table("where the unexplained heat is", columns, rows)
+        yield Rows("where the unexplained heat is", columns, rows)
         if overlap := overlap_sentence(diagnosis.places[:5]):
-            click.echo(overlap)
+            yield overlap
     for number, law in enumerate(diagnosis.laws, start=1):
-        click.echo(f"law {number}, {law_sentence(law)}")
+        yield f"law {number}, {law_sentence(law)}"
     if diagnosis.effects:
         rows = [
             [effect.name, ", ".join(effect.members), effect.confidence, effect.gain, dict(effect.params)]
             for effect in diagnosis.effects
         ]
-        table("added to the model", ("effect", "class", "confidence", "nats", "parameters"), rows)
+        yield Rows("added to the model", ("effect", "class", "confidence", "nats", "parameters"), rows)
         for effect in diagnosis.effects:
-            click.echo(f"to tell {effect.name} from its twins: {effect.experiment}")
+            yield f"to tell {effect.name} from its twins: {effect.experiment}"
     if diagnosis.shifts:
         rows = [
             [
@@ -394,24 +397,25 @@ def show(result: DiagnosisResult, out: Path) -> None:
             ]
             for s in diagnosis.shifts
         ]
-        table("parameters that moved", ("location", "parameter", "before", "after", "unit", "change", "sigma"), rows)
+        yield Rows(
+            "parameters that moved", ("location", "parameter", "before", "after", "unit", "change", "sigma"), rows
+        )
     if said := held_out_sentence(diagnosis):
-        click.echo(f"held out: {said}")
+        yield f"held out: {said}"
     if diagnosis.untested:
-        click.echo(f"not tested: {', '.join(diagnosis.untested)} (the report says why)")
+        yield f"not tested: {', '.join(diagnosis.untested)} (the report says why)"
     if diagnosis.missing_heat is not None:
-        click.echo(f"missing heat over time: {out / MISSING_HEAT}")
+        yield f"missing heat over time: {out / MISSING_HEAT}"
     if (out / "report.html").exists():
-        click.echo(f"report: {out / 'report.html'}")
+        yield f"report: {out / 'report.html'}"
     if diagnosis.model_after is not None:
         verdict = f"it DOES NOT VERIFY: {'; '.join(result.verification)}" if result.verification else "it verifies"
-        click.echo(f"new model: {diagnosis.model_after}; {verdict}")
+        yield f"new model: {diagnosis.model_after}; {verdict}"
 
 
-def show_experiment(proposed: ProposedExperiment | None) -> None:
+def show_experiment(proposed: ProposedExperiment | None) -> Iterator[Part]:
     """Print an experiment as a numbered list for whoever stands at the machine."""
     if proposed is None:
-        click.echo("experiment: none; there are no two effects to be told apart, or nothing that could be set for it")
+        yield "experiment: none; there are no two effects to be told apart, or nothing that could be set for it"
         return
-    for line in experiment_lines(proposed):
-        click.echo(line)
+    yield from experiment_lines(proposed)

@@ -16,8 +16,8 @@ from typing import Any
 import click
 
 from drivers.errors import DriverError
-from gateway.console import config_dir, emit, json_option, progress, shipped
-from gateway.entry import Exit, interruptible, sentence, sentences
+from gateway.console import CommandResult, Line, Part, conclude, config_dir, json_option, progress, shipped
+from gateway.entry import interruptible, sentence, sentences
 from gateway.lab.ingestion.archive import (
     VERDICTS,
     IngestArchive,
@@ -334,16 +334,15 @@ def ingest(
     data |= {"files": [{"source": str(o.source), "verdict": o.verdict, "why": o.sentence, **o.row} for o in told]}
     said = ", ".join(f"{counts[verdict]} {verdict}" for verdict in VERDICTS)
 
-    def summary() -> None:
-        click.echo(f"{archive}: {said}{' (nothing was written)' if dry_run else ''}")
+    def summary() -> Iterator[Part]:
+        yield f"{archive}: {said}{' (nothing was written)' if dry_run else ''}"
         if counts["unremoved"]:
             why = next((outcome.unremoved for outcome in told if outcome.unremoved), "no permission").lower()
             files = f"{counts['unremoved']} of them could not be removed from {folder}"
-            click.secho(f"{files} ({why}); remove them as a user who may write there", fg="yellow", err=True)
+            yield Line(f"{files} ({why}); remove them as a user who may write there", "yellow", aside=True)
 
-    emit(data, summary, as_json_line=as_json)
-    if counts["refused"] or counts["unremoved"]:
-        click.get_current_context().exit(Exit.CHECK_FAILED)
+    found = CommandResult(data, ok=not (counts["refused"] or counts["unremoved"]))
+    conclude(found, lambda _: summary(), as_json=as_json)
 
 
 def _tell(outcome: IngestOutcome, dry_run: bool) -> None:

@@ -1,15 +1,16 @@
 """`decanter model rank`: several models on the same traces; which of them are fit for deployment."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import click
 
-from gateway.console import emit, json_option, progress, table
+from gateway.console import CommandResult, Part, Rows, conclude, json_option, progress
 from gateway.entry import Exit, fail, interruptible, sentences
 from gateway.lab.judging.request import JudgingRequest, judging_options
 from gateway.lab.judging.skill import show_skill
+from gateway.lab.options import optional_traces_option
 from sim.lab.judge import (
     Facts,
     ForecastSkill,
@@ -112,7 +113,7 @@ Limits of fitness, judged on traces that were not in training where there are an
 
 @click.command(epilog=LIMITS, short_help="Compare models on the same traces; say which are fit for deployment.")
 @click.argument("models", nargs=-1, metavar="[MODEL...]")
-@click.option("--traces", "paths", multiple=True, help="A file, a folder or a glob; may be given again.")
+@optional_traces_option
 @click.option(
     "--results",
     "folders",
@@ -193,10 +194,10 @@ def rank(
             data = {**as_plain(ranking), "page": page and str(page), "picture": picture and str(picture)}
     except KeyboardInterrupt:
         fail("stopped before the end; nothing was written", Exit.INTERRUPTED)
-    emit(data, lambda: _show(ranking, page, picture), as_json_line=as_json)
+    conclude(CommandResult(data), lambda _: _show(ranking, page, picture), as_json=as_json)
 
 
-def _show(ranking: Ranking, page: Path | None, picture: Path | None) -> None:
+def _show(ranking: Ranking, page: Path | None, picture: Path | None) -> Iterator[Part]:
     weights = ranking.weights
     formula = f"S = {weights.mae:g} MAE + {weights.largest:g} max + {weights.scatter:g} sigma"
     columns = ("rank", "model", "for deployment", "S", "MAE", "max", "sigma", "CRPS", "coverage 90 %", "persistence")
@@ -205,7 +206,7 @@ def _show(ranking: Ranking, page: Path | None, picture: Path | None) -> None:
         [row.rank or "–", row.entrant, row.fitness, *(getattr(row, name) for name in names), row.failed, row.in_sample]
         for row in ranking.standings
     ]
-    table(
+    yield Rows(
         f"{formula} ({shown_unit(ranking.unit)}), means over {len(ranking.common)} common traces",
         (*columns, "wins", "failed", ""),
         rows,
@@ -225,17 +226,17 @@ def _show(ranking: Ranking, page: Path | None, picture: Path | None) -> None:
     ]
     if pairs:
         heads = ("first", "second", "traces", "first - second", "95 %", "p (Holm)", "wins", "what it tells")
-        table(f"differences of S on the same traces ({shown_unit(ranking.unit)})", heads, pairs)
+        yield Rows(f"differences of S on the same traces ({shown_unit(ranking.unit)})", heads, pairs)
     if ranking.skill is not None:
-        show_skill(ranking.skill, ("by horizon", "by machine"))
+        yield from show_skill(ranking.skill, ("by horizon", "by machine"))
     for row in ranking.standings:
         for finding in row.findings:
             if finding.kept is not True:
                 word = "not kept" if finding.kept is False else "not known"
                 said = f"{row.entrant}: {finding.criterion} {word}: {finding.sentence}"
-                click.echo(f"{said}; next: {finding.next_step}")
+                yield f"{said}; next: {finding.next_step}"
     for note in ranking.notes:
-        click.echo(f"note: {note}")
+        yield f"note: {note}"
     for kind, file in (("page", page), ("picture", picture)):
         if file is not None:
-            click.echo(f"{kind}: {file}")
+            yield f"{kind}: {file}"

@@ -11,6 +11,7 @@ import click
 
 from gateway.console import map_option, seed_option, shipped
 from gateway.lab.judging.figures import JudgedForecasts, judged_forecasts
+from gateway.lab.options import jobs_option
 from sim.lab.judge import Prepared, TraceRunSettings, Wanted, prepare
 from sim.lab.recordings import ColumnMap
 from sim.sha import Trace
@@ -88,7 +89,7 @@ def judging_options(*, semantics: str, training: str) -> Callable[[Callable[...,
         beside = "Statistical methods beside them, fitted to --training; implies --skill."
         for option in (
             seed_option,
-            click.option("--jobs", type=click.IntRange(1), help="Worker processes.  [default: one a core]"),
+            jobs_option,
             click.option(
                 "--runs", type=click.IntRange(100, 100_000), default=1000, show_default=True, help="Runs a trace."
             ),

@@ -1,14 +1,15 @@
 """`decanter model skill`: forecasts along held-out traces as the running gateway makes them, beside rivals."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import click
 
-from gateway.console import emit, json_option, map_option, progress, seed_option, shipped, table
+from gateway.console import CommandResult, Part, Rows, conclude, json_option, map_option, progress, seed_option, shipped
 from gateway.entry import sentences
 from gateway.lab.judging.figures import lacking, other_methods, skill_rows
+from gateway.lab.options import traces_option
 from gateway.lab.traces.load import load
 from gateway.machine.model import machine_offset_along
 from gateway.settings import ForecastSection
@@ -30,7 +31,7 @@ def _horizons(_: click.Context, __: click.Parameter, text: str) -> tuple[float, 
 
 @click.command(short_help="Forecast along held-out traces as the running gateway does; score it beside rivals.")
 @click.argument("directory", metavar="MODEL")
-@click.option("--traces", "paths", multiple=True, required=True, help="A file, a folder or a glob; may be given again.")
+@traces_option
 @map_option
 @click.option("--member", "members", multiple=True, help="A model beside MODEL in an ensemble; may be given again.")
 @click.option("--rivals", is_flag=True, help="Statistical methods too, fitted to the traces of --training.")
@@ -111,20 +112,20 @@ def skill(
             draw_skill({ours[0].sha.name: common(rows)}, picture)
     data = {"model": ours[0].sha.name, "members": len(members), "period": period, **found.as_plain()}
     data |= {"machine offsets": offsets, "picture": picture and str(picture)}
-    emit(data, lambda: show(found, offsets, picture), as_json_line=as_json)
+    conclude(CommandResult(data), lambda _: show(found, offsets, picture), as_json=as_json)
 
 
-def show(found: ForecastSkill, offsets: Sequence[Mapping[str, Any]], picture: Path | None) -> None:
+def show(found: ForecastSkill, offsets: Sequence[Mapping[str, Any]], picture: Path | None) -> Iterator[Part]:
     """The tables as text, and what was learned of each machine along its trace."""
-    show_skill(found)
+    yield from show_skill(found)
     if offsets:
         title = f"what this machine's targets lie above the model's, at the end of its trace ({shown_unit(found.unit)})"
-        table(title, list(offsets[0]), [list(row.values()) for row in offsets])
+        yield Rows(title, list(offsets[0]), [list(row.values()) for row in offsets])
     if picture is not None:
-        click.echo(f"picture: {picture}")
+        yield f"picture: {picture}"
 
 
-def show_skill(found: ForecastSkill, wanted: Sequence[str] = ("by horizon", "by time", "by machine")) -> None:
+def show_skill(found: ForecastSkill, wanted: Sequence[str] = ("by horizon", "by time", "by machine")) -> Iterator[Part]:
     """The `wanted` tables, the differences, what the forecasts are worth, and the notes, as text."""
     unit = shown_unit(found.unit)
     titles = {
@@ -136,11 +137,10 @@ def show_skill(found: ForecastSkill, wanted: Sequence[str] = ("by horizon", "by 
         rows = found.tables[name]
         # One machine alone has been shown in the table by horizon.
         if rows and (name != "by machine" or len({row["machine"] for row in rows}) > 1):
-            table(titles[name], list(rows[0]), [list(row.values()) for row in rows])
+            yield Rows(titles[name], list(rows[0]), [list(row.values()) for row in rows])
     if rows := found.tables["differences"]:
         title = "CRPS minus that of the best other method, over machines (95 % interval)"
-        table(title, list(rows[0]), [list(row.values()) for row in rows])
-    for said in found.sentences:
-        click.echo(said)
+        yield Rows(title, list(rows[0]), [list(row.values()) for row in rows])
+    yield from found.sentences
     for note in found.notes:
-        click.echo(f"note: {note}")
+        yield f"note: {note}"

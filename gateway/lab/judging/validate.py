@@ -1,6 +1,6 @@
 """`decanter model validate`: models along measured traces in nine stages, with a report each."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
@@ -10,9 +10,10 @@ from time import perf_counter
 
 import click
 
-from gateway.console import emit, json_option, progress, table
+from gateway.console import CommandResult, Part, Rows, conclude, json_option, progress
 from gateway.entry import Exit, fail, interruptible, sentences
 from gateway.lab.judging.request import JudgingRequest, judging_options
+from gateway.lab.options import policy_option, traces_option
 from gateway.lab.traces.load import warned_of
 from sim.lab.formats import write_model_directory
 from sim.lab.judge import (
@@ -180,7 +181,7 @@ MOST_REASONS = 5
 
 @click.command(short_help="Validate models along measured traces in nine stages; write a report for each.")
 @click.argument("models", nargs=-1, required=True, metavar="MODEL...")
-@click.option("--traces", "paths", multiple=True, required=True, help="A file, a folder or a glob; may be given again.")
+@traces_option
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="The folder for reports and results.")
 @click.option("--overwrite", is_flag=True, help="Replace the results of an earlier campaign in --out.")
 @judging_options(
@@ -188,13 +189,7 @@ MOST_REASONS = 5
     training="Traces to learn `bins` or `lsha` from, to give the resampled semantics its entry laws, "
     "and to fit rivals to.",
 )
-@click.option(
-    "--policy",
-    type=click.Choice(["reject", "ignore", "resync"]),
-    default="resync",
-    show_default=True,
-    help="An event without an edge.",
-)
+@policy_option
 @click.option("--cluster", "address", help="Run on the Dask cluster whose scheduler is at this address (tcp://...).")
 @click.option("--pictures/--no-pictures", default=True, show_default=True, help="A PNG and a PDF a trace.")
 @json_option
@@ -239,12 +234,13 @@ def validate(
         "forecasts": {name: each.as_plain() for name, each in found.skill.items()},
         "results": [asdict(run) | {"verdict": asdict(verdict(run))} for run in results],
     }
-    emit(data, lambda: _show(out, found), as_json_line=as_json)
+    complaint = ""
     if all(result.failure for result in results):
-        fail(f"no model could be run along any trace; {results[0].trace}: {results[0].failure}", Exit.CHECK_FAILED)
+        complaint = f"no model could be run along any trace; {results[0].trace}: {results[0].failure}"
+    conclude(CommandResult(data, complaint), lambda _: _show(out, found), as_json=as_json)
 
 
-def _show(out: Path, found: CampaignFindings) -> None:
+def _show(out: Path, found: CampaignFindings) -> Iterator[Part]:
     results = found.results
     columns = (
         "model",
@@ -267,14 +263,14 @@ def _show(out: Path, found: CampaignFindings) -> None:
         for summary in summaries(results)
     ]
     units = " and ".join(dict.fromkeys(shown_unit(result.unit) for result in results))
-    table(f"validation, means over traces ({units})", (*columns, *more), rows)
+    yield Rows(f"validation, means over traces ({units})", (*columns, *more), rows)
     for name, by_semantics in found.fitness.items():
         own = [result for result in results if result.model == name]
         for semantics, sentence in by_semantics.items():
-            click.echo(f"{name}{f' ({semantics})' if len(by_semantics) > 1 else ''}: {sentence}")
+            yield f"{name}{f' ({semantics})' if len(by_semantics) > 1 else ''}: {sentence}"
         gained = gain(own)
         if gained is not None:
-            click.echo(f"{name}: {gained.sentence}")
+            yield f"{name}: {gained.sentence}"
         # Why traces failed or are to be looked at, the failed ones first; the report has all of them.
         judged = [(result, verdict(result)) for result in sorted(own, key=lambda result: natural(result.trace))]
         lines = [
@@ -284,10 +280,10 @@ def _show(out: Path, found: CampaignFindings) -> None:
             if judgement.word == word
         ]
         for sentence in lines[:MOST_REASONS]:
-            click.echo(f"{name}: {sentence}")
+            yield f"{name}: {sentence}"
         if len(lines) > MOST_REASONS:
-            click.echo(f"{name}: {len(lines) - MOST_REASONS} more of these are in the report")
+            yield f"{name}: {len(lines) - MOST_REASONS} more of these are in the report"
     for name, each in found.skill.items():
         for sentence in (*each.sentences, *(f"note: {note}" for note in each.notes)):
-            click.echo(f"{name}: {sentence}")
-    click.echo(f"report: {out / 'index.html'}")
+            yield f"{name}: {sentence}"
+    yield f"report: {out / 'index.html'}"

@@ -1,15 +1,16 @@
 """`decanter model correct`: a calibration correction of a model, learned from traces that it was not fitted to."""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
 import click
 
-from gateway.console import emit, json_option, map_option, progress, table
-from gateway.entry import Exit, fail, sentences
+from gateway.console import CommandResult, Part, Rows, conclude, json_option, map_option, progress
+from gateway.entry import sentences
+from gateway.lab.options import traces_option
 from gateway.lab.traces.load import load
 from sim.artefacts import STORE_FILE, model_hash
 from sim.lab.formats import find_model, save, write_model_directory
@@ -26,7 +27,7 @@ from sim.sha import encoded, joint_hash, shown_unit, unit_of
 
 @click.command(short_help="Learn T' = k T + b from traces and write the corrected model.")
 @click.argument("name")
-@click.option("--traces", "paths", multiple=True, required=True, help="A file, a folder or a glob; may be given again.")
+@traces_option
 @map_option
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="The model directory or store to write to.")
 @click.option(
@@ -84,31 +85,30 @@ def correct(
         "written": written,
         "out": str(out) if written else None,
     }
-    emit(data, lambda: _show(data), as_json_line=as_json)
-    if not accepted:
-        fail(f"nothing was accepted, so nothing was written: {learned.best.reason}", Exit.CHECK_FAILED)
+    complaint = "" if accepted else f"nothing was accepted, so nothing was written: {learned.best.reason}"
+    conclude(CommandResult(data, complaint), lambda _: _show(data), as_json=as_json)
 
 
-def _show(data: dict[str, Any]) -> None:
+def _show(data: dict[str, Any]) -> Iterator[Part]:
     unit = shown_unit(data["unit"])
     columns = ("form", "gain", "gain_error", "offset", "offset_error", "before", "after", "improvement_error", "runs")
-    table(
+    yield Rows(
         f"T' = gain T + offset; mean absolute error of held-out runs ({unit})",
         columns,
         [[fit[key] for key in columns] for fit in data["fits"]],
     )
     for fit in data["fits"]:
-        click.echo(f"{fit['form']}: {'accepted' if fit['accepted'] else 'not accepted'}, {fit['reason']}")
+        yield f"{fit['form']}: {'accepted' if fit['accepted'] else 'not accepted'}, {fit['reason']}"
     if data["max_rate"] is not None:
         limit = data["max_rate"]
         verdict = "accepted" if limit["accepted"] else "not accepted, as it makes the model worse"
-        click.echo(
+        yield (
             f"max rate: {limit['rate']:.3g} {unit}/s, {limit['margin']:g} times what was seen; {limit['limited']} "
             f"steps meet it, error {limit['before']:.3g} without and {limit['after']:.3g} {unit} with it: {verdict}"
         )
     if data["training traces"]:
-        click.echo("these are the traces that the model was learned from: held out here, but not for the model")
+        yield "these are the traces that the model was learned from: held out here, but not for the model"
     if data["skipped"]:
-        click.echo(f"left out, with too few readings: {', '.join(data['skipped'])}")
+        yield f"left out, with too few readings: {', '.join(data['skipped'])}"
     if data["written"]:
-        click.echo(f"written: {data['written']}")
+        yield f"written: {data['written']}"

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from gateway.console import emit, json_option, map_option, progress, seed_option, table
+from gateway.console import CommandResult, Part, Rows, conclude, json_option, map_option, progress, seed_option
 from gateway.entry import sentences
 from gateway.lab.learning.familiar import familiarity_files, trained_familiarity
 from gateway.lab.models.show import show_model, show_verdict, spread_sentence, summary
+from gateway.lab.options import method_option, temperature_option, traces_option
 from gateway.lab.traces.load import load, warned_of
 from sim.artefacts import VERDICT_FILE
 from sim.lab.formats import check_free, write_model_directory
@@ -31,12 +32,12 @@ REPORT = "learning_report"
 
 
 @click.command(short_help="Learn a model from traces and write its directory.")
-@click.option("--method", type=click.Choice(["bins", "lsha"]), default="bins", show_default=True)
-@click.option("--traces", "paths", multiple=True, required=True, help="A file, a folder or a glob; may be given again.")
+@method_option
+@traces_option
 @map_option
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="The model directory to write.")
 @click.option("--name", default="decanter", show_default=True, help="The model's name, and the artefacts' base name.")
-@click.option("--temperature", metavar="SIGNAL", help="The signal that is predicted.  [default: the map's]")
+@temperature_option
 @seed_option
 @click.option("--delta", type=click.FloatRange(0.0), help="lsha: merge tolerance, share of the parameters' spread.")
 @click.option("--default-flow", type=click.Choice(FLOW_KINDS), help="lsha: the flow of all locations to begin with.")
@@ -114,23 +115,21 @@ def learn(
     data |= {"verdict": verdict.plain() | {"sentence": verdict.sentence}}
     data |= {"familiar_cycles": cycles, "machines": asdict(spread), "warnings": warnings}
 
-    def show() -> None:
-        show_model(model)
+    def show() -> Iterator[Part]:
+        yield from show_model(model)
         for title, rows in shown.items():
             if rows:
-                table(title, list(rows[0]), [list(row.values()) for row in rows])
-        click.echo(spread_sentence(spread, shown_unit(model.unit)))
-        click.echo(
-            f"familiarity: {f'{cycles} cycles' if cycles else 'unknown, too few cycles with an hour before them'}"
-        )
-        click.echo(f"model directory: {out}")
-        show_verdict(verdict)
+                yield Rows(title, list(rows[0]), [list(row.values()) for row in rows])
+        yield spread_sentence(spread, shown_unit(model.unit))
+        yield f"familiarity: {f'{cycles} cycles' if cycles else 'unknown, too few cycles with an hour before them'}"
+        yield f"model directory: {out}"
+        yield from show_verdict(verdict)
         if acceptance is not None:
             counts = f"{acceptance.accepted} of {acceptance.traces} training traces"
-            click.echo(f"accepted: {counts}, by the observed edges alone")
-            click.echo(f"learning report: {out / (REPORT + '.md')}")
+            yield f"accepted: {counts}, by the observed edges alone"
+            yield f"learning report: {out / (REPORT + '.md')}"
 
-    emit(data, show, as_json_line=as_json)
+    conclude(CommandResult(data), lambda _: show(), as_json=as_json)
 
 
 def learn_from(

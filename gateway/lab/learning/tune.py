@@ -1,14 +1,15 @@
 """`decanter model tune`: the best settings of a learning method by cross-validation over traces, resumable."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import click
 
-from gateway.console import emit, json_option, map_option, progress, seed_option, table
+from gateway.console import CommandResult, Part, Rows, conclude, json_option, map_option, progress, seed_option
 from gateway.entry import Exit, interruptible, sentences
+from gateway.lab.options import method_option, traces_option
 from gateway.lab.traces.load import load, warned_of
 from sim.lab.formats import write_model_directory
 from sim.lab.recordings import split_cycles
@@ -20,8 +21,8 @@ SHOWN = 10
 
 
 @click.command(short_help="Search a learning method's best settings by cross-validation over traces.")
-@click.option("--method", type=click.Choice(["bins", "lsha"]), default="bins", show_default=True)
-@click.option("--traces", "paths", multiple=True, required=True, help="A file, a folder or a glob; may be given again.")
+@method_option
+@traces_option
 @map_option
 @click.option("--cycles", is_flag=True, help="Cut each trace into cycles first, for one long recording.")
 @click.option(
@@ -103,13 +104,12 @@ def tune(
         **asdict(tuning),
         "model": written and str(written),
     }
-    emit(data, lambda: _show(tuning, plan, study, written, shown_unit(unit)), as_json_line=as_json)
-    if tuning.stopped:
-        click.secho(f"stopped after {len(tuning.trials)} trials; the same command goes on with {study}", err=True)
-        raise SystemExit(Exit.INTERRUPTED)
+    complaint = f"stopped after {len(tuning.trials)} trials; the same command goes on with {study}"
+    found = CommandResult(data, complaint if tuning.stopped else "", Exit.INTERRUPTED)
+    conclude(found, lambda _: _show(tuning, plan, study, written, shown_unit(unit)), as_json=as_json)
 
 
-def _show(tuning: Tuning, plan: StudyPlan, study: Path, written: Path | None, unit: str) -> None:
+def _show(tuning: Tuning, plan: StudyPlan, study: Path, written: Path | None, unit: str) -> Iterator[Part]:
     figure = f"CRPS ({unit})" if plan.objective == "crps" else "minus log-likelihood per reading"
     complete = sorted((trial for trial in tuning.trials if trial.state == "complete"), key=lambda trial: trial.value)
     rows = [[trial.number, trial.value, trial.error, trial.settings or "defaults"] for trial in complete[:SHOWN]]
@@ -122,13 +122,13 @@ def _show(tuning: Tuning, plan: StudyPlan, study: Path, written: Path | None, un
     more = "".join(f", {count} {state}" for state, count in others.items())
     title = f"{plan.method}: {len(tuning.trials)} trials{more}; the best by held-out {figure}"
     if rows:
-        table(title, ("trial", "value", "standard error", "settings"), rows)
-    click.echo(tuning.sentence)
+        yield Rows(title, ("trial", "value", "standard error", "settings"), rows)
+    yield tuning.sentence
     failed = next((trial for trial in tuning.trials if trial.state == "failed"), None)
     if failed is not None and tuning.best is not None:
-        click.echo(f"trial {failed.number} failed: {failed.reason}")
+        yield f"trial {failed.number} failed: {failed.reason}"
     for note in tuning.notes:
-        click.echo(f"note: {note}")
-    click.echo(f"study: {study}")
+        yield f"note: {note}"
+    yield f"study: {study}"
     if written is not None:
-        click.echo(f"model directory: {written}")
+        yield f"model directory: {written}"

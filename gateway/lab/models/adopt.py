@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from gateway.console import emit, json_option
+from gateway.console import CommandResult, conclude, json_option
 from gateway.entry import sentences
 from sim.artefacts import effect_line_in, effect_lines_text, read_effect_lines
 from sim.effects import LineError, own_kind
@@ -64,10 +64,8 @@ def adopt(folder: Path, number: int, name: str, meaning: str | None, look: str, 
         # Added at the end as text, so that what somebody wrote before it stays as it was, comments and all.
         before = file.read_text(encoding="utf-8").rstrip() + "\n\n" if known else ""
         replace_durably(file, before + effect_lines_text([line]))
-    emit(
-        {"effects": str(file), "name": line.name, "heat": line.heat},
-        lambda: click.echo(
-            f"{file}: {line.name} is heat = {line.heat!r}; test it with decanter diagnose --effects {file}"
-        ),
-        as_json_line=as_json,
+    conclude(
+        CommandResult({"effects": str(file), "name": line.name, "heat": line.heat}),
+        lambda _: [f"{file}: {line.name} is heat = {line.heat!r}; test it with decanter diagnose --effects {file}"],
+        as_json=as_json,
     )

@@ -1,7 +1,7 @@
 """`decanter model export`: a model for UPPAAL along traces, run there where a plant has it; or the public artefacts."""
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -9,8 +9,9 @@ from typing import Any
 import click
 import numpy as np
 
-from gateway.console import emit, json_option, map_option, progress, seed_option, table
-from gateway.entry import Exit, fail, sentence, sentences
+from gateway.console import CommandResult, Part, Rows, conclude, json_option, map_option, progress, seed_option
+from gateway.entry import Exit, sentence, sentences
+from gateway.lab.options import policy_option, start_option, trace_option
 from gateway.lab.traces.load import load
 from sim.engine import Policy, Start
 from sim.lab.formats import FoundModel, find_model
@@ -123,20 +124,12 @@ def _exported(model: Model, trace: Trace, order: ExportOptions, engine: Path | N
 @click.argument("model")
 @click.option("--uppaal", is_flag=True, help="Main and minimal model and queries of each trace.")
 @click.option("--artefacts", is_flag=True, help="The public learner's files: graph, report, flows.")
-@click.option("--trace", "paths", multiple=True, help="A file, a folder or a glob; may be given again.")
+@trace_option
 @map_option
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="The folder to write to.")
 @click.option("--query", "queries", multiple=True, help="One more query (docs/checking.md); may be given again.")
-@click.option(
-    "--policy",
-    type=click.Choice(["reject", "ignore", "resync"]),
-    default="resync",
-    show_default=True,
-    help="An event without an edge.",
-)
-@click.option(
-    "--start", type=click.Choice(["measured", "law"]), default="measured", show_default=True, help="First temperature."
-)
+@policy_option
+@start_option
 @click.option(
     "--tick", type=click.IntRange(0, 3600), default=1, show_default=True, help="Seconds between draws of the noise."
 )
@@ -182,19 +175,17 @@ def export(
             engine = EngineOptions(verifyta, timeout, seed) if wanted or verifyta else None
             order = ExportOptions(out=out, queries=tuple(queries), policy=policy, start=start, tick=tick, engine=engine)
             data["traces"] = export_uppaal(model, traces, column_map, order, report)
-    emit(data, lambda: _show(data), as_json_line=as_json)
     failed = [str(row["error"]) for row in data["traces"] if "error" in row]
-    if failed:
-        fail("; ".join(dict.fromkeys(failed)))
     missing = [str(row["engine"]) for row in data["traces"] if row.get("engine")]
-    if missing:
-        fail("; ".join(dict.fromkeys(missing)), Exit.CHECK_FAILED)
+    complaint = "; ".join(dict.fromkeys(failed or missing))
+    found = CommandResult(data, complaint, Exit.USAGE if failed else Exit.CHECK_FAILED)
+    conclude(found, lambda _: _show(data), as_json=as_json)
 
 
-def _show(data: dict[str, Any]) -> None:
+def _show(data: dict[str, Any]) -> Iterator[Part]:
     """The files by trace, and the comparison with UPPAAL's answers where there are any."""
     for path in data["artefacts"]:
-        click.echo(f"wrote {path}")
+        yield f"wrote {path}"
     done = [row for row in data["traces"] if "error" not in row]
     if done:
         columns = ("trace", "events", "seconds", "accepted", "files")
@@ -206,10 +197,10 @@ def _show(data: dict[str, Any]) -> None:
             ]
             for row in done
         ]
-        table(f"exported for UPPAAL to {data['out']}", columns, cells)
+        yield Rows(f"exported for UPPAAL to {data['out']}", columns, cells)
     for row in done:
         for note in row["notes"]:
-            click.echo(f"{row['trace']}: {note}")
+            yield f"{row['trace']}: {note}"
         if row["comparison"]:
             headings = ("quantity", "native", "UPPAAL", "difference", "native 95 %", "UPPAAL 95 %", "agree", "note")
             lines, intervals = [], ("native_interval", "uppaal_interval")
@@ -218,4 +209,4 @@ def _show(data: dict[str, Any]) -> None:
                 agree = {True: "yes", False: "NO", None: ""}[line["agree"]]
                 numbers = (line["native"], line["uppaal"], line["difference"])
                 lines.append([line["quantity"], *numbers, *spans, agree, line["note"]])
-            table(f"{row['trace']}: native against UPPAAL", headings, lines)
+            yield Rows(f"{row['trace']}: native against UPPAAL", headings, lines)

@@ -1,11 +1,12 @@
 """`decanter model promote`: makes a version of a store the one that runs, if its model verifies."""
 
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import click
 
-from gateway.console import emit, json_option
+from gateway.console import CommandResult, Part, conclude, json_option
 from gateway.entry import sentences
 from sim.artefacts import (
     FAMILIARITY_FILE,
@@ -59,9 +60,9 @@ def promote(
     said = {name: "not judged where it was made" if own is None else own.sentence for name, own in verdicts.items()}
     data["verdicts"] = said
 
-    def show() -> None:
+    def show() -> Iterator[Part]:
         for name, own in said.items():
-            click.echo(f"{name}{'' if name == chosen else ' (ran before)'}: {own}")
-        click.echo(sentence)
+            yield f"{name}{'' if name == chosen else ' (ran before)'}: {own}"
+        yield sentence
 
-    emit(data, show, as_json_line=as_json)
+    conclude(CommandResult(data), lambda _: show(), as_json=as_json)

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from math import nan
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from gateway.console import emit, json_option, table
+from gateway.console import CommandResult, Line, Part, Rows, conclude, json_option
 from gateway.entry import sentences
 from sim.artefacts import ModelVerdict, model_hash
 from sim.effects import effect_summary
@@ -45,33 +45,32 @@ def show(name: str, as_json: bool) -> None:
                 "refusal": found_model.refusal,
                 "notes": list(found_model.notes),
             }
-            emit(data, lambda: _show_artefacts(found_model), as_json_line=as_json)
+            conclude(CommandResult(data), lambda _: _show_artefacts(found_model), as_json=as_json)
             return
         shown = found_model.model
         verdict = found_model.verdict
 
-        def show_both() -> None:
-            show_model(shown)
-            show_verdict(verdict)
+        def show_both() -> Iterator[Part]:
+            yield from show_model(shown)
+            yield from show_verdict(verdict)
 
         said = {"verdict": None if verdict is None else verdict.plain() | {"sentence": verdict.sentence}}
-        emit(summary(shown) | said, show_both, as_json_line=as_json)
+        conclude(CommandResult(summary(shown) | said), lambda _: show_both(), as_json=as_json)
 
 
-def _show_artefacts(found_model: FoundModel) -> None:
+def _show_artefacts(found_model: FoundModel) -> Iterator[Part]:
     sha = found_model.structure
     if found_model.model is None:
-        table(
+        yield Rows(
             f"{found_model.name}: {len(sha.locations)} locations", ["location"], [[each.name] for each in sha.locations]
         )
     else:
         rows = _location_rows(sha, {})
-        table(f"{found_model.name}: {len(rows)} locations", list(rows[0]), [list(row.values()) for row in rows])
-    table(f"{len(sha.edges)} edges", ["from", "symbol", "to"], [[e.source, e.symbol, e.target] for e in sha.edges])
-    for note in found_model.notes:
-        click.echo(note)
+        yield Rows(f"{found_model.name}: {len(rows)} locations", list(rows[0]), [list(row.values()) for row in rows])
+    yield Rows(f"{len(sha.edges)} edges", ["from", "symbol", "to"], [[e.source, e.symbol, e.target] for e in sha.edges])
+    yield from found_model.notes
     if found_model.refusal:
-        click.secho(f"it cannot be run: {found_model.refusal}", fg="yellow")
+        yield Line(f"it cannot be run: {found_model.refusal}", "yellow")
 
 
 def summary(shown: Model) -> dict[str, Any]:
@@ -125,11 +124,11 @@ def _location_rows(sha: SHA, stays: Mapping[str, Stay]) -> list[dict[str, Any]]:
     return rows
 
 
-def show_model(shown: Model) -> None:
+def show_model(shown: Model) -> Iterator[Part]:
     """Print the model's locations, its effects and where it comes from."""
     rows = _location_rows(shown.sha, shown.semi_markov)
     columns = list(rows[0])
-    table(
+    yield Rows(
         f"{shown.sha.name}: {len(rows)} locations, {len(shown.sha.edges)} edges",
         columns,
         [list(row.values()) for row in rows],
@@ -139,48 +138,41 @@ def show_model(shown: Model) -> None:
         match effect.kind:
             case "heat-disturbance":
                 sigma, memory = effect.params["sigma"], effect.params["memory"]
-                click.echo(
-                    f"disturbance: heat that comes and goes by {sigma:.3g} {unit}/s, with a memory of {memory:.4g} s"
-                )
+                yield f"disturbance: heat that comes and goes by {sigma:.3g} {unit}/s, with a memory of {memory:.4g} s"
             case "machine-offset":
-                click.echo(
-                    f"machines: the next one's targets lie off the model's by {effect.params['sigma']:.3g} {unit}"
-                )
+                yield f"machines: the next one's targets lie off the model's by {effect.params['sigma']:.3g} {unit}"
             case _:
-                click.echo(f"effect {effect_summary(effect)}")
+                yield f"effect {effect_summary(effect)}"
     if shown.machines:
         rows_of_machines = [
             [name, f"{own.targets:+.3g} ± {own.targets_error:.2g}", f"{own.gain:.4g}", f"{own.offset:+.3g}"]
             for name, own in sorted(shown.machines.items())
         ]
-        click.echo(f"a model of a type of machine; of its targets ({unit}) and sensor (T' = k T + b) each has its own:")
-        table("machines", ("machine", "targets", "k", "b"), rows_of_machines)
+        yield f"a model of a type of machine; of its targets ({unit}) and sensor (T' = k T + b) each has its own:"
+        yield Rows("machines", ("machine", "targets", "k", "b"), rows_of_machines)
     elif "machine" in shown.provenance.settings:
-        click.echo(f"of the machine {shown.provenance.settings['machine']}, of the type that it was learned with")
+        yield f"of the machine {shown.provenance.settings['machine']}, of the type that it was learned with"
     if shown.borrowed:
-        click.echo(f"borrowed, as no data have shown them: {', '.join(sorted(shown.borrowed))}")
+        yield f"borrowed, as no data have shown them: {', '.join(sorted(shown.borrowed))}"
     for member in shown.plain:
         odds = ", ".join(f"{horizon:g} s {value:.3g}" for horizon, value in sorted(member.odds.items()))
-        click.echo(
-            f"plain member {member.name}: {f'odds against the model {odds}' if odds else 'no odds were learned'}"
-        )
+        yield f"plain member {member.name}: {f'odds against the model {odds}' if odds else 'no odds were learned'}"
     origin = shown.provenance
     lasts = f" (errors last {shown.sensor_memory:g} s)" if shown.sensor_memory else ""
-    click.echo(
-        f"temperature {shown.temperature}, sensor sigma {shown.sensor_sigma:.3g} {unit}{lasts}, method {origin.method}"
-    )
+    sensor = f"{shown.sensor_sigma:.3g} {unit}{lasts}"
+    yield f"temperature {shown.temperature}, sensor sigma {sensor}, method {origin.method}"
     if shown.calibration:
-        click.echo("calibration " + ", ".join(f"{h:g} s x {f:.2f}" for h, f in sorted(shown.calibration.items())))
+        yield "calibration " + ", ".join(f"{h:g} s x {f:.2f}" for h, f in sorted(shown.calibration.items()))
     if not shown.correction.identity:
-        click.echo(f"correction T' = {shown.correction.gain:.4g} T {shown.correction.offset:+.3g} {unit}")
+        yield f"correction T' = {shown.correction.gain:.4g} T {shown.correction.offset:+.3g} {unit}"
     synthetic = ", SYNTHETIC: not learned from a plant" if origin.synthetic else ""
-    click.echo(f"{len(origin.traces)} traces, content {origin.data_hash[:12]}{synthetic}")
+    yield f"{len(origin.traces)} traces, content {origin.data_hash[:12]}{synthetic}"
 
 
-def show_verdict(verdict: ModelVerdict | None) -> None:
+def show_verdict(verdict: ModelVerdict | None) -> Iterator[Part]:
     """Print the verdict that lies beside a model, in one line; nothing of a model that has none."""
     if verdict is not None:
-        click.secho(verdict.sentence, fg=_COLOURS[verdict.word])
+        yield Line(verdict.sentence, _COLOURS[verdict.word])
 
 
 _COLOURS = {"fit": "green", "limited": "yellow", "not known": "yellow", "unfit": "red"}

@@ -2,15 +2,15 @@
 
 import os
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import click
 
-from gateway.console import emit, json_option, map_option, progress, seed_option, table
-from gateway.entry import Exit, interruptible, sentences
+from gateway.console import CommandResult, Line, Part, Rows, conclude, json_option, map_option, progress, seed_option
+from gateway.entry import interruptible, sentences
 from gateway.lab.regression.history import opened_history, run_standard
 from gateway.lab.regression.standard import StandardSet, code_version, models_in, read_standard
 from gateway.lab.regression.worse import gone_models, regressions_of, trace_notes
@@ -76,24 +76,23 @@ def regress(
         f"{len(traces.problems)} of the set's traces not read": traces.problems,
     }
 
-    def show() -> None:
+    def show() -> Iterator[Part]:
         if rows:
             units = ", ".join(sorted({shown_unit(each) for each in unit.values()}))
             title = f"standard set, {len(traces.traces)} traces, CRPS in {units}, program {code}"
-            table(title, list(rows[0]), [list(row.values()) for row in rows])
+            yield Rows(title, list(rows[0]), [list(row.values()) for row in rows])
         for subject, reasons in data["failed"].items():
             for each in reasons:
-                click.echo(f"{subject}: {each}")
+                yield f"{subject}: {each}"
         for each in (*said, *gone, *traces.problems):
-            click.secho(each, fg="red")
+            yield Line(each, "red")
         for each in notes:
-            click.secho(each, fg="yellow")
-        click.echo(f"{', '.join(part for part, there in summary.items() if there)}; history: {file}")
+            yield Line(each, "yellow")
+        yield f"{', '.join(part for part, there in summary.items() if there)}; history: {file}"
 
-    emit(data, show, as_json_line=as_json)
     # What is accepted are models as they are: what could not be run or read says nothing of them.
-    if broken or traces.problems or ((said or gone) and reason is None):
-        click.get_current_context().exit(Exit.CHECK_FAILED)
+    refused = bool(broken or traces.problems or ((said or gone) and reason is None))
+    conclude(CommandResult(data, ok=not refused), lambda _: show(), as_json=as_json)
 
 
 def _models(places: Sequence[Path], folder: Path, traces: StandardSet) -> tuple[dict[str, Model | str], list[str]]:

@@ -1,12 +1,12 @@
 """`decanter model cycles`: the library's cycles, how they were rated, and what a person takes out with a reason."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import click
 
-from gateway.console import emit, json_option, table
+from gateway.console import CommandResult, Part, Rows, conclude, json_option
 from gateway.entry import sentences
 from gateway.lab.retraining.cycle_library import RATINGS, CycleRow, Rating, listed_library, opened_library
 from gateway.lab.retraining.report import coverage_figure
@@ -59,10 +59,10 @@ def cycles_command(
     counts = {each: sum(row.rating == each for row in every) for each in RATINGS}
     data: dict[str, Any] = {"library": str(folder), "counts": counts, "kept_bytes": kept}
     data |= {"picture": picture and str(picture), "cycles": [row.as_plain() for row in shown]}
-    emit(data, lambda: _show(shown, counts, kept, picture), as_json_line=as_json)
+    conclude(CommandResult(data), lambda _: _show(shown, counts, kept, picture), as_json=as_json)
 
 
-def _show(rows: list[CycleRow], counts: Mapping[Rating, int], kept: int, picture: Path | None) -> None:
+def _show(rows: list[CycleRow], counts: Mapping[Rating, int], kept: int, picture: Path | None) -> Iterator[Part]:
     lines = [
         [
             row.name,
@@ -77,8 +77,8 @@ def _show(rows: list[CycleRow], counts: Mapping[Rating, int], kept: int, picture
     ]
     columns = ("cycle", "region", "rating", "why", "error", "strangeness", "excluded")
     if lines:
-        table("cycles", columns, lines)
+        yield Rows("cycles", columns, lines)
     said = ", ".join(f"{count} {name}" for name, count in counts.items())
-    click.echo(f"{said}; {sum(row.kept for row in rows)} of those shown are kept, {kept / 1e6:.1f} MB in all")
+    yield f"{said}; {sum(row.kept for row in rows)} of those shown are kept, {kept / 1e6:.1f} MB in all"
     if picture is not None:
-        click.echo(f"picture: {picture}")
+        yield f"picture: {picture}"

@@ -1,5 +1,6 @@
 """`decanter model lineage`: the family of a store's versions, and a version made again from its record, bit for bit."""
 
+from collections.abc import Iterator
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -7,8 +8,8 @@ from typing import Any
 
 import click
 
-from gateway.console import emit, json_option, map_option, progress
-from gateway.entry import Exit, sentences
+from gateway.console import CommandResult, Part, conclude, json_option, map_option, progress
+from gateway.entry import sentences
 from gateway.lab.retraining.cycle_library import listed_library
 from gateway.lab.retraining.study import learned_model
 from gateway.lab.retraining.training_record import code_hash, created_of, read_record, software
@@ -57,20 +58,18 @@ def lineage_command(
             report("reading", 0.0)
             again = _remade(store, version, folder, load(former, map_name)[0] if former else [])
 
-    def show() -> None:
+    def show() -> Iterator[Part]:
         drawn = _drawn(family, None, "")
-        for line in drawn:
-            click.echo(line)
+        yield from drawn
         # Each of these is learned beside one of them, so that none is the first.
         circle = [each["version"] for each in family if not any(each["version"] in line for line in drawn)]
         if circle:
-            click.echo(f"not drawn, as their records name one another as what came before: {', '.join(circle)}")
+            yield f"not drawn, as their records name one another as what came before: {', '.join(circle)}"
         if again is not None:
-            click.echo(again["sentence"])
+            yield again["sentence"]
 
-    emit({"versions": family, "remade": again}, show, as_json_line=as_json)
-    if again is not None and not again["same"]:
-        raise SystemExit(Exit.CHECK_FAILED)
+    found = CommandResult({"versions": family, "remade": again}, ok=again is None or again["same"])
+    conclude(found, lambda _: show(), as_json=as_json)
 
 
 def _drawn(family: list[dict[str, Any]], parent: str | None, indent: str) -> list[str]:

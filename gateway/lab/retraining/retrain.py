@@ -2,15 +2,26 @@
 
 import os
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import click
 
-from gateway.console import emit, historian_machine_option, json_option, map_option, progress, seed_option, table
+from gateway.console import (
+    CommandResult,
+    Part,
+    Rows,
+    conclude,
+    historian_machine_option,
+    json_option,
+    map_option,
+    progress,
+    seed_option,
+)
 from gateway.entry import interruptible, sentences
 from gateway.lab.models.propose import recorded_drift
+from gateway.lab.options import historian_option, library_option
 from gateway.lab.resource_usage import peak_megabytes
 from gateway.lab.retraining.cycle_library import opened_library
 from gateway.lab.retraining.report import Retraining
@@ -37,10 +48,10 @@ NICE = 19
 
 @click.command("retrain", short_help="Learn from the historian's new cycles; propose a version that is better.")
 @click.argument("store", type=click.Path(path_type=Path, file_okay=False))
-@click.option("--historian", type=click.Path(path_type=Path), required=True, help="The gateway's historian.")
+@historian_option
 @historian_machine_option
 @click.option("--since", help="A new library begins here: a time (2026-03-01T06:00) or a span (30d)  [everything].")
-@click.option("--library", "folder", type=click.Path(path_type=Path), help="Its cycles  [cycles beside the historian].")
+@library_option
 @click.option("--standard", multiple=True, help="Traces that a new model must not be worse on; may be given again.")
 @click.option("--traces", "former", multiple=True, help="Traces of earlier training to learn from as well.")
 @map_option
@@ -142,25 +153,25 @@ def retrain_command(
                     # For a timer that is no mistake: it comes again.
                     said = f"not yet: {reason}, but {fresh} new cycles are too few; it takes {ENOUGH}"
                 if not reason or fresh < ENOUGH:
-                    emit({"due": False, "cycles": cut}, lambda: click.echo(said), as_json_line=as_json)
+                    conclude(CommandResult({"due": False, "cycles": cut}), lambda _: [said], as_json=as_json)
                     return
             found = retrain(request, library, source, report=report, clock=time.time)
     place = folder / REPORTS / f"{found.study:04d}"
     cost = {"cpu_s": time.process_time() - begin, "peak_mb": peak_megabytes()}
     data: dict[str, Any] = {"due": reason or True, "cut": cut, "report": str(place), "cost": cost, **found.as_plain()}
-    emit(data, lambda: show(found, store, place, cost), as_json_line=as_json)
+    conclude(CommandResult(data), lambda _: show(found, store, place, cost), as_json=as_json)
 
 
-def show(found: Retraining, store: Path, place: Path, cost: dict[str, float]) -> None:
+def show(found: Retraining, store: Path, place: Path, cost: dict[str, float]) -> Iterator[Part]:
     """The verdict, the comparison and what to do next."""
     rows = [[each.subject, *each.cells()] for each in found.comparisons]
     if rows:
         columns = ("set", "horizon (s)", "cycles", "new", "present", "difference", "p", "told apart")
-        table(f"CRPS ({shown_unit(found.unit)}) of the new model and of version {found.present}", columns, rows)
+        yield Rows(f"CRPS ({shown_unit(found.unit)}) of the new model and of version {found.present}", columns, rows)
     for line in found.lines():
         if not any(line.startswith(f"{each.subject}, ") for each in found.comparisons):
-            click.echo(line)
-    click.echo(f"report: {place}")
-    click.echo(f"cost: {cost['cpu_s']:.0f} s of processor time, {cost['peak_mb']:.0f} MB at most")
+            yield line
+    yield f"report: {place}"
+    yield f"cost: {cost['cpu_s']:.0f} s of processor time, {cost['peak_mb']:.0f} MB at most"
     if found.version:
-        click.echo(f"to run it: decanter model promote {store} {found.version}")
+        yield f"to run it: decanter model promote {store} {found.version}"

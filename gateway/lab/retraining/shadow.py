@@ -4,7 +4,7 @@ The historian has everything that either version would have read, so that the on
 afterwards, exactly as the gateway would have: it costs the running gateway nothing, and cannot disturb it.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from math import ceil, inf
@@ -13,9 +13,19 @@ from typing import Any
 
 import click
 
-from gateway.console import emit, historian_machine_option, json_option, progress, seed_option, table
+from gateway.console import (
+    CommandResult,
+    Part,
+    Rows,
+    conclude,
+    historian_machine_option,
+    json_option,
+    progress,
+    seed_option,
+)
 from gateway.entry import interruptible, sentences
 from gateway.lab.judging.figures import LONGEST_HORIZON, MOST_OF_CYCLE, scores_along
+from gateway.lab.options import historian_option, library_option
 from gateway.lab.retraining.cutting import CycleSource, Progress, and_after, cut_new, cycle_of
 from gateway.lab.retraining.cycle_library import CycleLibrary, CycleRow, opened_library
 from gateway.lab.retraining.training_record import created_of, read_record
@@ -192,9 +202,9 @@ def ran_before(store: Path) -> str:
 @click.command("shadow", short_help="Compare two versions on live cycles; promote the better one by a stated policy.")
 @click.argument("store", type=click.Path(path_type=Path, file_okay=False))
 @click.argument("version", required=False)
-@click.option("--historian", type=click.Path(path_type=Path), required=True, help="The gateway's historian.")
+@historian_option
 @historian_machine_option
-@click.option("--library", "folder", type=click.Path(path_type=Path), help="Its cycles  [cycles beside the historian].")
+@library_option
 @click.option("--roll-back", is_flag=True, help="Promote VERSION again where the current one is worse than it.")
 @click.option("--promote", "promotes", is_flag=True, help="Promote the candidate VERSION where it is the better one.")
 @seed_option
@@ -244,12 +254,12 @@ def shadow_command(
     data |= {"rolled_back": roll_back and bool(found.promoted), "promoted": found.promoted}
     data |= {"sentence": found.sentence, "comparisons": [each.as_plain() for each in found.comparisons]}
 
-    def show() -> None:
+    def show() -> Iterator[Part]:
         unit_of_test = "days" if promotes else "cycles"
         columns = ("horizon (s)", unit_of_test, found.judged, found.stood, "difference", "p", "told apart")
         rows = [each.cells() for each in found.comparisons]
         if rows:
-            table(f"CRPS on live cycles ({shown_unit(unit)})", columns, rows)
-        click.echo(found.sentence)
+            yield Rows(f"CRPS on live cycles ({shown_unit(unit)})", columns, rows)
+        yield found.sentence
 
-    emit(data, show, as_json_line=as_json)
+    conclude(CommandResult(data), lambda _: show(), as_json=as_json)

@@ -11,7 +11,7 @@ from drivers.csv_rows import write_rows
 from drivers.driver import open_recording
 from drivers.named_files import writing
 from drivers.tag import Sample
-from gateway.console import emit, json_option, make_folder, progress, shipped, table
+from gateway.console import CommandResult, Part, Rows, conclude, json_option, make_folder, progress, shipped
 from gateway.entry import sentences
 from gateway.settings import load_device
 
@@ -60,7 +60,7 @@ def can_log(
         "out": out and str(out),
         "problem": recorded.problem,
     }
-    emit(data, lambda: _show(data), as_json_line=as_json)
+    conclude(CommandResult(data), lambda _: _show(data), as_json=as_json)
 
 
 @contextmanager
@@ -103,16 +103,16 @@ def _spans(samples: Iterable[Sample]) -> dict[str, list[Any]]:
     return spans
 
 
-def _show(data: dict[str, Any]) -> None:
+def _show(data: dict[str, Any]) -> Iterator[Part]:
     columns = ("tag", "address", "unit", "good", "not_good", "lowest", "highest", "last")
-    table(
+    yield Rows(
         str(data["log"]),
         columns,
         [["" if row[column] is None else row[column] for column in columns] for row in data["tags"]],
     )
-    table("identifiers", ("bus", "identifier", "frames"), data["identifiers"])
-    table("what became of it", ("count of", "number"), [list(item) for item in data["counts"].items() if item[1]])
+    yield Rows("identifiers", ("bus", "identifier", "frames"), data["identifiers"])
+    yield Rows("what became of it", ("count of", "number"), [list(item) for item in data["counts"].items() if item[1]])
     if data["problem"]:
-        click.echo(f"not decoded: {data['problem']}")
+        yield f"not decoded: {data['problem']}"
     if data["out"]:
-        click.echo(f"trace: {data['out']}")
+        yield f"trace: {data['out']}"

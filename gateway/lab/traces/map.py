@@ -1,14 +1,14 @@
 """`decanter trace map`: a column map drafted from a CSV that nobody has described."""
 
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from pathlib import Path
 
 import click
 
 from drivers.named_files import writing
-from gateway.console import emit, json_option
+from gateway.console import CommandResult, Line, Part, conclude, json_option
 from gateway.entry import sentences
 from sim.lab.recordings.mapping import DUPLICATES, NONE, Answers, DraftedMap, Undecided, draft_map
 
@@ -67,19 +67,19 @@ def map_command(
                 out.write_text(drafted.text, encoding="utf-8")
     data = {"file": str(file), "map": out and str(out), **asdict(drafted)}
 
-    def show() -> None:
+    def show() -> Iterator[Part]:
         if out is None:
-            click.echo(drafted.text, nl=False)
+            yield drafted.text.removesuffix("\n")
         for sentence in drafted.report:
-            click.secho(sentence, fg="yellow", err=True)
-        click.echo(f"{file}: {drafted.rows} of {drafted.of} rows are read by this map", err=out is None)
+            yield Line(sentence, "yellow", aside=True)
+        yield Line(f"{file}: {drafted.rows} of {drafted.of} rows are read by this map", aside=out is None)
         for sentence in drafted.account:
-            click.echo(sentence, err=out is None)
+            yield Line(sentence, aside=out is None)
         if out is not None:
-            click.echo(f"column map: {out}")
-            click.echo(f"next: decanter trace show {file} --map {out}")
+            yield f"column map: {out}"
+            yield f"next: decanter trace show {file} --map {out}"
 
-    emit(data, show, as_json_line=as_json)
+    conclude(CommandResult(data), lambda _: show(), as_json=as_json)
 
 
 def asked_map(file: Path, answers: Answers, names: Mapping[str, str] | None = None, *, yes: bool = False) -> DraftedMap:

@@ -1,12 +1,12 @@
 """`decanter trace show`: recorded traces, and what was refused of them and why."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import click
 import numpy as np
 
-from gateway.console import emit, json_option, map_option, shipped
+from gateway.console import CommandResult, Part, conclude, json_option, map_option, shipped
 from gateway.entry import sentences
 from gateway.lab.traces.picture import picture_option
 from gateway.lab.traces.summary import show_summaries, summary_of
@@ -52,11 +52,10 @@ def show(paths: Sequence[str], map_name: str, picture: Path | None, as_json: boo
     rows = [summary_of(trace, None) for trace in traces]
     data = {"traces": rows, "report": report.as_table(), "picture": picture and str(picture)}
 
-    def show_all() -> None:
-        show_summaries("traces", rows)
-        for sentence in report.sentences():
-            click.echo(sentence)
+    def show_all() -> Iterator[Part]:
+        yield from show_summaries("traces", rows)
+        yield from report.sentences()
         if picture is not None:
-            click.echo(f"picture: {picture}")
+            yield f"picture: {picture}"
 
-    emit(data, show_all, as_json_line=as_json)
+    conclude(CommandResult(data), lambda _: show_all(), as_json=as_json)

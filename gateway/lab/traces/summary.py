@@ -1,12 +1,12 @@
 """What `decanter trace synth` and `trace show` say of a trace."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from gateway.console import table
+from gateway.console import Part, Rows
 from sim.sha import Trace
 
 
@@ -27,12 +27,12 @@ def summary_of(trace: Trace, file: Path | None) -> dict[str, Any]:
     }
 
 
-def show_summaries(title: str, rows: Sequence[dict[str, Any]]) -> None:
+def show_summaries(title: str, rows: Sequence[dict[str, Any]]) -> Iterator[Part]:
     """One row a trace; of a few also the range of each signal."""
     columns = ("name", "rows", "seconds", "events", "file")
-    table(
+    yield Rows(
         title, columns, [[row["name"], row["rows"], row["seconds"], row["events"], row["file"] or ""] for row in rows]
     )
     for row in rows if len(rows) <= 3 else ():
         ranges = [[name, low, high] for name, (low, high) in row["signals"].items()]
-        table(f"{row['name']}: ranges", ("signal", "lowest", "highest"), ranges)
+        yield Rows(f"{row['name']}: ranges", ("signal", "lowest", "highest"), ranges)

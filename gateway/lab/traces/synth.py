@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from gateway.console import emit, json_option, make_folder, progress, seed_option
+from gateway.console import CommandResult, conclude, json_option, make_folder, progress, seed_option
 from gateway.entry import sentences
 from gateway.lab.traces.summary import show_summaries, summary_of
 from sim.lab.recordings import write_trace
@@ -54,4 +54,8 @@ def synth(
             write_trace(trace, file)
     encoded = [replace(trace, events=encode(trace, DECANTER)) for trace in traces]
     rows = [summary_of(trace, file) for trace, file in zip(encoded, files, strict=True)]
-    emit({"synthetic": True, "traces": rows}, lambda: show_summaries("SYNTHETIC traces", rows), as_json_line=as_json)
+    conclude(
+        CommandResult({"synthetic": True, "traces": rows}),
+        lambda _: show_summaries("SYNTHETIC traces", rows),
+        as_json=as_json,
+    )

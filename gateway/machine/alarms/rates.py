@@ -89,7 +89,7 @@ def alarm_rates(rows: Iterable[JournalRow], start: float, end: float) -> AlarmRa
         if row.time > start and row.state == AlarmState.UNACKNOWLEDGED
     ]
     times = [row.time for _, row in fresh]
-    peak, peak_at = peak_rate(times)
+    peak, peak_at = most_within(times, TEN_MINUTES)
     floods = alarm_floods(times, end)
     standing = _standing(zip(names, known, strict=True), end)
     by_name = defaultdict(list)
@@ -136,11 +136,6 @@ def alarm_rates(rows: Iterable[JournalRow], start: float, end: float) -> AlarmRa
     )
 
 
-def peak_rate(times: Sequence[float]) -> tuple[int, float | None]:
-    """The most announcements within any ten minutes, and when these were over; `times` (s) ascend."""
-    return most_within(times, TEN_MINUTES)
-
-
 def most_within(times: Sequence[float], seconds: float) -> tuple[int, float | None]:
     """The most of the ascending `times` (s) in any (t - seconds, t], and the first such t; 0 and None without any."""
     window: deque[float] = deque()
@@ -185,9 +180,9 @@ def _standing(rows: Iterable[tuple[str, JournalRow]], end: float) -> dict[str, f
     for name, row in rows:
         if row.state not in ACTIVE:
             since.pop(name, None)
-        elif row.state == AlarmState.UNACKNOWLEDGED or name not in since:
+        else:
             # What is acknowledged has stood before; latched it stands on.
-            since[name] = since.get(name, row.time)
+            since.setdefault(name, row.time)
     return dict(sorted(((name, end - begun) for name, begun in since.items()), key=lambda row: -row[1]))
 
 

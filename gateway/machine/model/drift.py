@@ -7,10 +7,8 @@ where the root mean square of that is above 1: a wide band in one location hides
 right passes that on one cycle in ten at most, and on three running once in a thousand.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from math import sqrt
-from typing import Any
 
 import numpy as np
 
@@ -119,8 +117,3 @@ def follow_cycle(rule: DriftRule, drift: CycleDrift, prediction: ScanPrediction)
         missed=drift.missed + missed**2,
         beyond=drift.beyond + (missed / allowed) ** 2,
     )
-
-
-def restored(saved: Mapping[str, Any]) -> CycleDrift:
-    """The state that was kept as JSON. Raises TypeError for what was not."""
-    return CycleDrift(**saved)

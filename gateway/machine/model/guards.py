@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
-from gateway.machine.model.drift import CycleDrift, follow_cycle, restored, rule_of
+from gateway.machine.model.drift import CycleDrift, follow_cycle, rule_of
 from gateway.machine.model.predict import Predictor, ScanPrediction
 from sim.forecast import FORECASTS, ONE_STEP, Z90, Calibration, Forecast, Review, follow, follow_forecasts, share
 from sim.sha import Model
@@ -99,4 +99,4 @@ class Guards:
     def restore(self, saved: Mapping[str, Any]) -> None:
         """Go on from a snapshot, for what is still looked at. Raises TypeError for what `snapshot` did not write."""
         self.reviews |= {name: Review(**review) for name, review in saved.items() if name in self.reviews}
-        self.drift = restored(saved[DRIFT]) if DRIFT in saved else self.drift
+        self.drift = CycleDrift(**saved[DRIFT]) if DRIFT in saved else self.drift

@@ -1,6 +1,7 @@
 """What a reading is worth by the time it is used: staleness, the device's heartbeat, believable rates, frozen signals.
 
-The promise of GOOD: the tag had this value at some moment within the last STALE_PERIODS scan periods; of a device that
+The promise of GOOD: the tag had this value at some moment within the last STALE_PERIODS scan periods, or periods of its
+own where it has a longer one; of a device that
 speaks by itself: it was the last that the device has said, and its driver has not found the device late. It is kept
 thus:
 
@@ -122,11 +123,12 @@ def judge(
         if sample.quality is Quality.DATA_ENCODING_INVALID:
             garbled[tag.name] = sample
         last = garbled.get(tag.name) if garbled else None
-        if last is not None and sample.quality.is_good and _periods(last, now, rules.period) <= DEAD_PERIODS:
+        period = tag.period if tag.period > rules.period else rules.period
+        if last is not None and sample.quality.is_good and _periods(last, now, period) <= DEAD_PERIODS:
             reason = f"{now - last.time:.1f} s ago {last.reason}"
             sample = replace(sample, quality=Quality.UNCERTAIN, reason=reason)
         else:
-            sample = _on_its_own(tag, sample, histories, now, rules.period)
+            sample = _on_its_own(tag, sample, histories, now, period)
         if age.silence[0] < sample.time < age.silence[1] or age.doubted.get(tag.name) == sample.time:
             doubted[tag.name] = sample.time
             if sample.quality.is_good:

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
         SIGN_SECONDS,
         clear_for_arming,
         countersign,
+        obstacle,
         places_for,
         places_of,
     )

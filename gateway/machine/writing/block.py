@@ -117,7 +117,9 @@ def block_builder(layout: WritebackLayout) -> Callable[[Values, Validity, Sessio
                 words.append(unknown)
             else:
                 # Limited before it is rounded: the ends are whole, so that no rounding leads beyond them.
-                words.append(round(min(max(value / scale, low), high)) & 0xFFFF)
+                raw = round(min(max(value / scale, low), high))
+                # A device file may set any word aside for minutes that are not known: what is known says its neighbour.
+                words.append((raw if raw != unknown else raw - 1 if raw > low else raw + 1) & 0xFFFF)
         return WritebackBlock(session.sequence, validity, tuple(words))
 
     return built

@@ -11,6 +11,8 @@ registers from 0 on. The state of the readings lies in holding and input registe
                   uncertain)
     address + 5   age of that reading, as above; and so on, two registers a tag
 
+What lies between two tags is read as 0 and has no quality; a request of nothing else is refused.
+
 A tag whose quality is bad shows what the device itself would show of a value that it has not (its sentinel; NaN), or,
 where there is no such thing, its last good value: the quality says so. A request of which no tag is known is answered
 by exception 11, as a gateway answers for a device that does not: who reads no quality register reads no stale value
@@ -109,6 +111,13 @@ class DeviceImage:
         for row in self.rows:
             for number in range(row.start, row.start + row.count):
                 self._at.setdefault((row.table, number), []).append(row)
+        # From each table's first address to its last: a hole between tags reads as 0, as it does in many devices, so
+        # that a peer's one block need not be cut.
+        self._ends = {
+            table: range(min(row.start for row in rows), max(row.start + row.count for row in rows))
+            for table in {row.table for row in self.rows}
+            if (rows := [row for row in self.rows if row.table == table])
+        }
 
     def take(self, scan: Scan) -> None:
         """This is what was read last."""
@@ -123,7 +132,8 @@ class DeviceImage:
             state = self._states()
             return state[start - self._state : start - self._state + count]
         rows = {row.tag.name: row for number in numbers for row in self._at.get((table, number), ())}
-        if any((table, number) not in self._at for number in numbers):
+        ends = self._ends.get(table, range(0))
+        if not rows or start not in ends or start + count - 1 not in ends:
             return ILLEGAL_ADDRESS
         known = {name: self._sample(name) for name in rows}
         if all(sample.quality.is_bad for sample in known.values()):

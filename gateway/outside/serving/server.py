@@ -42,7 +42,9 @@ class PeerServer:
         self.host, self.port = host, port
         self.refused = self.answered = 0
         # Clients that know of no units ask 255, some 0 (MODBUS Messaging on TCP/IP V1.0b, page 23): the first machine.
-        self._images = dict.fromkeys(_NO_UNIT, next(iter(images.values()), None)) | dict(images)
+        # Those that are told none ask 1: where there is one machine, it is meant.
+        first = next(iter(images.values()), None)
+        self._images = dict.fromkeys((*_NO_UNIT, *((1,) if len(images) == 1 else ())), first) | dict(images)
         self._clients: SharedPlaces[asyncio.StreamWriter] = SharedPlaces(most_clients, _abort)
 
     async def serve(self) -> None:

@@ -202,7 +202,7 @@ def make_application(page: PageState, failed: Callable[[str, Exception], None]) 
         )
 
     def endpoint_route(endpoint: Endpoint) -> BaseRoute:
-        return Route(endpoint.path, partial(_answer, page, endpoint), methods=[endpoint.method])
+        return Route(endpoint.path, partial(answered, page, endpoint), methods=[endpoint.method])
 
     routes: list[BaseRoute] = [
         Route("/", document),
@@ -218,7 +218,3 @@ def make_application(page: PageState, failed: Callable[[str, Exception], None]) 
     return Starlette(
         routes=routes, middleware=middleware, exception_handlers={HTTPException: refused, Exception: defect}
     )
-
-
-async def _answer(page: PageState, endpoint: Endpoint, request: Request) -> Response:
-    return await answered(page, endpoint, request)

@@ -79,7 +79,7 @@ def floor_of(stated: Array, explained: Fitted, record: Record, seed: int, rules:
     rng = np.random.default_rng(seed)
     # A fit errs less on what it was fitted to than on other cycles: what it takes from the noise is drawn too.
     whitener = Whitener(explained.grid, explained.noise)
-    noise = whitener.draw(rng, DRAWS)
+    noise = Whitener(explained.timed, explained.noise).draw(rng, DRAWS)
     precision = whitener.gram(explained.columns) + np.diag(np.maximum(explained.prior, 1e-12))
     taken = np.linalg.solve(precision, explained.columns.T @ whitener.weigh(noise))
     fitted = _rms(noise - explained.columns @ taken)
@@ -90,7 +90,7 @@ def floor_of(stated: Array, explained: Fitted, record: Record, seed: int, rules:
     # Each tells how many times the noise of the fit there is; how cycles differ among themselves (how long they are,
     # how much is heated in them) that noise knows.
     told = {
-        "what is left of the fitted cycles": _rms(explained.residual) / fitted,
+        "what is left of the fitted cycles": _rms(explained.left) / fitted,
         "what equal cycles differ by": size_by_equal_cycles(training, explained, rng, rules),
     }
     source = min(told, key=lambda name: told[name])
@@ -133,6 +133,24 @@ def with_what_is_left(floor: NoiseFloor, left: float, rules: DecisionRules) -> N
     source = f"what the names leave of {'the held-out' if left <= floor.error else 'all'} cycles"
     interval = low * scale, high * scale
     return replace(floor, error=error, interval=interval, per_cycle=floor.per_cycle * scale, source=source)
+
+
+def told_by_all(floor: NoiseFloor, error: float, share: float) -> NoiseFloor:
+    """The floor where nothing is missing: the held-out cycles' `error` (degC rms) is noise too, `share` of all cycles.
+
+    Five cycles of a plant that scatters err by a quarter more or less than those before them by chance alone, so that
+    what ten tell of these five is no better. Each cycle counts as one.
+    """
+    scale = float(np.sqrt((1.0 - share) + share * (error / floor.error) ** 2))
+    low, high = floor.interval
+    told = f"{floor.source}, and what the held-out ones err by"
+    return replace(
+        floor,
+        error=floor.error * scale,
+        interval=(low * scale, high * scale),
+        per_cycle=floor.per_cycle * scale,
+        source=told,
+    )
 
 
 def believed_size(stated: float, told: float, pieces: int, rules: DecisionRules) -> tuple[float, float]:
@@ -202,7 +220,8 @@ def stated_errors(model: Model, laid_out: Sequence[Trace], fitted: Fitted) -> Ar
     else:
         own = spread_of(model, laid_out, record, cycles)
     trial = let_run(fitted, record.by_cycles())
-    unseen = unseen_switches(on(fitted.frame, trial.record), trial.state, record.model.alphabet.gap / SLOW)
+    known_s, unsure = record.model.alphabet.gap / SLOW, fitted.behind[1]
+    unseen = unseen_switches(on(fitted.frame, trial.record), trial.state, known_s, unsure)
     place = np.searchsorted(cycles, trial.record.window_whole)
     sums, counts = (np.bincount(place, weights, minlength=cycles.size) for weights in (unseen, None))
     return np.asarray(np.sqrt(own**2 + sensor**2 + sums / np.maximum(counts, 1)))

@@ -11,6 +11,7 @@ import numpy as np
 from sim.engine import linear_recursion
 from sim.lab.discrepancy.diagnosis import HeldOutProof, NoiseFloor
 from sim.lab.discrepancy.fitting import (
+    LATE_TOGETHER,
     CourseState,
     Fitted,
     Record,
@@ -19,6 +20,7 @@ from sim.lab.discrepancy.fitting import (
     grid_at,
     named_of,
     on,
+    row_later,
     window_sensitivity,
 )
 from sim.lab.learning import Indices
@@ -37,9 +39,10 @@ LEAST_WINDOWS = 3
 class HeldOutRun:
     """A fit let run over a record cut by cycles.
 
-    `state` is the free run from `start` (R,) degC, `residual` (m,) degC of its windows, `begun` (m,) what one degree at
-    a run's start is there, `early` (m,) which windows say where a run starts, `order` (m,) numbers the runs, `whitener`
-    weighs by the fit's noise.
+    `state` is the free run from `start` (R,) degC, `residual` (m,) degC of its windows, in which what turns between two
+    rows turns as far behind the later one as it did in the fitted cycles (`Fitted.behind`); `begun` (m,) is what one
+    degree at a run's start is there, `early` (m,) which windows say where a run starts, `order` (m,) numbers the runs,
+    `whitener` weighs by the fit's noise.
     """
 
     record: Record
@@ -69,8 +72,9 @@ def let_run(fitted: Fitted, record: Record) -> HeldOutRun:
     number = np.arange(order.size) - np.flatnonzero(first)[order]
     early = (times - times[first][order] <= START_S) | (number < START_WINDOWS)
     start = reading[first]
+    behind, unsure = fitted.behind
     state = at(frame, fitted.state.parameters, start, fitted.state.named)
-    residual = reading - record.windowed(state.mean)
+    residual = reading - record.windowed(state.mean + behind * row_later(frame, state))
     # Least squares in one unknown a run: the first residuals on `begun`, how a degree at the start dies away.
     for _ in range(STARTS):
         decay = np.where(record.runs.first, 0.0, np.exp(-(state.k + state.loss) * record.runs.dt))
@@ -79,10 +83,11 @@ def let_run(fitted: Fitted, record: Record) -> HeldOutRun:
         moved = np.bincount(order, known * residual) / np.maximum(np.bincount(order, known**2), 1e-12)
         start = start + moved
         state = at(frame, fitted.state.parameters, start, fitted.state.named, state.course)
-        residual = reading - record.windowed(state.mean)
+        residual = reading - record.windowed(state.mean + behind * row_later(frame, state))
         if np.max(np.abs(moved)) < 1e-3:
             break
-    whitener = Whitener(grid_at(frame, state), fitted.noise)
+    grid = grid_at(frame, state)
+    whitener = Whitener(replace(grid, shared=unsure / LATE_TOGETHER * grid.shared), fitted.noise)
     return HeldOutRun(
         record=record,
         state=state,

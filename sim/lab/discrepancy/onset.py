@@ -150,8 +150,9 @@ def _columns_since(fitted: Fitted, begins: Sequence[_MayBegin], start: float) ->
     frame, state, runs = fitted.frame, fitted.state, fitted.frame.record.runs
     since = (runs.time > start).astype(float)
     added = heat_filter(frame, state)
-    columns = [since if each.reading else as_read(frame, state, added(each.heat * since)) for each in begins]
-    return frame.record.windowed(np.column_stack(columns))
+    # Windowed one by one: at the knots all of them together would be most of the memory that a long record takes.
+    columns = (since if each.reading else as_read(frame, state, added(each.heat * since)) for each in begins)
+    return np.column_stack([frame.record.windowed(column) for column in columns])
 
 
 def _gains(projector: Projector, begins: Sequence[_MayBegin], start: float) -> Array:

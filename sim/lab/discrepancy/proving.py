@@ -9,7 +9,15 @@ from sim.lab.discrepancy.beginning import beginning
 from sim.lab.discrepancy.ceiling import ceiling
 from sim.lab.discrepancy.diagnosis import CandidateLaw, Ceiling, GapBeginning, HeldOutProof, NoiseFloor, Verdict
 from sim.lab.discrepancy.fitting import CatalogueEntry, Fitted, Record, fit, given_fit, on, restored
-from sim.lab.discrepancy.gap import Excess, excess, floor_of, sensor_noise, stated_errors, with_what_is_left
+from sim.lab.discrepancy.gap import (
+    Excess,
+    excess,
+    floor_of,
+    sensor_noise,
+    stated_errors,
+    told_by_all,
+    with_what_is_left,
+)
 from sim.lab.discrepancy.held_out import HeldOutRun, RunsBefore, compared, foretold, let_run, runs_before, surely_nearer
 from sim.lab.discrepancy.judging import (
     NamingResult,
@@ -239,6 +247,21 @@ def with_laws(found: ProvenFindings, laws: Sequence[CandidateLaw]) -> ProvenFind
         return found
     words = f"{found.excess.words()}, and a law of what is measured foresees it"
     return replace(found, verdict="unexplained", reasons=(words,), material=True, little="")
+
+
+def with_agreed_floor(found: ProvenFindings) -> ProvenFindings:
+    """The findings; where nothing is missing, with a floor that the held-out cycles tell as well as the fitted ones.
+
+    What they agreed by is the floor that was told without them: no verdict hangs on this one.
+    """
+    if found.verdict != "agree":
+        return found
+    held, fitted = found.told.held, np.unique(found.told.base.frame.record.window_cycle).size
+    floor = told_by_all(found.floor, held.rmse_before, held.pieces / (held.pieces + fitted))
+    each = zip(held.per_cycle, floor.per_cycle.tolist(), strict=True)
+    per_cycle = tuple((before, after, own) for (before, after, _), own in each)
+    held = replace(held, noise_floor=floor.error, per_cycle=per_cycle)
+    return replace(found, floor=floor, told=replace(found.told, held=held))
 
 
 def with_all_cycles(after: Fitted, layout: DataLayout) -> Fitted:

@@ -245,8 +245,8 @@ def course_of(base: Fitted, after: Fitted, before_trial: HeldOutRun, after_trial
     return DiagnosisCourse(
         times=both(record.times, later.times),
         reading=both(record.reading, later.reading),
-        before=both(record.windowed(base.state.mean), later.windowed(before_trial.state.mean)),
-        after=both(record.windowed(after.state.mean), later.windowed(after_trial.state.mean)),
+        before=both(record.reading - base.left, later.reading - before_trial.residual),
+        after=both(record.reading - after.left, later.reading - after_trial.residual),
         held_out=both(np.zeros(record.times.size), np.ones(later.times.size)),
         heat_before=heat_before,
         heat_after=heat_after,

@@ -34,7 +34,7 @@ from sim.lab.discrepancy.missing_heat import missing_heat
 from sim.lab.discrepancy.moved import shifts
 from sim.lab.discrepancy.path import name
 from sim.lab.discrepancy.posterior import NamesEvidence, gains_of, posterior, shares_left
-from sim.lab.discrepancy.proving import NamesSearched, ProvenFindings, prove, with_laws
+from sim.lab.discrepancy.proving import NamesSearched, ProvenFindings, prove, with_agreed_floor, with_laws
 from sim.lab.discrepancy.rules import RULES, DecisionRules
 from sim.lab.discrepancy.story import course_of, sentence_of
 from sim.sha import EffectLine, Model, Trace, shown_unit
@@ -90,7 +90,7 @@ def diagnose(
     report("held-out cycles", 0.85)
     found = prove(layout, search, split.held_out, entries, seed=seed, rules=rules)
     laws = laws_to_look_at(layout, split, found, rules, report)
-    found = with_laws(found, laws)
+    found = with_agreed_floor(with_laws(found, laws))
     diagnosis = describe(layout, split, search, found, entries, laws=laws, seed=seed, rules=rules, report=report)
     after, path = found.told.after, found.judged.path
     named = after.state.named if found.kept else ()

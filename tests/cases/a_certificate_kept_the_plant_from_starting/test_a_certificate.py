@@ -23,7 +23,7 @@ from gateway.settings import Config, load_plant
 from tests.drivers import certified
 from tests.gateway.support import MAP, TEMPERATURE, Bench, JumpClock
 
-SCANS = 30
+SCANS = 12
 DAMAGES: dict[str, Callable[[bytes], bytes | None]] = {
     "missing": lambda _: None,
     "emptied": lambda _: b"",

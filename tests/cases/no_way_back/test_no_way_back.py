@@ -62,14 +62,14 @@ async def go(config: Config, clock: JumpClock, reads: int, at: int = 0, backup: 
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A backup that was made while its gateway ran."""
     home = tmp_path_factory.mktemp("made")
-    asyncio.run(go(armed_config(home / "plant"), JumpClock(), 400, at=30, backup=home / "backup"))
+    asyncio.run(go(armed_config(home / "plant"), JumpClock(), 200, at=30, backup=home / "backup"))
     return home / "backup"
 
 
 @pytest.fixture
 def backed(tmp_path: Path) -> tuple[Config, JumpClock, Path]:
     config, clock = armed_config(tmp_path / "plant"), JumpClock()
-    asyncio.run(go(config, clock, 400, at=30, backup=tmp_path / "backup"))
+    asyncio.run(go(config, clock, 200, at=30, backup=tmp_path / "backup"))
     return config, clock, tmp_path / "backup"
 
 

@@ -46,10 +46,8 @@ def all_files() -> list[str]:
 @pytest.mark.parametrize("file", all_files())
 def test_both_machines_are_watched_whatever_is_damaged(plant: Path, file: str) -> None:
     assert file in files_of(plant)
-    found = Random(file).sample(drawn(plant, 3, Random(file), [file]), 2)
-    assert {
-        str(damage): problems for damage in found if (problems := tried(plant, plant.with_name("it"), damage))
-    } == {}
+    damage = Random(file).choice(drawn(plant, 3, Random(file), [file]))
+    assert not (problems := tried(plant, plant.with_name("it"), damage)), (str(damage), problems)
 
 
 def at_text(path: Path, text: bytes) -> int:

@@ -3,12 +3,14 @@
 from sim.lab.discrepancy.fitting.baseline import Frame, anchored, frame_of, on, shown_locations
 from sim.lab.discrepancy.fitting.candidates import CatalogueEntry, catalogue, own_roles, rivals, signals_of
 from sim.lab.discrepancy.fitting.course import (
+    LATE_TOGETHER,
     CourseState,
     as_read,
     at,
     friction_heat,
     grid_at,
     heat_filter,
+    row_later,
     unseen_switches,
     window_sensitivity,
 )

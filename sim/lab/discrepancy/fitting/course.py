@@ -351,14 +351,15 @@ def grid_at(frame: Frame, state: CourseState) -> Grid:
     )
 
 
-def unseen_switches(frame: Frame, state: CourseState, known_s: float) -> Array:
+def unseen_switches(frame: Frame, state: CourseState, known_s: float, unsure: float) -> Array:
     """(m,) degC^2 the variance of the windows by what turned somewhere in a row and is known from its end on, as far as
-    rows that take no longer than `known_s` (s) would not have it too."""
+    rows that take no longer than `known_s` (s) would not have it too; `unsure` rows are not known of what all are late.
+    """
     late = lateness(frame, state, known_s)
     decay, _ = decay_and_pull(state.k + state.loss, frame.record.runs.dt)
     decay = np.where(frame.record.runs.first, 0.0, decay)
     apart = frame.record.windowed(linear_recursion(decay**2, (LATE_APART * late) ** 2, 0.0))
-    shared = frame.record.windowed(as_read(frame, state, jumped(frame, state, LATE_TOGETHER * late)))
+    shared = frame.record.windowed(as_read(frame, state, jumped(frame, state, unsure * late)))
     return np.asarray(apart + shared**2)
 
 
@@ -395,6 +396,11 @@ def inrush(frame: Frame, state: CourseState) -> Array:
     at_once = state.drive - sum((deviation(record, effect) for effect in late), np.zeros(len(runs)))
     beyond = sum((late_inrush(record, effect) for effect in late), np.zeros(len(runs)))
     return np.asarray(np.where(known, at_once - at_once[after], 0.0) * runs.dt + beyond * runs.dt)
+
+
+def row_later(frame: Frame, state: CourseState) -> Array:
+    """(n,) degC by which the reading would be off, had all that turns between two rows turned a row earlier."""
+    return as_read(frame, state, jumped(frame, state, lateness(frame, state)))
 
 
 def jumped(frame: Frame, state: CourseState, jumps: Array) -> Array:

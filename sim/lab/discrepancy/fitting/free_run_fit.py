@@ -15,7 +15,7 @@ import scipy
 from sim.effects import of_feature
 from sim.engine import repeat_factor
 from sim.lab.discrepancy.fitting.baseline import TARGET_SPREAD, Frame
-from sim.lab.discrepancy.fitting.course import CourseState, at, grid_at, window_sensitivity
+from sim.lab.discrepancy.fitting.course import LATE_TOGETHER, CourseState, at, grid_at, window_sensitivity
 from sim.lab.discrepancy.fitting.named import Named, named_of
 from sim.lab.discrepancy.fitting.noise import LEAST_HEAT, Grid, NoiseModel, Whitener, WindowBelief, fit_noise, vector
 from sim.lab.discrepancy.fitting.record import Record
@@ -52,7 +52,8 @@ class Fitted:
 
     `residual` (m,) degC is measured - free run in windows, `columns` (m, p + r + e) the sensitivities there, `prior`
     (p + r + e,) the precision of the belief in each parameter, `off` how far the state lies from the belief's centre,
-    `covariance` that of the parameters. `likelihood` is the restricted log-likelihood with the noise's belief.
+    `covariance` that of the parameters. `behind` is by how many rows what turns is known late, all of it together, and
+    the standard error of that. `likelihood` is the restricted log-likelihood with the noise's belief.
     """
 
     frame: Frame
@@ -65,7 +66,18 @@ class Fitted:
     prior: Array
     off: Array
     covariance: Array
+    behind: tuple[float, float]
     likelihood: float
+
+    @property
+    def left(self) -> Array:
+        """(m,) degC the residual of a free run in which what turns between two rows turns `behind` the later one."""
+        return self.residual - self.behind[0] / LATE_TOGETHER * self.grid.shared
+
+    @property
+    def timed(self) -> Grid:
+        """The grid with no more in it of what is late together than is not known of it."""
+        return replace(self.grid, shared=self.behind[1] / LATE_TOGETHER * self.grid.shared)
 
     @property
     def own(self) -> int:
@@ -138,6 +150,14 @@ def begin_noise(centre: NoiseModel) -> NoiseModel:
     What is too little to be seen has no slope: the process noise would take all that a rough plant does.
     """
     return centre if centre.rough >= SLIGHT else replace(centre, rough=SLIGHT, process=centre.process / 2)
+
+
+def as_read_here(noise: NoiseModel, centre: NoiseModel) -> NoiseModel:
+    """The noise of a fit of other cycles, with an error of the reading that lasts where these have one (`centre`)."""
+    # Whether readings stand on the steps of their rounding is asked of each record: some of its cycles may, all do not.
+    if (noise.lasting > 0) == (centre.lasting > 0):
+        return noise
+    return replace(noise, lasting=centre.lasting, fades=centre.fades)
 
 
 def stated_process(record: Record) -> tuple[float, float]:
@@ -219,7 +239,7 @@ def fit(
     # Parameters under fixed noise, then the noise under fixed parameters, until the noise stands still: a wrong target
     # looks like a rough plant, and a rough plant hides a wrong target, so that neither is right after one round.
     belief = belief_of(record)
-    noise = begin_noise(belief.centre) if begin is None else begin.noise
+    noise = begin_noise(belief.centre) if begin is None else as_read_here(begin.noise, belief.centre)
     first = _allowed(named, np.concatenate([own, added]))
     point = _around(frame, at(frame, first, start, named), start, reading)
     # The linear problem knows no end of a loss: where less of it than none was asked for, less of the effect is begun
@@ -268,9 +288,8 @@ def restored(fitted: Fitted) -> Fitted:
 
 
 def _fitted(frame: Frame, point: _Tangent, *, start: Array, noise: NoiseModel, prior: Array, cost: float) -> Fitted:
-    whitener = Whitener(point.grid, noise)
-    inverse = np.linalg.inv(whitener.gram(point.columns) + np.diag(np.maximum(prior, 1e-12)))
-    covariance = np.asarray(inverse, dtype=float)
+    gram = Whitener(point.grid, noise).gram(np.column_stack([point.grid.shared, point.residual, point.columns]))
+    covariance = np.asarray(np.linalg.inv(gram[2:, 2:] + np.diag(np.maximum(prior, 1e-12))), dtype=float)
     return Fitted(
         frame=frame,
         state=point.state,
@@ -282,8 +301,20 @@ def _fitted(frame: Frame, point: _Tangent, *, start: Array, noise: NoiseModel, p
         prior=prior,
         off=point.off,
         covariance=covariance,
+        behind=_behind(gram, covariance),
         likelihood=-cost,
     )
+
+
+def _behind(gram: Array, covariance: Array) -> tuple[float, float]:
+    """(rows by which what turns is known late together, the standard error), of the Gram matrix of what it does if it
+    is as believed, of the residual and of the parameters."""
+    # The mean of a standard normal strength given the residual; its variance is what the readings leave open, and what
+    # the parameters, which are not sure either, do to it.
+    size = float(gram[0, 1])
+    open_ = max(1.0 - float(gram[0, 0]) + float(gram[0, 2:] @ covariance @ gram[2:, 0]), 0.0)
+    # No recorder knows what turns before it does, nor later than at the row that shows it.
+    return float(np.clip(LATE_TOGETHER * size, 0.0, 1.0)), LATE_TOGETHER * float(np.sqrt(open_))
 
 
 def noise_around(

@@ -89,7 +89,9 @@ def report_html(diagnosis: Diagnosis, occasion: Occasion, pictures: Mapping[str,
     }
     best = max((tried.gain for tried in diagnosis.candidates if isfinite(tried.gain)), default=0.0)
     unit, held = shown_unit(diagnosis.unit), diagnosis.held_out
-    environment = page_environment("sim.lab.discrepancy.output", share=_share, span=_span, shown_unit=shown_unit)
+    environment = page_environment(
+        "sim.lab.discrepancy.output", share=_share, span=lambda seconds: span(*seconds), shown_unit=shown_unit
+    )
     return environment.get_template("diagnosis.html").render(
         one=diagnosis,
         unit=unit,
@@ -142,7 +144,3 @@ def _share(value: float | None, digits: int = 0, sign: bool = False) -> str:
     if value is None or not isfinite(value):
         return "–"
     return f"{100 * value:{'+' if sign else ''}.{digits}f} %"
-
-
-def _span(seconds: tuple[float, float]) -> str:
-    return span(*seconds)

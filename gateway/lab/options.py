@@ -1,0 +1,34 @@
+"""Options that several commands of the laboratory share."""
+
+from pathlib import Path
+
+import click
+
+historian_option = click.option(
+    "--historian", type=click.Path(path_type=Path), required=True, help="The gateway's historian."
+)
+jobs_option = click.option("--jobs", type=click.IntRange(1), help="Worker processes.  [default: one a core]")
+library_option = click.option(
+    "--library", "folder", type=click.Path(path_type=Path), help="Its cycles  [cycles beside the historian]."
+)
+method_option = click.option("--method", type=click.Choice(["bins", "lsha"]), default="bins", show_default=True)
+optional_traces_option = click.option(
+    "--traces", "paths", multiple=True, help="A file, a folder or a glob; may be given again."
+)
+policy_option = click.option(
+    "--policy",
+    type=click.Choice(["reject", "ignore", "resync"]),
+    default="resync",
+    show_default=True,
+    help="An event without an edge.",
+)
+start_option = click.option(
+    "--start", type=click.Choice(["measured", "law"]), default="measured", show_default=True, help="First temperature."
+)
+temperature_option = click.option(
+    "--temperature", metavar="SIGNAL", help="The signal that is predicted.  [default: the map's]"
+)
+trace_option = click.option("--trace", "paths", multiple=True, help="A file, a folder or a glob; may be given again.")
+traces_option = click.option(
+    "--traces", "paths", multiple=True, required=True, help="A file, a folder or a glob; may be given again."
+)

@@ -1,0 +1,96 @@
+"""What `probe` finds of devices with habits: the setting that reads them, who they are, and both put into the file."""
+
+import socket
+import struct
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.commission.bench import Handler, answer, plc, server
+
+DEVICE = """# The device of this plant.
+[device]
+name = "d"
+driver = "modbus"
+
+[[tags]]
+name = "T"
+address = "holding:3"   # kept
+"""
+
+
+def take(link: socket.socket, size: int) -> bytes:
+    data = b""
+    while len(data) < size:
+        part = link.recv(size - len(data))
+        if not part:
+            raise OSError
+        data += part
+    return data
+
+
+def device(*, transaction: int | None = None, unit: int | None = None, vendor: bytes = b"Maker") -> Handler:
+    """A device whose registers hold their own numbers, and which answers in one way of its own."""
+
+    def handle(link: socket.socket) -> None:
+        while True:
+            head = take(link, 7)
+            pdu = take(link, int.from_bytes(head[4:6], "big") - 1)
+            if pdu[0] == 43:
+                reply = bytes((43, 14, 1, 1, 0, 0, 1, 0, len(vendor))) + vendor
+            elif pdu[0] in (3, 4):
+                start, count = struct.unpack(">HH", pdu[1:])
+                reply = struct.pack(f">BB{count}H", pdu[0], 2 * count, *range(start, start + count))
+            else:
+                reply = bytes((pdu[0] | 0x80, 1))
+            number = head[:2] if transaction is None else transaction.to_bytes(2, "big")
+            own = head[6:7] if unit is None else bytes((unit,))
+            link.sendall(number + b"\0\0" + (len(reply) + 1).to_bytes(2, "big") + own + reply)
+
+    return handle
+
+
+@pytest.mark.parametrize(
+    ("handle", "habits"),
+    [
+        (device(transaction=0), {"transaction_id": "any"}),
+        (device(unit=255), {"answers_as": 255}),
+        (device(transaction=9, unit=0), {"transaction_id": "any", "answers_as": 0}),
+        (device(), {}),
+    ],
+    ids=["another id", "another unit", "both", "none"],
+)
+def test_the_setting_that_reads_a_device_is_found_said_and_written(
+    handle: Handler, habits: dict[str, Any], tmp_path: Path
+) -> None:
+    file = tmp_path / "d.toml"
+    file.write_text(DEVICE)
+    with server(handle) as port:
+        at = "--host", f"127.0.0.1:{port}", "--device", file
+        data = answer(tmp_path, "probe", *at)
+        assert data["exit"] == 0 and data.get("habits", {}) == habits
+        shown = plc(tmp_path, "probe", *at, "--write", "--pin").output
+        assert all(key in shown for key in habits) and "written" in shown
+        written = tomllib.loads(file.read_text())["device"]
+        assert written == {"name": "d", "driver": "modbus", **habits, "identity": {"vendor": "Maker"}}
+        assert "# kept" in file.read_text()
+        assert answer(tmp_path, "read", "T", *at)["readings"][0]["value"] == 3
+
+
+def test_another_device_than_the_pinned_one_is_found_by_every_command(tmp_path: Path) -> None:
+    file = tmp_path / "d.toml"
+    file.write_text(DEVICE.replace('"modbus"\n', '"modbus"\nidentity = { vendor = "Maker" }\n'))
+    with server(device(vendor=b"Other")) as port:
+        at = "--device", file, "--host", "127.0.0.1", "--port", port
+        for command in (("probe",), ("read", "T"), ("check",)):
+            told = plc(tmp_path, *command, *at)
+            assert told.exit_code == 3 and "another device answers" in told.output and "'Other'" in told.output
+        before = file.read_text()
+        assert plc(tmp_path, "probe", *at, "--write", "--pin").exit_code == 3 and file.read_text() == before
+
+
+def test_what_is_written_needs_a_file() -> None:
+    for options in (("--write",), ("--pin",)):
+        assert plc(Path(), "probe", "--host", "127.0.0.1", *options).exit_code == 2

@@ -1,0 +1,463 @@
+"""What devices are and take: who they say they are, other functions, other frames, connections that end."""
+
+import asyncio
+import struct
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from dataclasses import dataclass, field
+from typing import Any
+
+import pytest
+
+from drivers.driver import Complains
+from drivers.errors import DeviceException, DriverError, LinkDown
+from drivers.modbus.ascii import AsciiStream, ascii_frame
+from drivers.modbus.driver import PinnedDriver, open_modbus
+from drivers.modbus.rtu import crc
+from drivers.modbus.settings import place_of, read_settings
+from drivers.tag import DType, Quality, Sample, Tag
+
+TAGS = [Tag(f"T{number}", f"holding:{number}", DType.INT16, writable=True) for number in range(8)]
+SOON = {"timeout": 0.5, "backoff_first": 0.01, "backoff_cap": 0.02, "connect_timeout": 5.0}
+"""Waits that a busy machine does not meet, but for the pauses between attempts."""
+
+
+@dataclass
+class Device:
+    """A device of registers that hold their own numbers, and what it says of itself."""
+
+    objects: dict[int, bytes] = field(default_factory=dict)
+    server_id: bytes = b""
+    serial: str = "SN-0001"
+    refused: frozenset[int] = frozenset()
+    hangs_up: bool = False
+    even: bool = False
+    silent_next: int = 0
+    registers: dict[int, int] = field(default_factory=lambda: {number: number for number in range(64)})
+    coils: dict[int, int] = field(default_factory=lambda: dict.fromkeys(range(16), 0))
+    asked: list[tuple[int, ...]] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        words = struct.unpack(">8H", self.serial.encode().ljust(16, b"\0"))
+        self.registers |= dict(zip(range(40, 48), words, strict=True))
+
+    def answer(self, pdu: bytes) -> bytes | None:
+        function = pdu[0]
+        if self.silent_next:
+            self.silent_next -= 1
+            return None
+        if function in self.refused:
+            return bytes((function | 0x80, 1))
+        if function == 43:
+            self.asked.append((43, pdu[2], pdu[3]))
+            known = {key: text for key, text in self.objects.items() if key >= pdu[3]}
+            body = b"".join(bytes((key, len(text))) + text for key, text in known.items())
+            return bytes((43, 14, pdu[2], 1, 0, 0, len(known))) + body if self.objects else bytes((43 | 0x80, 1))
+        if function == 17:
+            self.asked.append((17,))
+            return bytes((17, len(self.server_id))) + self.server_id if self.server_id else bytes((17 | 0x80, 1))
+        start, number = struct.unpack(">HH", pdu[1:5])
+        self.asked.append((function, start, number))
+        if function == 6:
+            self.registers[start] = number
+            return pdu[:5]
+        if function == 5:
+            self.coils[start] = number == 0xFF00
+            return pdu[:5]
+        if function == 16:
+            words = struct.unpack(f">{number}H", pdu[6:])
+            self.registers |= dict(zip(range(start, start + number), words, strict=True))
+            return pdu[:5]
+        if function == 1:
+            bits = sum(self.coils[start + place] << place for place in range(number))
+            return bytes((1, (number + 7) // 8)) + bits.to_bytes((number + 7) // 8, "little")
+        if self.even and (start % 2 or number % 2):
+            return bytes((function | 0x80, 3))
+        return struct.pack(
+            f">BB{number}H", function, 2 * number, *(self.registers[at] for at in range(start, start + number))
+        )
+
+
+@dataclass
+class Socket:
+    """A plug: whatever device is put in answers on connections to it."""
+
+    device: Device
+    connections: int = 0
+    tasks: set[Any] = field(default_factory=set)
+    open: list[asyncio.StreamWriter] = field(default_factory=list)
+
+    async def serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        self.connections += 1
+        self.tasks.add(asyncio.current_task())
+        self.open.append(writer)
+        try:
+            while True:
+                head = await reader.readexactly(7)
+                pdu = self.device.answer(await reader.readexactly(int.from_bytes(head[4:6], "big") - 1))
+                if pdu is None:
+                    continue
+                writer.write(head[:4] + (len(pdu) + 1).to_bytes(2, "big") + head[6:] + pdu)
+                if self.device.hangs_up:
+                    break
+        except (asyncio.IncompleteReadError, OSError, asyncio.CancelledError):
+            pass
+        self.open.remove(writer)
+        writer.close()
+
+    async def close(self) -> None:
+        for task in self.tasks:
+            task.cancel()
+        await asyncio.gather(*self.tasks, return_exceptions=True)
+
+    def swap(self, device: Device, *, cable: bool = True) -> None:
+        """Put another device in; with `cable` the connections end, without it they go on to the other one."""
+        self.device = device
+        for writer in self.open if cable else ():
+            writer.transport.abort()
+
+
+@asynccontextmanager
+async def plugged(device: Device, write_map: list[Tag] = TAGS, **settings: Any) -> AsyncIterator[tuple[Socket, Any]]:
+    plug = Socket(device)
+    server = await asyncio.start_server(plug.serve, "127.0.0.1", 0)
+    where = {"host": "127.0.0.1", "port": server.sockets[0].getsockname()[1], **SOON, **settings}
+    driver = open_modbus(where, clock=asyncio.get_running_loop().time, write_map=write_map)
+    try:
+        await driver.open()
+        yield plug, driver
+    finally:
+        await driver.close()
+        server.close()
+        await plug.close()
+
+
+async def read_until(driver: Any, done: Callable[[list[Sample]], bool]) -> list[Sample]:
+    async with asyncio.timeout(60):
+        while not done(samples := await driver.read(TAGS)):
+            for number, sample in enumerate(samples):
+                assert not sample.quality.is_good or sample.value == number
+            await asyncio.sleep(0.01)
+    return samples
+
+
+def good(samples: list[Sample]) -> bool:
+    return all(sample.quality.is_good for sample in samples)
+
+
+# ---------------------------------------------------------------- who it is
+
+FIRST = {0: b"Maker", 1: b"P-1", 2: b"v3"}
+MARKS: dict[str, tuple[dict[str, Any], dict[str, Any], dict[str, Any]]] = {
+    # the setting, the device that it is of, and another one
+    "an object": ({"product code": "P-1"}, {"objects": FIRST}, {"objects": FIRST | {1: b"P-2"}}),
+    "an object of the maker's own": (
+        {"object 128": "4711"},
+        {"objects": FIRST | {128: b"4711"}},
+        {"objects": FIRST | {128: b"4712"}},
+    ),
+    "an object that the other one lacks": ({"model": "M"}, {"objects": FIRST | {5: b"M"}}, {"objects": FIRST}),
+    "a server id": ({"server id": "PLC 1"}, {"server_id": b"PLC 1\xff"}, {"server_id": b"PLC 2\xff"}),
+    "a server id that is no text": ({"server id": "0901"}, {"server_id": b"\x09\x01"}, {"server_id": b"\x09\x02"}),
+    "no server id at all": ({"server id": "PLC 1"}, {"server_id": b"PLC 1"}, {}),
+    "a serial number as text": ({"holding:40-47": "SN-0001"}, {}, {"serial": "SN-0002"}),
+    "a serial number that goes on": ({"holding:40-47": "SN-0001"}, {}, {"serial": "SN-00012"}),
+    "a number": ({"holding:40-41": 0x534E2D30}, {}, {"serial": "SM-0001"}),
+    "words": ({"holding:42-43": [0x3030, 0x3100]}, {}, {"serial": "SN-0009"}),
+    "two marks": (
+        {"vendor": "Maker", "holding:40-47": "SN-0001"},
+        {"objects": FIRST},
+        {"objects": FIRST, "serial": "SN-0002"},
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("cable", [True, False], ids=["reconnected", "behind a device server"])
+@pytest.mark.parametrize("mark", MARKS)
+async def test_a_device_that_is_not_the_pinned_one_is_not_believed_and_not_written(mark: str, cable: bool) -> None:
+    setting, own, other = MARKS[mark]
+    async with plugged(Device(**own), identity=setting) as (plug, driver):
+        assert isinstance(driver, PinnedDriver) and isinstance(driver, Complains)
+        assert good(await driver.read(TAGS)) and driver.complaints() == ()
+        await driver.write([(TAGS[0], 0)])
+        stranger = Device(**other, silent_next=0 if cable else 1)
+        plug.swap(stranger, cable=cable)
+        samples = await read_until(driver, lambda samples: bool(driver.complaints()))
+        assert all(sample.value is None and sample.quality is Quality.NOT_CONNECTED for sample in samples)
+        assert "another device" in samples[0].reason and "pinned" in samples[0].reason
+        with pytest.raises(LinkDown, match="another device"):
+            await driver.write([(TAGS[0], 7)])
+        assert not [row for row in stranger.asked if row[0] in (5, 6, 15, 16)]
+        back = Device(**own)
+        plug.swap(back)
+        assert good(await read_until(driver, good)) and driver.complaints() == ()
+
+
+async def test_a_write_is_not_sent_over_a_connection_on_which_the_device_has_not_said_who_it_is() -> None:
+    async with plugged(Device(), identity={"holding:40-47": "SN-0001"}) as (plug, driver):
+        assert good(await driver.read(TAGS))
+        stranger = Device(serial="SN-0002")
+
+        def swapped_in_the_last_moment() -> None:
+            plug.swap(stranger)
+
+        # Whatever happens between the question and the write: where it is sent it goes to the device that has answered.
+        with pytest.raises(DriverError):
+            await driver.write([(TAGS[0], 7)], before_sending=swapped_in_the_last_moment)
+        await read_until(driver, lambda samples: bool(driver.complaints()))
+        assert not [row for row in stranger.asked if row[0] == 16]
+
+
+async def test_a_device_that_does_not_say_who_it_is_is_not_believed() -> None:
+    async with plugged(Device(), identity={"vendor": "Maker"}) as (_, driver):
+        samples = await driver.read(TAGS)
+        assert not any(sample.quality.is_good for sample in samples) and "says nothing of it" in samples[0].reason
+
+
+async def test_a_pinned_device_that_hangs_up_after_each_answer_is_read_and_never_written() -> None:
+    async with plugged(Device(hangs_up=True), identity={"holding:40-47": "SN-0001"}) as (plug, driver):
+        assert good(await read_until(driver, good))
+        with pytest.raises(DriverError):
+            await driver.write([(TAGS[0], 7)])
+        assert not [row for row in plug.device.asked if row[0] == 16]
+
+
+@pytest.mark.parametrize(
+    ("setting", "word"),
+    [
+        ({}, "must be a table"),
+        ({"colour": "red"}, "says nothing of who"),
+        ({"vendor": 3}, "give the text"),
+        ({"holding:300": "SN4711"}, "room for 2 characters"),
+        ({"holding:300": 70000}, "list of its 1 words"),
+        ({"holding:300-301": [1]}, "list of its 2 words"),
+        ({"holding:9-3": 1}, "no stretch"),
+        ({"coil:3": 2}, "list of its 1 words"),
+        ("SN", "must be a table"),
+    ],
+)
+def test_an_identity_that_says_nothing_is_refused(setting: Any, word: str) -> None:
+    with pytest.raises(DriverError, match="identity") as caught:
+        read_settings({"host": "h", "identity": setting})
+    assert word in str(caught.value)
+
+
+# ---------------------------------------------------------------- functions and places
+
+
+async def test_registers_and_coils_are_written_one_by_one_where_the_device_takes_no_other_function() -> None:
+    coils = [Tag(f"C{number}", f"coil:{number}", DType.BOOL, writable=True) for number in range(3)]
+    device = Device(refused=frozenset({15, 16}))
+    async with plugged(device, [*TAGS, *coils], write_with=[6, 5]) as (_, driver):
+        await driver.write([(TAGS[2], 20), (TAGS[1], 10), (TAGS[3], 30)])
+        await driver.write([(coil, number != 1) for number, coil in enumerate(coils)])
+    assert [row for row in device.asked if row[0] in (5, 6)] == [
+        (6, 1, 10), (6, 2, 20), (6, 3, 30), (5, 0, 0xFF00), (5, 1, 0), (5, 2, 0xFF00)
+    ]  # fmt: skip
+    async with plugged(device) as (_, driver):
+        with pytest.raises(DeviceException, match="write_with = 6"):
+            await driver.write([(TAGS[0], 1)])
+
+
+async def test_what_cannot_be_read_back_is_not_where_the_setting_says_so() -> None:
+    device = Device()
+    device.registers = dict.fromkeys(range(64), 0)
+    keep = device.answer
+    device.answer = lambda pdu: pdu[:5] if pdu[0] == 16 else keep(pdu)  # type: ignore[method-assign]
+    async with plugged(device, read_back="never") as (_, driver):
+        await driver.write([(TAGS[0], 1)])
+    assert not [row for row in device.asked if row[0] == 3]
+
+
+async def test_reads_are_aligned_where_the_device_takes_no_others() -> None:
+    device = Device(even=True)
+    tags = [Tag("A", "holding:3"), Tag("B", "holding:6", DType.FLOAT32), Tag("C", "holding:21")]
+    async with plugged(device, aligned=2, max_registers=10) as (_, driver):
+        samples = await driver.read(tags)
+    assert samples[0].value == 3 and samples[2].value == 21
+    assert all(not start % 2 and not number % 2 and number <= 10 for _, start, number in device.asked)
+
+
+async def test_a_tag_with_a_period_is_read_no_more_often_and_what_was_read_stands_meanwhile() -> None:
+    slow, late, fast = (
+        Tag("slow", "holding:1", period=3600.0),
+        Tag("late", "holding:2", period=0.05),
+        Tag("f", "holding:3"),
+    )
+    async with plugged(Device()) as (plug, driver):
+        first = await driver.read([slow, late, fast])
+        assert [sample.value for sample in first] == [1, 2, 3]
+        plug.device.registers |= {1: 10, 2: 20, 3: 30}
+        second = await driver.read([slow, late, fast])
+        assert second[0] == first[0] and second[2].value == 30, "it keeps its time"
+        async with asyncio.timeout(60):
+            while (await driver.read([slow, late, fast]))[1].value != 20:
+                await asyncio.sleep(0.01)
+        plug.device.silent_next = 100
+        lost = await driver.read([slow, late, fast])
+        assert lost[0] == first[0] and not lost[2].quality.is_good
+    assert sum(start <= 1 < start + number for _, start, number in plug.device.asked) == 1
+
+
+async def test_what_was_kept_of_another_device_is_forgotten() -> None:
+    slow = Tag("slow", "holding:1", period=3600.0)
+    async with plugged(Device(), identity={"holding:40-47": "SN-0001"}) as (plug, driver):
+        other = Device(serial="SN-0002")
+        other.registers[1] = 666
+        keep = plug.device.answer
+
+        def swapped(pdu: bytes) -> bytes | None:
+            if pdu[0] == 3 and struct.unpack(">H", pdu[1:3])[0] == 1:
+                plug.swap(other)
+                return other.answer(pdu)
+            return keep(pdu)
+
+        plug.device.answer = swapped  # type: ignore[method-assign]
+        async with asyncio.timeout(60):
+            while not driver.complaints():
+                assert not (await driver.read([slow]))[0].quality.is_good
+                await asyncio.sleep(0.01)
+        plug.swap(Device())
+        async with asyncio.timeout(60):
+            while not (samples := await driver.read([slow]))[0].quality.is_good:
+                await asyncio.sleep(0.01)
+        assert samples[0].value == 1
+
+
+# ---------------------------------------------------------------- connections that end
+
+
+async def test_a_device_that_hangs_up_after_each_answer_is_read_and_a_write_is_read_back() -> None:
+    tags = [*TAGS, Tag("far", "holding:40")]
+    async with plugged(Device(hangs_up=True)) as (plug, driver):
+        async with asyncio.timeout(60):
+            while not good(await driver.read(tags)):
+                await asyncio.sleep(0.01)
+        for _ in range(3):
+            assert good(await driver.read(tags)), "of several requests each has its connection"
+        async with asyncio.timeout(60):
+            while True:
+                try:
+                    await driver.write([(TAGS[0], 0)])
+                    break
+                except LinkDown:  # it hung up in the very moment: nothing is sent twice
+                    await asyncio.sleep(0.01)
+        assert (16, 0, 1) in plug.device.asked
+
+
+async def test_a_connection_is_left_to_others_between_two_scans() -> None:
+    async with plugged(Device(), close_between_scans=True) as (plug, driver):
+        for count in (1, 2, 3):
+            assert good(await driver.read(TAGS)) and driver.connected
+            async with asyncio.timeout(60):
+                while plug.open:
+                    await asyncio.sleep(0.005)
+            assert plug.connections in (count, count + 1), "the first one is made by the start"
+        await driver.write([(TAGS[0], 0)])
+        async with asyncio.timeout(60):
+            while plug.open:
+                await asyncio.sleep(0.005)
+
+
+# ---------------------------------------------------------------- other frames
+
+
+class Datagrams(asyncio.DatagramProtocol):
+    """A device over UDP that loses the first of two questions and says everything twice."""
+
+    def __init__(self, device: Device) -> None:
+        self.device, self.count = device, 0
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        self.transport: Any = transport
+
+    def datagram_received(self, data: bytes, addr: Any) -> None:
+        self.count += 1
+        pdu = self.device.answer(data[7:])
+        if self.count % 2 and pdu is not None:
+            frame = data[:4] + (len(pdu) + 1).to_bytes(2, "big") + data[6:7] + pdu
+            self.transport.sendto(b"\0\1" + frame[2:], addr)
+            self.transport.sendto(frame, addr)
+            self.transport.sendto(frame, addr)
+
+
+async def test_datagrams_that_are_lost_doubled_or_of_another_number_are_told_apart() -> None:
+    loop, device = asyncio.get_running_loop(), Device()
+    transport, _ = await loop.create_datagram_endpoint(lambda: Datagrams(device), local_addr=("127.0.0.1", 0))
+    port = transport.get_extra_info("sockname")[1]
+    where = {"transport": "udp", "host": "127.0.0.1", "port": port, "timeout": 0.2, "attempts": 2, "unit": 0}
+    driver = open_modbus(where, clock=loop.time, write_map=TAGS)
+    try:
+        await driver.open()
+        assert good(await read_until(driver, good))
+        assert good(await read_until(driver, good))
+        await read_until(driver, lambda samples: samples[7].value == 7)
+    finally:
+        await driver.close()
+        transport.close()
+
+
+def test_an_ascii_frame_is_the_rtu_frame_of_its_content() -> None:
+    plain = bytes((1, 3, 0, 0, 0, 2))
+    frame = ascii_frame(plain + crc(plain))
+    assert frame == b":010300000002FA\r\n"  # MODBUS over Serial Line V1.02, appendix B
+    stream = AsciiStream()
+    assert b"".join(stream.take(frame[at : at + 1]) for at in range(len(frame))) == plain + crc(plain)
+    assert stream.take(b"\0\xff" + frame + frame) == 2 * (plain + crc(plain)) and not stream.spoilt
+    assert stream.take(b":0103" + frame) == plain + crc(plain), "one that was cut short is passed over"
+    for broken in (frame.replace(b"FA", b"FB"), b":\r\n", b":01\r\n", b":0103000000 2FA\r\n", b"0103\r\n", b":0\r\n"):
+        assert stream.take(broken) == b""
+    assert stream.spoilt == 6
+
+
+@pytest.mark.parametrize("noise", [b"", b"\0", b":01"])
+async def test_ascii_frames_are_read_and_written(noise: bytes) -> None:
+    device, stream, gone = Device(), AsciiStream(), asyncio.Event()
+
+    async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        while data := await reader.read(600):
+            if frame := stream.take(data):
+                pdu = device.answer(frame[1:-2])
+                if pdu is not None:
+                    plain = frame[:1] + pdu
+                    writer.write(noise + ascii_frame(plain + crc(plain)))
+        writer.close()
+        gone.set()
+
+    server = await asyncio.start_server(serve, "127.0.0.1", 0)
+    where = {"transport": "ascii-tcp", "host": "127.0.0.1", "port": server.sockets[0].getsockname()[1], "timeout": 5.0}
+    driver = open_modbus(where, clock=asyncio.get_running_loop().time, write_map=TAGS)
+    try:
+        await driver.open()
+        assert good(await driver.read(TAGS)) and [s.value for s in await driver.read(TAGS)] == list(range(8))
+        await driver.write([(TAGS[0], -5)])
+        assert device.registers[0] == 0x10000 - 5
+    finally:
+        await driver.close()
+        async with asyncio.timeout(60):
+            await gone.wait()
+        server.close()
+
+
+# ---------------------------------------------------------------- hosts as people write them
+
+
+@pytest.mark.parametrize(
+    ("given", "host", "port"),
+    [
+        ("[::1]", "::1", 502), ("::1", "::1", 502), ("[fe80::1%eth0]:1502", "fe80::1%eth0", 1502),
+        ("plc.local:1502", "plc.local", 1502), ("tcp://10.0.0.5:502/", "10.0.0.5", 502), (" plc ", "plc", 502),
+        ("modbus-tcp://plc", "plc", 502),
+    ],
+)  # fmt: skip
+def test_a_host_is_taken_as_people_write_it(given: str, host: str, port: int) -> None:
+    settings = read_settings({"host": given})
+    assert (settings.host, settings.port) == (host, port)
+    assert place_of(settings) == place_of(read_settings({"host": host, "port": port}))
+
+
+def test_a_host_that_contradicts_the_port_is_refused() -> None:
+    assert read_settings({"host": "plc:1502", "port": 1502}).port == 1502
+    for given in ({"host": "plc:1502", "port": 502}, {"host": "plc:70000"}):
+        with pytest.raises(DriverError, match="port"):
+            read_settings(given)
