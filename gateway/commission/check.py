@@ -232,7 +232,8 @@ async def _heartbeat(site: Site, before: Sequence[Sample]) -> list[CheckStep]:
     device, config = device_of(site), site.target.config
     if device.heartbeat is None:
         sentence = (
-            "no heartbeat is named: a program that stands still cannot be told from one at rest (bind --heartbeat TAG)"
+            "no heartbeat is named: a program that stands still cannot be told from one at rest (decanter "
+            "plc bind --heartbeat TAG)"
         )
         return [warning("heartbeat", sentence)]
     first = next(sample.value for sample in before if sample.tag == device.heartbeat)

@@ -83,7 +83,7 @@ async def compare_with_list(
     elif times:
         raise ListError(
             f"{shown[0].where}: the readings have times, and nothing was recorded to compare them with; give "
-            "--readings FILE (see soak --record), or take the times out to compare with the PLC now"
+            "--readings FILE (see decanter plc soak --record), or take the times out to compare with the PLC now"
         )
     points = []
     for reading in shown:
@@ -189,7 +189,9 @@ _FILE = click.Path(path_type=Path)
 @click.command(short_help="Compare with the HMI: two values per analogue, both states per bool.")
 @click.option("--against", "listed", type=_FILE, help="Readings of the HMI (CSV, XLSX): tag, value and, if any, time.")
 @only_option
-@click.option("--readings", type=_FILE, help="For readings with times: what was recorded (soak --record, historian).")
+@click.option(
+    "--readings", type=_FILE, help="For readings with times: what was recorded (decanter plc soak --record, historian)."
+)
 @click.option("--within", type=click.FloatRange(0), default=2.0, show_default=True, help="Seconds around such a time.")
 @click.option("--clock-offset", type=float, default=0.0, help="Seconds by which the HMI's clock is ahead.")
 @click.option("--tolerance", "slack", type=click.FloatRange(0), default=0.0, help="Engineering units beside rounding.")

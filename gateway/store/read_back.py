@@ -24,7 +24,7 @@ from gateway.store.numbers import newest_of
 from gateway.store.retention import TIERS, means, merged, tier_kind
 from gateway.store.schema import APPLICATION_ID, FOLLOWED, NAMES, PACKED, VERSION, number, restored
 from gateway.store.sqlite_file import key_range
-from sim.sha import Array, Event, Mask, Trace
+from sim.sha import Array, Event, Mask, Trace, holds_roughly
 
 MOST_STRETCHES = 20_000
 """More stretches than any picture shows: a trend by the minute goes back a fortnight, beyond that it is by the hour."""
@@ -423,8 +423,9 @@ def to_trace(
 ) -> Trace:
     """The measurements as a trace with one row a scan, not encoded: what the gateway's own encoder was given.
 
-    A reading that was not stored because it equalled the one before it is there again; one that was not good is NaN
-    and marked in `bad`. Strings are left out, and so is what is none of the `tags` (None: all). Raises HistorianError.
+    A reading that was not stored because it equalled the one before it is there again; one that was not good is NaN and
+    marked in `bad`. Where a deadband kept readings back, what only holds is marked in `held`. Strings are left out, and
+    so is what is none of the `tags` (None: all). Raises HistorianError.
     """
     with reading(path) as connection:
         whose = selected(connection, machine)
@@ -432,6 +433,7 @@ def to_trace(
         times = np.array(clock, dtype=float)
         signals: dict[str, Array] = {}
         bad: dict[str, Mask] = {}
+        held: dict[str, Mask] = {}
         # A sample that did not change is kept every max_interval only: to know what stood at `start`, one has to look
         # back as far as that, and by ten scans more for those that were late. An hour where no run is on record.
         condition, own = whose.where("runs")
@@ -452,7 +454,9 @@ def to_trace(
             place = np.searchsorted(kept, times, side="right") - 1
             before = place < 0
             signals[name], bad[name] = np.where(before, nan, values[place]), ~before & ~good[place]
-    return Trace(title, times, signals, bad=bad, origin=str(path))
+            if holds_roughly(kept, values):
+                held[name] = ~before & (np.diff(place, prepend=-1) == 0)
+    return Trace(title, times, signals, bad=bad, origin=str(path), held=held)
 
 
 def recent(path: Path, since: str, *, machine: str | None = None) -> Trace:

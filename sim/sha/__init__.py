@@ -20,12 +20,14 @@ from sim.sha.flows import FIXED, FLOWS, RELAXING, Coefficients, check_flow, coef
 from sim.sha.model import Correction, MachineCorrection, Model, PlainMember, Provenance, Stay, plain_model
 from sim.sha.semi_markov import MOST_STAYS, Chain, Indices, Paths, compile_chain, draw_paths, input_moments, known_paths
 from sim.sha.trace import (
+    SOON,
     UNKNOWN,
     Array,
     Event,
     Mask,
     Trace,
     content_hash,
+    holds_roughly,
     joint_hash,
     unit_of,
 )

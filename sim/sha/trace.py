@@ -29,10 +29,11 @@ class Trace:
     """n rows on one clock: `times` (n,) in absolute seconds, never decreasing; `signals` name -> (n,) floats.
 
     Booleans are 0.0 and 1.0. NaN says "no new reading in this row", nothing more; `bad` name -> (n,) marks readings
-    whose quality was bad (their value is NaN too). `events` are empty until encoded. `origin` says where the rows come
-    from (file, scenario and seed), `machine` which of several machines they are of ("": nobody says) and `synthetic`
-    that no plant produced them. `units` are those of the signals, as far as they are known. Raises ValueError on shapes
-    that do not match and on times that go back.
+    whose quality was bad (their value is NaN too). `held` name -> (n,) marks rows in which no reading of its own
+    stands: the one before still holds there, to within the deadband of what stored it. `events` are empty until
+    encoded. `origin` says where the rows come from (file, scenario and seed), `machine` which of several machines they
+    are of ("": nobody says) and `synthetic` that no plant produced them. `units` are those of the signals, as far as
+    they are known. Raises ValueError on shapes that do not match and on times that go back.
     """
 
     name: str
@@ -44,10 +45,11 @@ class Trace:
     synthetic: bool = False
     machine: str = ""
     units: Mapping[str, str] = field(default_factory=dict)
+    held: Mapping[str, Mask] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         rows = self.times.shape
-        for name, column in (*self.signals.items(), *self.bad.items()):
+        for name, column in (*self.signals.items(), *self.bad.items(), *self.held.items()):
             if column.shape != rows:
                 raise ValueError(f"trace {self.name!r}: signal {name!r} has shape {column.shape}, its clock {rows}")
         if self.times.size and not np.all(np.isfinite(self.times)):
@@ -69,7 +71,52 @@ class Trace:
             synthetic=self.synthetic,
             machine=self.machine,
             units=self.units,
+            held={name: column[rows] for name, column in self.held.items()},
         )
+
+    def drawn(self, signal: str) -> Array:
+        """(n,) the course of a signal as it most likely was: where a reading only holds, on the way to the next one.
+
+        It came there no more slowly than it went on from there: what held for long, as at rest, moved at its end only.
+        """
+        column, held = self.signals[signal], self.held.get(signal)
+        if held is None:
+            return column
+        at = np.flatnonzero(np.isfinite(column) & ~held)
+        if at.size < 2:
+            return column
+        times = self.times[at]
+        steps = np.diff(times)
+        after = np.append(steps[1:], steps[-1])
+        moves = np.where(steps > _RESTED * after, after, steps)
+        knots = np.column_stack([times[:-1], times[1:] - moves]).ravel()
+        course = np.interp(
+            self.times, np.append(knots, times[-1]), np.append(np.repeat(column[at[:-1]], 2), column[at[-1]])
+        )
+        return np.where(np.isfinite(column), course, np.nan)
+
+
+def holds_roughly(times: Array, values: Array) -> bool:
+    """Whether what was stored, `values` (n,) at ascending `times` (n,) s, kept small changes back, as by a deadband.
+
+    A change that is stored because it is one is then larger than the finest step between the values. What comes after
+    the longest silence is stored for that, whatever it is.
+    """
+    known = np.isfinite(values)
+    steps, moves = np.diff(times[known]), np.abs(np.diff(values[known]))
+    scan = float(np.quantile(steps, 0.05)) if steps.size else 0.0
+    told = moves[(steps < SOON * (steps.max(initial=0.0) - scan)) & (moves > 0)]
+    finest = np.diff(np.unique(values[known]))
+    # Decimals that are rounded differ in their last binary digits too.
+    finest = finest[finest > 1e-9 * np.abs(values[known]).max(initial=0.0)]
+    return told.size > 0 and bool(np.quantile(told, 0.01) > 2.0 * finest.min())
+
+
+_RESTED = 3.0
+"""A reading that held for so many times as long as the next one did was at rest at first."""
+SOON = 0.9
+"""Of the longest silence: what comes later is stored because the recorder's longest time is over, give or take a scan
+and this share."""
 
 
 def unit_of(traces: Iterable[Trace], signal: str, otherwise: str = DEGREES) -> str:

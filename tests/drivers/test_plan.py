@@ -227,9 +227,7 @@ def test_the_plan_is_described_request_by_request() -> None:
         ({"read_back": "never"}, "function 16, one request a block, not read back", ["write"]),
     ],
 )
-def test_a_plan_says_by_which_function_a_block_is_written(
-    own: dict[str, object], said: str, writes: list[str]
-) -> None:
+def test_a_plan_says_by_which_function_a_block_is_written(own: dict[str, object], said: str, writes: list[str]) -> None:
     words = [Tag(f"Writeback.{number}", f"holding:{400 + number}", writable=True) for number in range(4)]
     plan = planned({"host": "h", "timeout": 0.5, **own}, [Tag("T", "holding:1")], words)
     assert (plan.written_by, [request.kind for request in plan.writes]) == (said, writes)

@@ -6,10 +6,13 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
+from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sim.lab.recordings import ColumnMap, LoadReport, TraceError, load_traces
+from gateway.cli.main import main
+from sim.lab.recordings import ColumnMap, LoadReport, TraceError, load_traces, write_trace
+from sim.plant import production
 from sim.sha import Trace
 
 CELLS = st.sampled_from(["", "1", "20.5", "-4", "bad", "3276.7", "x y", "0", "1e3", " ", "nan", "2,5"])
@@ -87,3 +90,16 @@ def test_the_cells_of_a_long_file_add_up_too(rows: list[tuple[str, str, str, str
     (file,) = report.files
     if not file.error:
         assert file.cells == file.used_cells + file.refused_cells + file.merged_cells + sum(file.unused.values())
+
+
+def test_learn_and_ingest_say_the_line_too(tmp_path: Path) -> None:
+    trace = production(1, 4, seed=1, period=120.0)
+    (tmp_path / "in").mkdir()
+    write_trace(trace, tmp_path / "in" / "a.csv")
+    cells = sum(int(np.isfinite(column).sum()) for column in trace.signals.values()) + trace.times.size
+    line = f"{cells} cells = {cells} used + 0 refused + 0 merged + 0 not used"
+    learn = ["model", "learn", "--traces", str(tmp_path / "in" / "a.csv"), "--out", str(tmp_path / "model")]
+    done = CliRunner().invoke(main, learn)
+    assert done.exit_code == 0 and line in done.stdout, done.output
+    done = CliRunner().invoke(main, ["trace", "ingest", str(tmp_path / "in"), "--archive", str(tmp_path / "archive")])
+    assert done.exit_code == 0 and line in done.stdout, done.output

@@ -1,6 +1,7 @@
 """No sentence of one command names an option of another: `trace map` has every option that its messages name."""
 
 import ast
+import inspect
 import re
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import pytest
 
 import sim.lab.recordings
 import sim.lab.recordings.mapping
+from gateway.cli.main import main
 from gateway.lab.traces.map import map_command
 
 OPTION = re.compile(r"(?<![\w-])--([a-z][a-z-]+)")
@@ -57,3 +59,59 @@ def test_every_question_has_the_option_that_answers_it() -> None:
                 fields.add(field.value)
     assert {"temperature", "current", "running", "on", "unit", "stored", "duplicates", "clock-back"} <= fields
     assert fields <= options()
+
+
+def commands(group: click.Command, name: str = "") -> dict[str, click.Command]:
+    """Every command by its whole name."""
+    if not isinstance(group, click.Group):
+        return {name: group}
+    context, found = click.Context(group), dict[str, click.Command]()
+    for each in group.list_commands(context):
+        command = group.get_command(context, each)
+        assert command is not None
+        found |= commands(command, f"{name} {each}".strip())
+    return found
+
+
+def named_options(command: click.Command) -> set[str]:
+    given = (
+        name for each in command.params if isinstance(each, click.Option) for name in each.opts + each.secondary_opts
+    )
+    return {name.removeprefix("--") for name in given} | {"help", "version"}
+
+
+def whole_texts(file: Path) -> list[str]:
+    """The texts of a module that are not docstrings, those with values in them whole."""
+    tree = ast.parse(file.read_text(encoding="utf-8"))
+    aside = {
+        id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
+    }
+    joined = [node for node in ast.walk(tree) if isinstance(node, ast.JoinedStr)]
+    aside |= {id(part) for each in joined for part in each.values}
+    whole = ["".join(part.value if isinstance(part, ast.Constant) else "" for part in each.values) for each in joined]
+    return whole + [
+        node.value
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in aside
+    ]
+
+
+def test_an_option_in_a_message_of_a_command_is_its_own_or_the_command_that_has_it_is_named() -> None:
+    every = commands(main)
+    by_file: dict[str, set[str]] = {}
+    for command in every.values():
+        assert command.callback is not None
+        file = inspect.getsourcefile(inspect.unwrap(command.callback))
+        assert file is not None
+        by_file[file] = by_file.get(file, set()) | named_options(command)
+    assert len(by_file) > 40
+    strange = [
+        (Path(file).name, text)
+        for file, own in by_file.items()
+        for text in whole_texts(Path(file))
+        if "systemctl" not in text
+        for option in OPTION.findall(text)
+        if option not in own
+        and not any(option in named_options(each) and f"decanter {name} " in text for name, each in every.items())
+    ]
+    assert not strange

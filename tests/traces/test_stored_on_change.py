@@ -1,16 +1,21 @@
 """The same plant stored in each row and stored on change: the same levels, events and readings."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from gateway.console import shipped
-from sim.lab.recordings import load_map, load_traces
-from sim.sha import Bins, Trace
+from sim.lab.learning.bins import learn_bins
+from sim.lab.learning.calibrate import score_forecasts
+from sim.lab.recordings import load_map, load_traces, parse_map
+from sim.plant import production
+from sim.sha import DECANTER, Bins, Model, Trace, encode, holds_roughly
 from tests.traces.exports import Recording, on_change, recording, wide, written
 from tests.traces.test_dialects import mapped
 
+TEMPERATURE = "TCuscinettiRiduttore"
 HEADER = "Time,Bearing temperature,Motor current,Running"
 
 
@@ -108,3 +113,125 @@ def test_a_map_that_names_no_gap_has_that_of_the_recording(step: float, tmp_path
     export = written(tmp_path / "a.csv", "time,MarciaDecanter,Assorbimento,TCuscinettiRiduttore", rows)
     (trace,), report = load_traces(export, load_map(shipped("traces", "decanter")))
     assert report.alphabet.gap == 5 * step and "unknown" not in [event.symbol for event in trace.events]
+
+
+def beating(plant: Recording, deadband: float, every: float) -> list[str]:
+    """As `on_change`, each value also told anew when it is `every` s old."""
+    kept, last, told = list[str](), [np.nan] * 3, [-np.inf] * 3
+    bands = (deadband, max(4 * deadband, 4.0), 0.5)
+    for time, moment, *values in zip(
+        plant.seconds, plant.moments, plant.heat, plant.current, plant.running, strict=True
+    ):
+        cells = []
+        for place, (value, band) in enumerate(zip(values, bands, strict=True)):
+            says = not abs(value - last[place]) < band or time - told[place] >= every
+            cells.append(f"{value:g}" if says else "")
+            last[place], told[place] = (value, time) if says else (last[place], told[place])
+        if any(cells):
+            kept.append(",".join([f"{moment:%Y-%m-%d %H:%M:%S}", *cells]))
+    return kept
+
+
+@pytest.mark.parametrize("every", [60.0, 600.0, 3600.0])
+@pytest.mark.parametrize("deadband", [0.5, 2.0])
+def test_a_recorder_that_tells_values_anew_after_its_longest_time_is_seen_to_store_on_change(
+    every: float, deadband: float, dense: tuple[Trace, tuple[float, ...]], tmp_path: Path
+) -> None:
+    export = written(tmp_path / "a.csv", HEADER, beating(long_recording(), deadband, every))
+    (held,), _, _ = mapped(export, tmp_path / "m.toml")
+    assert load_map(tmp_path / "m.toml").stored == "on change"
+    assert thresholds(tmp_path / "m.toml") == pytest.approx(dense[1], rel=0.05)
+    starts = [event.time for event in held.events if event.symbol == "W_ON"]
+    assert starts == [event.time for event in dense[0].events if event.symbol == "W_ON"]
+
+
+@pytest.mark.parametrize("dead", [0, 1])
+def test_a_tag_that_dies_while_others_speak_is_unknown_after_its_own_longest_silence(dead: int, tmp_path: Path) -> None:
+    rows = beating(long_recording(), 0.5, 600.0)
+    half = len(rows) // 2
+    lines = []
+    for number, row in enumerate(rows):
+        time, *cells = row.split(",")
+        cells[dead] = "" if number > half else cells[dead]
+        lines.append(",".join([time, *cells]))
+    (held,), _, _ = mapped(written(tmp_path / "a.csv", HEADER, lines), tmp_path / "m.toml", "--stored", "on change")
+    own = held.signals[("Bearing_temperature", "Motor_current")[dead]]
+    last = held.times[np.isfinite(own)][-1]
+    assert held.times[0] + 0.4 * np.ptp(held.times) < last < held.times[0] + 0.65 * np.ptp(held.times)
+    others = held.signals[("Motor_current", "Bearing_temperature")[dead]]
+    assert np.isfinite(others[-60:]).all()
+
+
+def test_a_map_holds_each_signal_for_its_own_silence(tmp_path: Path) -> None:
+    rows = ["0,20,0", "100,,1", "200,,0", "300,,1", "400,,0", "500,21,1"]
+    column_map = parse_map(
+        'format = "wide"\ntemperature = "T"\nstored = "on change"\nsilence = 400\ninterval = 50\n'
+        '[clock]\ncolumn = "t"\nformats = "seconds"\n[signals]\nT = { silence = 150 }\nI = {}\n',
+        "a map",
+    )
+    (trace,), _ = load_traces(written(tmp_path / "a.csv", "t,T,I", rows), column_map)
+    known = np.isfinite(trace.signals["T"])
+    assert known.tolist() == [time <= 150 or time == 500 for time in trace.times.tolist()]
+    assert np.isfinite(trace.signals["I"]).all()
+
+
+def test_what_only_holds_is_drawn_to_the_next_reading_and_rest_moves_at_its_end_only() -> None:
+    times = np.arange(0.0, 130.0, 10.0)
+    values = np.array([20.0] * 10 + [22.0, 24.0, 26.0])
+    held = np.array([False] + [True] * 9 + [False] * 3)
+    trace = Trace("a", times, {"T": values}, held={"T": held})
+    course = trace.drawn("T")
+    assert course[[0, 9, 10]].tolist() == [20.0, 20.0, 22.0] and np.all(np.diff(course) >= 0)
+    even = replace(trace, signals={"T": np.array([20.0, 20.0, 22.0, 22.0, 24.0])}, times=times[:5], held={})
+    held_even = replace(even, held={"T": np.array([False, True, False, True, False])})
+    assert held_even.drawn("T").tolist() == [20.0, 21.0, 22.0, 23.0, 24.0]
+    assert even.drawn("T").tolist() == even.signals["T"].tolist()
+
+
+@pytest.mark.parametrize(("deadband", "roughly"), [(0.0, False), (0.5, True)])
+def test_whether_a_deadband_kept_changes_back_is_seen_by_the_smallest(deadband: float, roughly: bool) -> None:
+    plant = long_recording()
+    kept, last = list[int](), np.nan
+    for row, value in enumerate(plant.heat.tolist()):
+        if not abs(value - last) <= deadband:
+            kept.append(row)
+            last = value
+    assert holds_roughly(plant.seconds[kept], plant.heat[kept]) is roughly
+
+
+@pytest.fixture(scope="module")
+def dense_model() -> tuple[Model, list[Trace], dict[float, float]]:
+    trace = production(1, 5, seed=1, period=10.0)
+    learning, test = replace(trace, events=encode(trace, DECANTER)), production(1, 3, seed=2, period=10.0)
+    model = learn_bins([learning], DECANTER, TEMPERATURE, seed=0, bands=False).model
+    tests = [replace(test, events=encode(test, DECANTER))]
+    return model, tests, crps(model, tests)
+
+
+def crps(model: Model, tests: list[Trace]) -> dict[float, float]:
+    scored = score_forecasts(model, tests, [float(tests[0].times[0])], np.random.default_rng(0), origins=100)
+    return {
+        horizon: float(np.mean([each.crps for each in scored if each.horizon == horizon]))
+        for horizon in (60.0, 300.0, 900.0)
+    }
+
+
+@pytest.mark.parametrize("deadband", [0.5, 2.0])
+def test_a_model_of_values_on_change_forecasts_as_that_of_each_row(
+    deadband: float, dense_model: tuple[Model, list[Trace], dict[float, float]]
+) -> None:
+    """Learned from what a deadband left, judged by each row: CRPS within 1.2 at every horizon, the same locations."""
+    trace, last = production(1, 5, seed=1, period=10.0), np.nan
+    heat = trace.signals[TEMPERATURE].copy()
+    held = np.ones(heat.shape, dtype=bool)
+    for row, value in enumerate(heat.tolist()):
+        if not abs(value - last) <= deadband:
+            last, held[row] = value, False
+        heat[row] = last
+    stored = replace(trace, signals={**trace.signals, TEMPERATURE: heat}, held={TEMPERATURE: held})
+    stored = replace(stored, events=encode(stored, DECANTER))
+    model = learn_bins([stored], DECANTER, TEMPERATURE, seed=0, bands=False).model
+    whole, tests, best = dense_model
+    assert [each.name for each in model.sha.locations] == [each.name for each in whole.sha.locations]
+    found = crps(model, tests)
+    assert all(found[horizon] <= 1.2 * best[horizon] for horizon in best), (found, best)

@@ -20,8 +20,11 @@ from sim.lab.recordings import load_map
 from sim.proof import DAY, Assumptions, Sojourn, TimedWord, Verification, verify, word_text
 from sim.sha import encoded
 
-GROWS = "A flow that relaxes cannot grow: learn with --method bins, or with --method lsha --default-flow exponential."
-NEXT = "Read the evidence above; learn anew with more traces, or with another --method."
+GROWS = (
+    "A flow that relaxes cannot grow: learn with `decanter model learn --method bins`, "
+    "or with `decanter model learn --method lsha --default-flow exponential`."
+)
+NEXT = "Read the evidence above; learn anew with more traces, or with another `decanter model learn --method`."
 UNJUDGED = "what it foresees was not judged where it was made: `decanter model validate` or `skill` say it"
 STAYS, CASES, WIDTH = 12, 4, 150
 """What the text shows of a counterexample and of a check's cases, and signs a case; --json has all of them."""

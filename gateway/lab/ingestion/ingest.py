@@ -351,9 +351,11 @@ def _tell(outcome: IngestOutcome, dry_run: bool) -> None:
     elif outcome.verdict != "there already":
         row = outcome.row
         more = f"; missing of the set: {', '.join(row['missing'])}" if row["missing"] else ""
+        if "account" in row:
+            more += f"; {row['account']}"
         if row.get("used", 0) < row.get("rows", 0):
-            more = f"; {row['used']} of {row['rows']} rows are read, see `decanter trace show`"
+            more += f"; {row['used']} of {row['rows']} rows are read, see `decanter trace show`"
         if row.get("frames", 0) < row.get("lines", 0):
-            more = f"; {row['frames']} of {row['lines']} lines are read, see `decanter trace can`"
+            more += f"; {row['frames']} of {row['lines']} lines are read, see `decanter trace can`"
         would = "would be " if dry_run else ""
         click.echo(f"{would}{outcome.verdict}: {outcome.source} as {row['kind']} {row['name']}{more}")

@@ -260,6 +260,7 @@ def _trace(path: Path, maps: Mapping[str, ColumnMap]) -> RecognisedUnit:
             refusals.append(error)
             continue
         facts = {"map": name, "traces": len(traces), "rows": report.rows, "used": report.used}
+        facts |= {"account": report.account()}
         return RecognisedUnit(kind="trace", facts=facts, readings=joint_hash(traces), column_map=column_map)
     with suppress(RecordingError):
         return _can_log(path)

@@ -14,7 +14,7 @@ from gateway.entry import sentences
 from gateway.lab.learning.familiar import familiarity_files, trained_familiarity
 from gateway.lab.models.show import show_model, show_verdict, spread_sentence, summary
 from gateway.lab.options import method_option, temperature_option, traces_option
-from gateway.lab.traces.load import load, warned_of
+from gateway.lab.traces.load import load_reported, warned_of
 from sim.artefacts import VERDICT_FILE
 from sim.lab.formats import check_free, write_model_directory
 from sim.lab.judge import judge_learned
@@ -77,7 +77,7 @@ def learn(
             option = {"complete": "observed-edges"}.get(first, first.replace("_", "-"))
             raise ValueError(f"--{option} belongs to --method lsha; leave it out, or choose that method")
         check_free(out, name)  # nobody waits for a model that cannot be written
-        traces, column_map = load(paths, map_name)
+        traces, column_map, read = load_reported(paths, map_name)
         warnings = warned_of(traces, column_map.alphabet)
         if method == "lsha":
             from sim.lab.learning.lsha import learn_lsha, report_document, report_text
@@ -114,8 +114,10 @@ def learn(
     cycles = 0 if familiar is None else familiar.reference.held_out.size
     data |= {"verdict": verdict.plain() | {"sentence": verdict.sentence}}
     data |= {"familiar_cycles": cycles, "machines": asdict(spread), "warnings": warnings}
+    data |= {"account": read.account()}
 
     def show() -> Iterator[Part]:
+        yield read.account()
         yield from show_model(model)
         for title, rows in shown.items():
             if rows:

@@ -302,8 +302,10 @@ def _packed(trace: Trace) -> bytes:
     """The trace without its events as a compressed .npz of plain arrays."""
     facts = {"name": trace.name, "origin": trace.origin, "machine": trace.machine, "synthetic": trace.synthetic}
     head = {**facts, "signals": list(trace.signals), "bad": list(trace.bad), "units": dict(trace.units)}
+    head |= {"held": list(trace.held)}
     arrays: dict[str, Any] = {f"s{number}": column for number, column in enumerate(trace.signals.values())}
     arrays |= {f"b{number}": np.packbits(mask) for number, mask in enumerate(trace.bad.values())}
+    arrays |= {f"h{number}": np.packbits(mask) for number, mask in enumerate(trace.held.values())}
     stream = BytesIO()
     np.savez_compressed(stream, allow_pickle=False, head=np.array(json.dumps(head)), times=trace.times, **arrays)
     return stream.getvalue()
@@ -311,13 +313,16 @@ def _packed(trace: Trace) -> bytes:
 
 def _unpacked(path: Path) -> Trace:
     """What `_packed` gave. Raises OSError, KeyError, ValueError or BadZipFile."""
-    with np.load(path, allow_pickle=False) as held:
-        head, times = json.loads(str(held["head"])), held["times"]
-        signals = {name: held[f"s{number}"] for number, name in enumerate(head["signals"])}
-        bad = {
-            name: np.unpackbits(held[f"b{number}"], count=times.size).astype(bool)
-            for number, name in enumerate(head["bad"])
-        }
+    with np.load(path, allow_pickle=False) as kept:
+        head, times = json.loads(str(kept["head"])), kept["times"]
+        signals = {name: kept[f"s{number}"] for number, name in enumerate(head["signals"])}
+        bad, held = (
+            {
+                name: np.unpackbits(kept[f"{letter}{number}"], count=times.size).astype(bool)
+                for number, name in enumerate(names)
+            }
+            for letter, names in (("b", head["bad"]), ("h", head.get("held", ())))
+        )
     return Trace(
         name=head["name"],
         times=times,
@@ -327,4 +332,5 @@ def _unpacked(path: Path) -> Trace:
         machine=head["machine"],
         synthetic=head["synthetic"],
         units=head["units"],
+        held=held,
     )

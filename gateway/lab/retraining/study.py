@@ -438,7 +438,8 @@ def joined(traces: Sequence[Trace], gap: float) -> list[Trace]:
         if (
             before is not None
             and follows
-            and (set(trace.signals), set(trace.bad)) == (set(before.signals), set(before.bad))
+            and [set(of) for of in (trace.signals, trace.bad, trace.held)]
+            == [set(of) for of in (before.signals, before.bad, before.held)]
         ):
             if before.times[-1] == trace.times[0]:
                 groups[-1][-1] = before.between(float(before.times[0]), float(trace.times[0]))
@@ -451,6 +452,7 @@ def joined(traces: Sequence[Trace], gap: float) -> list[Trace]:
             times=np.concatenate([each.times for each in group]),
             signals={name: np.concatenate([each.signals[name] for each in group]) for name in group[0].signals},
             bad={name: np.concatenate([each.bad[name] for each in group]) for name in group[0].bad},
+            held={name: np.concatenate([each.held[name] for each in group]) for name in group[0].held},
         )
         for group in groups
     ]
@@ -488,7 +490,8 @@ def sparse(trace: Trace, step: float) -> Trace:
     kept = np.unique(np.floor((trace.times - trace.times[0]) / step), return_index=True)[1]
     signals = {name: column[kept] for name, column in trace.signals.items()}
     bad = {name: mask[kept] for name, mask in trace.bad.items()}
-    return replace(trace, times=trace.times[kept], signals=signals, bad=bad)
+    held = {name: mask[kept] for name, mask in trace.held.items()}
+    return replace(trace, times=trace.times[kept], signals=signals, bad=bad, held=held)
 
 
 def _what_is_left(new: Model, library: CycleLibrary, chosen: dict[str, Any], seed: int, report: Progress) -> str:

@@ -34,6 +34,7 @@ MOST_QUESTIONS = 3
 @click.option("--unit", multiple=True, help="The unit of a column that does not say it, as 'Bearing temperature=K'.")
 @click.option("--machine", default="", help=f"The column that says which machine a row is of; {NONE} for none.")
 @click.option("--session", default="", help=f"The column that says which session a row is of; {NONE} for none.")
+@click.option("--good", multiple=True, help=f"A word of the quality of good readings; {NONE}: it says nothing.")
 @click.option("--stored", type=click.Choice(["each row", "on change"]), help="How values were stored.")
 @click.option("--duplicates", type=click.Choice(DUPLICATES), help="What becomes of rows with the same time.")
 @click.option(
@@ -47,6 +48,7 @@ def map_command(
     overwrite: bool,
     on: tuple[str, ...],
     unit: tuple[str, ...],
+    good: tuple[str, ...],
     yes: bool,
     as_json: bool,
     **names: str | None,
@@ -60,7 +62,7 @@ def map_command(
     with sentences():
         if out is not None and out.exists() and not overwrite:
             raise ValueError(f"{out}: is there already; give another name, or --overwrite")
-        answers = Answers(on=on, unit=unit, **{name: given or "" for name, given in names.items()})
+        answers = Answers(on=on, unit=unit, good=good, **{name: given or "" for name, given in names.items()})
         drafted = asked_map(file, answers, yes=yes)
         if out is not None:
             with writing(out):

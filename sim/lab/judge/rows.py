@@ -110,7 +110,7 @@ def figures(
     """
     if temperature not in trace.signals:
         raise ValueError(f"trace {trace.name!r}: has no signal {temperature!r}, which is to be forecast")
-    outcomes = outcomes_of(trace, temperature, gap)
+    outcomes = outcomes_of(trace.times, trace.signals[temperature], gap)
     rows = []
     for method, time, fan in made:
         for column, horizon in enumerate(horizons):

@@ -49,7 +49,7 @@ if TYPE_CHECKING:
         spread_of,
     )
     from sim.lab.learning.max_rate import bite, learn_max_rate, with_max_rate
-    from sim.lab.learning.noise import Memories, NoiseLevels, drift_noise, fit_noise
+    from sim.lab.learning.noise import Memories, NoiseLevels, drift_noise, fit_noise, memories_told
     from sim.lab.learning.outcomes import outcomes_of
     from sim.lab.learning.plain import PERSISTENCE, learn_plain
     from sim.lab.learning.preparation import (

@@ -75,8 +75,8 @@ def score_forecasts(
     stride = max(sum(trace.times.size for trace in traces) // most_rows, 1)
     scored: list[Scored] = []
     for trace, first in zip(traces, since, strict=True):
-        raw = trace.signals[tracker.model.temperature]
-        outcomes = outcomes_of(trace, tracker.model.temperature, tracker.model.alphabet.gap)
+        raw = trace.drawn(tracker.model.temperature)
+        outcomes = outcomes_of(trace.times, raw, tracker.model.alphabet.gap)
         rows = np.arange(0, trace.times.size, stride)
         inputs = {name: trace.signals[name][rows].tolist() for name in sorted(tracker.inputs) if name in trace.signals}
         # The last event never comes: it spares the loop a look at the end of the list.

@@ -22,7 +22,7 @@ from sim.engine import repeat_factor
 from sim.lab.learning.data import resolution
 from sim.lab.learning.free_run import RATES, FitShape, FreeRunFit, loads
 from sim.lab.learning.runs import FreeRuns, Indices, sampled, stretches
-from sim.sha import FLOWS, RELAXING, Array, Effect, Flow, Mask, coefficients
+from sim.sha import FLOWS, RELAXING, Array, Effect, Flow, Mask, Trace, coefficients
 
 HORIZONS = (60.0, 300.0, 900.0)
 CHUNK = 150
@@ -57,6 +57,14 @@ class Memories:
 
     heat: tuple[float, ...] = (100.0, 400.0, 1600.0, 6400.0)
     sensor: tuple[float, ...] = (5.0, 15.0, 45.0)
+
+
+def memories_told(traces: Sequence[Trace], temperature: str) -> Memories | None:
+    """The memories that traces can tell: None for any; none where part of the course is drawn between what was stored.
+
+    A line between two values errs for as long as it lasts, which a disturbance of heat would be made of.
+    """
+    return Memories(heat=(), sensor=()) if any(temperature in trace.held for trace in traces) else None
 
 
 @dataclass(frozen=True, slots=True)

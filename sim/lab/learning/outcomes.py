@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sim.lab.learning.data import resolution, without_spikes
-from sim.sha import Array, Trace
+from sim.sha import Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,12 +24,11 @@ class Outcomes:
         return float(np.interp(due, self.times[after - 1 : after + 1], self.values[after - 1 : after + 1]))
 
 
-def outcomes_of(trace: Trace, temperature: str, gap: float) -> Outcomes:
-    """The good readings of the signal `temperature` in a trace, isolated spikes left out.
+def outcomes_of(times: Array, raw: Array, gap: float) -> Outcomes:
+    """The good ones of the readings `raw` (n,) at `times` (n,), isolated spikes left out.
 
     A spike is a fault of the measurement: no forecast is right or wrong for having missed it.
     """
-    raw = trace.signals[temperature]
     reading = without_spikes(raw, resolution(raw))
     finite = np.isfinite(reading)
-    return Outcomes(trace.times[finite], reading[finite], gap)
+    return Outcomes(times[finite], reading[finite], gap)

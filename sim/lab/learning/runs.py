@@ -203,7 +203,7 @@ def free_runs(
     moves = transitions(sha)
     parts = []
     for trace in traces:
-        reading = trace.signals.get(temperature, np.empty(0))
+        reading = trace.drawn(temperature) if temperature in trace.signals else np.empty(0)
         if not np.isfinite(reading).any():
             continue
         cleaned = without_spikes(reading, resolution(reading))

@@ -34,6 +34,7 @@ _ASIDE = re.compile(r"\s*\([^)]*\)\s*$")
 _NO_ZONE = re.compile(r"\b(?:GMT|UTC|Z)(?=[+-]\d)")
 _UTC = re.compile(r"\s*\b(?:GMT|UTC)$")
 _WORD = re.compile(r"[^\W\d_]{2,}\.?|\bà\b")
+_YEAR_LAST = re.compile(r"^([A-Z][a-z]{2} \d\d?),? (\d\d?:\d\d(?::\d\d(?:\.\d+)?)?(?: [AP]M)?)( [+-]\d{4})? (\d{4})$")
 _ORDINAL = re.compile(r"(?<=\d)(?:\.(?=\s*[^\W\d_])|(?:st|nd|rd|th|er|º|ª)\b)")
 
 
@@ -41,7 +42,7 @@ def plain_time(text: str) -> str:
     """A time with English months of three letters, AM or PM and an offset, as strptime reads them: no other words.
 
     "Wed Mar 13 2024 09:58:00 GMT+0100 (Central European Standard Time)" is "Mar 13 2024 09:58:00 +0100", and
-    "13. Mrz 2024 09:58:00" is "13 Mar 2024 09:58:00".
+    "13. Mrz 2024 09:58:00" is "13 Mar 2024 09:58:00". A year behind the time comes before it.
     """
     text = _UTC.sub(" +0000", _NO_ZONE.sub("", _ASIDE.sub("", text.strip())))
     text = _HALF.sub(lambda match: f" {match[1].upper()}M", text)
@@ -57,4 +58,6 @@ def plain_time(text: str) -> str:
             return "" if months else _MONTH[found]
         return "" if found in _DROPPED and match[0] != "AM" else match[0]
 
-    return " ".join(_WORD.sub(word, text).split()).lstrip(",. ")
+    plain = " ".join(_WORD.sub(word, text).split()).lstrip(",. ")
+    # C's asctime has the year behind the time.
+    return _YEAR_LAST.sub(r"\1 \4 \2\3", plain)

@@ -114,8 +114,10 @@ class SignalColumn(_MapPart):
     `column` is the header's name (in a long file, the name in the column of names); the signal's own name if not given.
     Cells in `bad` (numbers that mean no reading, before scaling; `missing` is its older name) and values outside
     `low`..`high` are of bad quality. A cell that says its own unit is converted to `unit`. `hold`: sent on change, the
-    last value holds until the next reading, a bad one or a gap. `on` and `off` are words of a two-valued signal, in any
-    case of their letters, besides those that are known anyway; where they are given, `boolean` need not be.
+    last value holds until the next reading, a bad one or a gap. `silence`: how long (s) a value holds in a recording
+    that is stored on change, where this signal has another than the map. `on` and `off` are words of a two-valued
+    signal, in any case of their letters, besides those that are known anyway; where they are given, `boolean` need not
+    be.
     """
 
     column: Names = ()
@@ -128,6 +130,7 @@ class SignalColumn(_MapPart):
     hold: bool = False
     low: float | None = None
     high: float | None = None
+    silence: Annotated[float, Field(gt=0)] | None = None
     bad: tuple[float, ...] = Field(default=(), validation_alias=AliasChoices("bad", "missing"))
 
     @model_validator(mode="before")
@@ -219,6 +222,14 @@ def zone_problem(zone: str) -> str:
     return ""
 
 
+class QualityColumn(_MapPart):
+    """Which words of a `column` mean that a row's readings are `good`; of several columns each is of those before
+    it."""
+
+    column: Names
+    good: Annotated[Names, Field(min_length=1)]
+
+
 class ByColumn(_MapPart):
     """What the cells of a `column` say of each row: the machine that it is of, or the session."""
 
@@ -244,7 +255,9 @@ class ColumnMap(_MapPart):
     `machine` says which machine a trace is of: each `folder` of files is one, each `file` is, all are the one that it
     names, or a `column` says it, as one may say the `session`: each has traces and a clock of its own; models learn how
     much machines differ.
-    `stored` `on change`: a value holds until the next one, for `silence` seconds at most, and stands in the trace every
+    `quality`: a column whose words say whether a row's readings are good; others are of bad quality.
+    `stored` `on change`: a value holds until the next one of its signal, for `silence` seconds at most (a signal may
+    have its own), not over a step of more than the map's `silence` between rows, and stands in the trace every
     `interval` seconds; in a recording that has each row, silence is not known to mean anything.
     """
 
@@ -266,6 +279,7 @@ class ColumnMap(_MapPart):
     synthetic: bool = False
     machine: Annotated[str, Field(min_length=1)] | ByColumn = "folder"
     session: ByColumn | None = None
+    quality: QualityColumn | None = None
     stored: Literal["each row", "on change"] = "each row"
     silence: Annotated[float, Field(gt=0)] = 3600.0
     interval: Annotated[float, Field(gt=0)] = 10.0

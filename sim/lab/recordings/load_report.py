@@ -91,14 +91,7 @@ class FileReport:
 
     def account(self) -> str:
         """The line that adds up, and which columns it leaves out."""
-        unused = sum(self.unused.values())
-        line = (
-            f"{self.cells} cells = {self.used_cells} used + {self.refused_cells} refused + {self.merged_cells} merged "
-            f"+ {unused} not used"
-        )
-        if unused:
-            line += f" (no signal of the map: {listed(name for name, count in self.unused.items() if count)})"
-        return line
+        return _account([self])
 
     def _count(self, lines: Sequence[int], reason: str, details: Sequence[str]) -> None:
         if not lines:
@@ -167,6 +160,10 @@ class LoadReport:
         """One sentence for each file of which nothing was used."""
         return tuple(file.error for file in self.files if file.error)
 
+    def account(self) -> str:
+        """The line that adds up over all files of which something was used."""
+        return _account([file for file in self.files if not file.error])
+
     def sentences(self) -> list[str]:
         """The whole report, one sentence a line."""
         return [line for file in self.files for line in file.sentences()]
@@ -185,6 +182,15 @@ class LoadReport:
             }
             for file in self.files
         ]
+
+
+def _account(files: Sequence[FileReport]) -> str:
+    cells, used, refused, merged = (
+        sum(getattr(file, name) for file in files) for name in ("cells", "used_cells", "refused_cells", "merged_cells")
+    )
+    columns: Counter[str] = sum((file.unused for file in files), Counter())
+    line = f"{cells} cells = {used} used + {refused} refused + {merged} merged + {columns.total()} not used"
+    return f"{line} (no signal of the map: {listed(columns)})" if columns else line
 
 
 def listed(names: Iterable[str], limit: int = 30, more: int = 0) -> str:

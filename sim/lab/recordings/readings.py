@@ -197,6 +197,36 @@ def _convert(
     return values, {f"{name} is {why}": mask for why, mask in faults.items() if mask.any()}
 
 
+def _not_good(header: Sequence[str], place: int, rows: Sequence[Sequence[str]], column_map: ColumnMap) -> Mask:
+    """(n,) the rows whose reading in the column at `place` is not good, by the column that says so."""
+    quality = column_map.quality
+    places = [] if quality is None else _quality_places(header, column_map)
+    if quality is None or not places:
+        return np.zeros(len(rows), dtype=bool)
+    at = next((each for each in places if each > place), places[-1])
+    good = {word.casefold() for word in quality.good}
+    return np.array([row[at].strip().casefold() not in good for row in rows], dtype=bool)
+
+
+def _distrusted(name: str, values: Array, not_good: Mask) -> dict[str, Mask]:
+    """The fault of those of the values that are not good, which become NaN."""
+    mask = not_good & np.isfinite(values)
+    values[mask] = np.nan
+    return {f"{name} is not of a good quality": mask} if mask.any() else {}
+
+
+def _qualities(chunk: _Chunk, column_map: ColumnMap, report: FileReport) -> set[int]:
+    """The places of the columns that say how good readings are, whose cells are used up by that."""
+    places = _quality_places(chunk.header, column_map)
+    report.used_cells += sum(bool(row[place].strip()) for row in chunk.rows for place in places)
+    return set(places)
+
+
+def _quality_places(header: Sequence[str], column_map: ColumnMap) -> list[int]:
+    names = () if column_map.quality is None else column_map.quality.column
+    return sorted({place for name in names if (place := place_of(header, (name,))) is not None})
+
+
 def _count_faults(report: FileReport, lines: Sequence[int], cells: Sequence[str], faults: Mapping[str, Mask]) -> Mask:
     """Count the faults; the mask of all bad cells."""
     bad = np.zeros(len(lines), dtype=bool)
@@ -216,6 +246,7 @@ def _read_wide(path: Path, layout: TextLayout, column_map: ColumnMap, report: Fi
     for chunk in _chunks(path, layout, column_map, report):
         taken = {_needed(chunk.header, names) for names in clock_columns(column_map.clock)}
         taken |= {place for names in column_map.by_column if (place := place_of(chunk.header, names)) is not None}
+        taken |= _qualities(chunk, column_map, report)
         places = {name: place for name in aliases if (place := place_of(chunk.header, aliases[name])) is not None}
         if column_map.extra:
             others = [index for index in range(len(chunk.header)) if index not in {*taken, *places.values()}]
@@ -226,6 +257,7 @@ def _read_wide(path: Path, layout: TextLayout, column_map: ColumnMap, report: Fi
         for name, place in places.items():
             cells = [row[place] for row in chunk.rows]
             column, faults = _convert(name, signals[name], cells, column_map, report)
+            faults |= _distrusted(name, column, _not_good(chunk.header, place, chunk.rows, column_map))
             # Rows of the chunks before, under headers that did not have it.
             values.setdefault(name, [np.full(each.seconds.size, np.nan) for each in chunks]).append(column)
             own = bad.setdefault(name, [np.zeros(each.seconds.size, dtype=bool) for each in chunks])
@@ -270,6 +302,7 @@ def _read_long(
         object_at = _needed(header, long.object) if long.objects else None
         taken = {_needed(header, each) for each in clock_columns(column_map.clock)}
         taken |= {place for each in column_map.by_column if (place := place_of(header, each)) is not None}
+        taken |= _qualities(chunk, column_map, report)
         for place in set(range(len(header))) - taken - {value_at}:
             # What says which reading a row is of is no reading itself.
             report.unused[header[place] or f"column {place + 1}"] += sum(bool(row[place].strip()) for row in rows)
@@ -288,6 +321,7 @@ def _read_long(
                 continue
             name, cells_ = names[field], [rows[index][value_at] for index in where]
             values, faults = _convert(name, column_map.signals[name], cells_, column_map, report)
+            faults |= _distrusted(name, values, _not_good(header, value_at, [rows[i] for i in where], column_map))
             # A row of a long file is there to say something: a blank value says that there was none to be had.
             blank = np.array([not cell.strip() for cell in cells_], dtype=bool)
             if blank.any():

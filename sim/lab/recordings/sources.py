@@ -26,6 +26,10 @@ _DAMAGED = (KeyError, ValueError, RuntimeError, SyntaxError)
 """What the libraries raise beside: of a password, of a packing they do not know, of XML that is none."""
 
 
+MOST_UNPACKED = 512 << 20
+"""Bytes of XML of a workbook, at most: a sheet of its greatest length, a million rows of ten columns."""
+
+
 def opened(path: Path) -> BinaryIO:
     """The bytes of a recording's text. Raises TraceError for a packed file that holds none or several, OSError."""
     kind = _KINDS.get(path.suffix.lower())
@@ -80,6 +84,14 @@ def _zst(path: Path) -> BinaryIO:
 def _xlsx(path: Path) -> BinaryIO:
     from openpyxl import load_workbook
 
+    with zipfile.ZipFile(path) as parts:
+        # Sheets are XML that is packed to a twentieth, and a crafted one to a thousandth.
+        size = sum(part.file_size for part in parts.infolist())
+    if size > MOST_UNPACKED:
+        raise TraceError(
+            f"{path}: its sheets are {size >> 20} MiB of XML, {MOST_UNPACKED >> 20} MiB are the most that is opened; "
+            "export it as CSV"
+        )
     book = load_workbook(path, read_only=True, data_only=True)
     filled = [sheet for sheet in book.worksheets if sheet.max_row and sheet.max_row > 1]
     if len(filled) != 1:

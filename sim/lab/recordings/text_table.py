@@ -29,6 +29,8 @@ _BLOCK = 500
 """Lines that are split in one call where none of them has a quotation mark. One mark costs its block the short way."""
 MOST_LINES = 50
 """Lines that one row may take. A quotation mark that stays open for longer is a fault of its line."""
+_NEVER_IN_NUMBERS = ";\t|"
+"""Separators that no number or time has within."""
 _SHOWN_ROWS = 5
 """Rows under a header that show the separator they are written with."""
 _LONG_NAME = 3
@@ -81,10 +83,14 @@ def rows_mark(lines: Sequence[str], width: int, mark: str) -> str:
     rows = [line for line in lines if line.strip()]
 
     def fit(each: str) -> int:
-        """Cells that are numbers, if all rows have the width; under the wrong mark decimals are cut off."""
+        """Cells that are numbers, less those that another mark would cut, if all rows have the width."""
         split = [_header([row], each)[0] for row in rows]
-        fits = all(len(cells) == width for cells in split)
-        return sum(int(np.isfinite(numbers(cells)[0]).sum()) for cells in split) if fits else -1
+        if not all(len(cells) == width for cells in split):
+            return -1
+        # Cell by cell: the points of a date are no decimal points.
+        every = [cell for cells in split for cell in cells]
+        whole = sum(bool(np.isfinite(numbers([cell])[0][0])) for cell in every)
+        return max(whole - sum(any(mark in cell for mark in _NEVER_IN_NUMBERS) for cell in every), 0)
 
     best = max(SEPARATORS.values(), key=lambda each: (fit(each), each == mark))
     return best if rows and fit(best) > max(fit(mark), 0) else mark

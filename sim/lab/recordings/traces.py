@@ -14,7 +14,7 @@ from sim.lab.recordings.column_map import ByColumn, ColumnMap
 from sim.lab.recordings.load_report import FileReport, LoadReport, TraceError
 from sim.lab.recordings.readings import FileReadings, Rows, Series, Whose, joined, read_file, refuse_rows, select
 from sim.lab.recordings.sources import UNPACKING, is_recording, stem_of
-from sim.sha import Alphabet, Array, Mask, Trace, encode
+from sim.sha import Alphabet, Array, Mask, Trace, encode, holds_roughly
 
 Source = str | Path | Iterable[str | Path]
 SYNTHETIC = "SYNTHETIC"
@@ -357,7 +357,17 @@ def _completed(trace: Trace, column_map: ColumnMap, gap: float) -> Trace:
 def _held_on(trace: Trace, column_map: ColumnMap) -> Trace:
     """The trace of a recording on change as one that has each row: values hold, and stand there every `interval`."""
     times, step = trace.times, column_map.interval
-    lasting = np.minimum(np.diff(times, append=times[-1:]), column_map.silence)
+    # Nothing holds over a silence of the recorder itself; a signal's own reading holds as long as that signal's may.
+    ends = np.diff(times, prepend=-np.inf) > column_map.silence
+    origin = np.maximum.accumulate(np.where(ends, np.arange(times.size), 0))
+    last, until = dict[str, Rows](), np.full(times.shape, -np.inf)
+    for name, values in trace.signals.items():
+        said = ~np.isnan(values) | trace.bad.get(name, np.zeros(times.shape, dtype=bool))
+        at = np.maximum.accumulate(np.where(said, np.arange(times.size), -1))
+        last[name] = np.where(at >= origin, at, -1)
+        holds = _silence(column_map, name)
+        until = np.maximum(until, np.where(last[name] < 0, -np.inf, times[at] + holds))
+    lasting = np.clip(np.minimum(np.diff(times, append=times[-1:]), until - times), 0.0, column_map.silence)
     # None stands within half a step of the next row, nor beyond the silence that still says something.
     more = np.maximum(np.ceil((lasting - step / 2) / step).astype(int) - 1, 0)
     if times.size + int(more.sum()) > MOST_HELD:
@@ -368,16 +378,23 @@ def _held_on(trace: Trace, column_map: ColumnMap) -> Trace:
     source = np.repeat(np.arange(times.size), 1 + more)
     within = np.arange(source.size) - np.repeat(np.cumsum(1 + more) - 1 - more, 1 + more)
     rows = times[source] + step * within
-    ends = np.concatenate(([False], np.diff(times) > column_map.silence))
-    signals, bad = dict[str, Array](), dict[str, Mask]()
+    signals, bad, held = dict[str, Array](), dict[str, Mask](), dict[str, Mask]()
     for name, values in trace.signals.items():
-        mask = trace.bad.get(name, np.zeros(times.shape, dtype=bool))
-        held = _held(times, values, mask, ends)
-        faulty = _held(times, np.where(mask, 1.0, np.where(np.isnan(values), np.nan, 0.0)), None, ends) == 1.0
-        signals[name] = np.where(faulty, np.nan, held)[source]
+        at = last[name][source]
+        known = (at >= 0) & (rows - times[at] <= _silence(column_map, name))
+        faulty = known & trace.bad.get(name, np.zeros(times.shape, dtype=bool))[at]
+        signals[name] = np.where(known & ~faulty, values[at], np.nan)
         if faulty.any():
-            bad[name] = faulty[source]
-    return replace(trace, times=rows, signals=signals, bad=bad)
+            bad[name] = faulty
+        # Without a deadband a value holds to the last digit, and is as good as read.
+        if holds_roughly(times, values):
+            held[name] = (within > 0) | (at != source)
+    return replace(trace, times=rows, signals=signals, bad=bad, held=held)
+
+
+def _silence(column_map: ColumnMap, signal: str) -> float:
+    known = column_map.signals.get(signal)
+    return known.silence if known is not None and known.silence is not None else column_map.silence
 
 
 def _held(times: Array, values: Array, bad: Mask | None, gap: float | Mask) -> Array:

@@ -350,7 +350,8 @@ def _each_time_once(trace: Trace) -> Trace:
         return trace
     signals = {name: column[last] for name, column in trace.signals.items()}
     bad = {name: column[last] for name, column in trace.bad.items()}
-    return replace(trace, times=trace.times[last], signals=signals, bad=bad)
+    held = {name: column[last] for name, column in trace.held.items()}
+    return replace(trace, times=trace.times[last], signals=signals, bad=bad, held=held)
 
 
 def _turned(model: Model, runs: FreeRuns, running: Array, signals: Sequence[str]) -> Mask:

@@ -39,6 +39,7 @@ from sim.lab.learning import (
     level_signals,
     machine_spread,
     machines_of,
+    memories_told,
     sampled,
     splits,
     training_errors,
@@ -139,7 +140,15 @@ def learn_bins(
     scores, chosen, begin = _select(runs, base, candidates, report)
     report("fitting the chosen candidate", 0.6)
     fitted = _fit(
-        name, ordered, runs=runs, base=base, candidate=chosen, begin=begin, temperature=temperature, budget=FIT_BUDGET
+        name,
+        ordered,
+        runs=runs,
+        base=base,
+        candidate=chosen,
+        begin=begin,
+        temperature=temperature,
+        budget=FIT_BUDGET,
+        memories=memories_told(ordered, temperature),
     )
     del runs  # of a week at 1 Hz an eighth of what a retraining may take; the parts make their own
     report("calibrating the bands", 0.75)

@@ -18,7 +18,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sim.effects import of_feature
-from sim.lab.learning import Coverage, LearningError, MachineSpread, check_data, in_order, with_events, with_range
+from sim.lab.learning import (
+    Coverage,
+    LearningError,
+    MachineSpread,
+    check_data,
+    in_order,
+    memories_told,
+    with_events,
+    with_range,
+)
 from sim.lab.learning.lsha.fitting import LshaLocationFit, bands, fit, fitted_model, plan_of
 from sim.lab.learning.lsha.flow_hypotheses import Contender, choose_flow, flowing_over
 from sim.lab.learning.lsha.hypothesis import (
@@ -167,6 +176,7 @@ def learn_lsha(
         hypothesis=hypothesis,
         settings=chosen,
     )
+    plan = replace(plan, memories=memories_told(ordered, temperature))
     fitted, model = fitted_model(plan, teacher, ordered, BUDGET)
 
     # The equivalence query. Only observed edges count: default edges would accept anything.

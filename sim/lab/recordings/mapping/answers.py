@@ -17,7 +17,8 @@ class Answers:
     """What a person has decided; "" is left to what the file shows.
 
     `dates` is the order of dates, day or month; `on` the words of a switch or of states that mean running; `unit` are
-    texts NAME=UNIT; `machine` and `session` are columns; the others are the map's own keys.
+    texts NAME=UNIT; `good` the words of good readings; `machine` and `session` are columns; the others are the map's
+    own keys.
     """
 
     temperature: str = ""
@@ -33,6 +34,7 @@ class Answers:
     duplicates: str = ""
     clock_back: str = ""
     unit: tuple[str, ...] = ()
+    good: tuple[str, ...] = ()
 
     def with_answer(self, field: str, answer: str) -> "Answers":
         """The answers with one more, to the question of an Undecided."""

@@ -22,7 +22,7 @@ _DATES: tuple[tuple[Order, str], ...] = (
     ("day", "%d-%b-%Y"), ("day", "%d-%b-%y"), ("day", "%d %b %Y"), ("day", "%d/%b/%Y"),
     ("day", "%d-%m-%y"), ("day", "%d %m %Y"), ("day", "%d %b %y"), ("year", "%Y-%b-%d"), ("year", "%Y %b %d"),
     ("month", "%b-%d-%Y"), ("month", "%m/%d/%Y"), ("month", "%m/%d/%y"), ("month", "%m-%d-%Y"),
-    ("month", "%b %d, %Y"), ("month", "%b %d %Y"),
+    ("month", "%b %d, %Y"), ("month", "%b %d %Y"), ("month", "%b %d %y"), ("month", "%b %d, %y"),
 )  # fmt: skip
 _TIMES = (
     "%H:%M:%S", "%H:%M:%S.%f", "%H:%M:%S,%f", "%H:%M:%S:%f", "%H:%M", "%H.%M.%S", "%H.%M",
@@ -106,6 +106,10 @@ _LONGEST = 90
 def _formats_of(cell: str) -> tuple[tuple[Order, str], ...]:
     if len(cell) == 14 and cell.isdigit() and _fits(cell, _COMPACT):
         return (("year", _COMPACT),)
+    if len(cell) >= 15 and cell[:8].isdigit() and cell[8] == "T" and _fits(cell.rstrip("Z")[:15], "%Y%m%dT%H%M%S"):
+        rest = cell[15:]
+        suffix = "%z" if rest in ("Z",) or _ZONE.fullmatch(rest) else ""
+        return (("year", f"%Y%m%dT%H%M%S{suffix}"),) if suffix or not rest else ()
     if not 8 <= len(cell) <= 40 or _DATED.match(cell) is None:
         return ()
     if _iso(cell):
@@ -229,10 +233,13 @@ def _begins_anew(counts: Array) -> bool:
     usual = float(np.median(rises))
     even = float((np.abs(rises - usual) <= 0.5 * usual).mean())
     at_beginning = float((after <= counts.min() + _BEGINNING * np.ptp(counts)).mean())
-    return even >= _ENOUGH and at_beginning >= _ENOUGH
+    # Stored on change they rise unevenly; then the falls must be few.
+    return (even >= _ENOUGH or after.size <= _FEW_FALLS * steps.size) and at_beginning >= _ENOUGH
 
 
 _BEGINNING = 0.2
 """Of the range of elapsed times, in which a session may begin."""
+_FEW_FALLS = 0.02
+"""Share of steps that go back where a session begins; readings go back as often as forward."""
 _MOST_FALLS = 0.5
 """Share of steps that may go back in a column that is named like a time: of two machines in turn it is every other."""

@@ -8,7 +8,18 @@ from itertools import combinations
 import numpy as np
 
 from drivers.errors import did_you_mean
-from sim.lab.recordings import KEPT, TraceError, booleans, conversion, known_unit, listed, numbers
+from sim.lab.recordings import (
+    KEPT,
+    ClockColumns,
+    TraceError,
+    booleans,
+    conversion,
+    known_unit,
+    listed,
+    numbers,
+    read_clock,
+    unroll_midnight,
+)
 from sim.lab.recordings.mapping.answers import NONE, Answers, Undecided
 from sim.lab.recordings.mapping.clocks import (
     FoundClock,
@@ -31,12 +42,14 @@ from sim.lab.recordings.mapping.words import (
     running_score,
     temperature_score,
 )
-from sim.sha import Array
+from sim.sha import Array, Mask
 
 _REST_IN_KELVIN = (240.0, 330.0)
 """Where a temperature that nobody calls kelvin rests if it is; no bearing rests at 240 degC."""
 _HOTTEST_REST = 150.0
 """degC above which no bearing stands still."""
+_HOTTEST = 300.0
+"""degC that no bearing reaches: its grease burns before."""
 _IDLE = 0.05
 """Of its most, a current below which no motor turns anything."""
 
@@ -62,6 +75,7 @@ def clock_of(table: FoundTable, answers: Answers) -> FoundClock:
     for place, header in enumerate(table.header):
         if answers.time and header != answers.time:
             continue
+        _check_one_clock(table, place)
         cells = table.column(place)
         filled = [cell for cell in cells if cell]
         if not filled:
@@ -109,6 +123,25 @@ def clock_of(table: FoundTable, answers: Answers) -> FoundClock:
     return _one_order(table, found[chosen], answers)
 
 
+def _check_one_clock(table: FoundTable, place: int) -> None:
+    """Raises TraceError for a clock that comes again and shows other times: each value then has its own."""
+    twins = [
+        other
+        for other, name in enumerate(table.header)
+        if other != place and _TOLD_APART.sub("", name) == _TOLD_APART.sub("", table.header[place])
+    ]
+    cells = table.column(place)
+    if not twins or not named_time(table.header[place]) or cells == table.column(twins[0]):
+        return
+    raise TraceError(
+        f"{table.path}: each value has a clock of its own ({table.header[place]!r}, {table.header[twins[0]]!r} ...), "
+        "and these show different times: export all values by one clock, or each to a file of its own, which a folder "
+        "joins"
+    )
+
+
+_TOLD_APART = re.compile(r"_\d+$")
+"""What is added to the names of a header that are equal."""
 _PARTS_OF_TIME = re.compile(
     r"(hour|hh|stunde|ora|heure|hora|minute?|minut[oi]|mm|second|sekunde|secondi?|seconde)s?n?", re.IGNORECASE
 )
@@ -151,12 +184,26 @@ def _no_clock(table: FoundTable, answers: Answers) -> str:
     )
 
 
+def seconds_of(table: FoundTable, clock: FoundClock) -> tuple[Array, Mask]:
+    """The times of the sample's rows as the clock reads them (NaN: none), and which of them are local."""
+    columns = ClockColumns(column="t", date="d" if clock.date is not None else (), formats=clock.formats)
+    cells = [table.column(clock.place), *([] if clock.date is None else [table.column(clock.date)])]
+    times, local = read_clock(columns, cells, clock.decimal)
+    return (unroll_midnight(times) if columns.daily else times), local
+
+
 def _one_order(table: FoundTable, clocks: Sequence[FoundClock], answers: Answers) -> FoundClock:
     """Of readings day first and month first the one that leaves a clock in order, else what the language says."""
     wanted = [clock for clock in clocks if clock.order == answers.dates]
     if wanted or len(clocks) == 1:
         return (wanted or list(clocks))[0]
-    steps = {clock.order: np.diff(clock.times[np.isfinite(clock.times)]) for clock in clocks}
+    # All rows of the sample: the first ones may all be of one day, and a later one of the 13th.
+    whole = {clock.order: seconds_of(table, clock)[0] for clock in clocks}
+    read = {order: int(np.isfinite(times).sum()) for order, times in whole.items()}
+    clocks = [clock for clock in clocks if read[clock.order] == max(read.values())]
+    if len(clocks) == 1:
+        return clocks[0]
+    steps = {clock.order: np.diff(whole[clock.order][np.isfinite(whole[clock.order])]) for clock in clocks}
     in_order = [c for c in clocks if np.all(steps[c.order] >= 0) or np.all(steps[c.order] <= 0)]
     # Days that cross a month's end jump by a month when day and month are exchanged.
     longest = {clock.order: float(np.abs(steps[clock.order]).max(initial=0.0)) for clock in clocks}
@@ -337,12 +384,15 @@ def check_temperature(
     low, high = float(finite.min()), float(finite.max())
     whole = bool(np.all(finite % 1 == 0))
     kelvin = _REST_IN_KELVIN[0] < low < _REST_IN_KELVIN[1]
-    if low > _HOTTEST_REST and not temperature.unit:
+    # Whole numbers that no bearing reaches are tenths, whatever unit the header names.
+    tenths = whole and (low > _HOTTEST_REST or high > _HOTTEST)
+    if (low > _HOTTEST_REST and not temperature.unit) or tenths:
         likely = "K" if kelvin and not whole else "0.1 degC" if whole else ""
         choices = [*(["K"] if kelvin else []), *(["0.1 degC"] if whole else []), "degC"]
         raise Undecided(
             where,
-            f"{header!r} goes from {low:g} to {high:g} and says no unit: a bearing rests at no {low:g} degC; in "
+            f"{header!r} goes from {low:g} to {high:g}{'' if temperature.unit else ' and says no unit'}: no bearing "
+            f"{f'rests at {low:g}' if low > _HOTTEST_REST else f'reaches {high:g}'} degC; in "
             f"{' or '.join({'K': 'kelvin'}.get(unit, unit) for unit in choices[:-1]) or 'another unit'} it may",
             "unit",
             [f"{header}={unit}" for unit in choices],

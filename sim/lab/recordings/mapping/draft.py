@@ -2,7 +2,7 @@
 
 import json
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -25,9 +25,18 @@ from sim.lab.recordings import (
 from sim.lab.recordings.mapping.answers import Answers
 from sim.lab.recordings.mapping.clocks import FoundClock
 from sim.lab.recordings.mapping.columns import FoundColumn, column_of, decimal_of
-from sim.lab.recordings.mapping.decide import Parts, check_temperature, clock_of, parts_of, with_units, with_words
+from sim.lab.recordings.mapping.decide import (
+    Parts,
+    check_temperature,
+    clock_of,
+    parts_of,
+    seconds_of,
+    with_units,
+    with_words,
+)
 from sim.lab.recordings.mapping.folder import one_table
-from sim.lab.recordings.mapping.rows import Rows, Stored, rows_of, seconds_of, stored_of
+from sim.lab.recordings.mapping.quality import FoundQuality, quality_of
+from sim.lab.recordings.mapping.rows import Rows, Stored, apart, rows_of, stored_of
 from sim.lab.recordings.mapping.table import FoundTable, find_table, with_rows
 from sim.lab.recordings.mapping.words import current_score, load_score, named_name, named_unit, named_value
 from sim.sha import Array, Trace
@@ -78,6 +87,7 @@ class _Found:
     columns: Sequence[FoundColumn]
     parts: Parts
     rows: Rows
+    quality: FoundQuality
     stored: Stored
     decimal: str
     derived: str
@@ -103,7 +113,9 @@ def draft_map(path: Path, answers: Answers, names: Mapping[str, str] | None = No
     long = _long_form(table, clock)
     series = [""] * times.size if long is None else [f"{row[long.name]}\n{_object(row, long)}" for row in table.rows]
     rows = rows_of(table, clock, times, local, series=series, answers=answers)
-    columns, own, decimal = _columns(table, clock, long, rows, times)
+    taken = {clock.place, clock.date, rows.machine, rows.session}
+    quality = quality_of(table, taken if long is None else taken | {long.name, long.value, long.unit}, answers)
+    columns, own, decimal = _columns(table, clock, long, taken | set(quality.places), apart(table, rows, times))
     columns = [replace(column, name=names.get(column.header, column.name)) for column in columns]
     columns = with_units(path, with_words(path, _named_apart(columns), own, answers), answers)
     parts = parts_of(path, columns, answers)
@@ -117,6 +129,7 @@ def draft_map(path: Path, answers: Answers, names: Mapping[str, str] | None = No
         columns=columns,
         parts=parts,
         rows=rows,
+        quality=quality,
         stored=stored,
         decimal=decimal,
         derived=derived,
@@ -153,11 +166,11 @@ def _object(row: Sequence[str], long: _LongForm) -> str:
 
 def _conclusions(found: _Found) -> list[str]:
     """What was concluded from the readings and not by a name: a person should look at it."""
-    said = list(found.rows.said)
+    said = [*found.rows.said, *([found.quality.said] if found.quality.said else [])]
     if found.stored.on_change:
         said.append(
             f"stored on change: {found.stored.why or 'as --stored says'}; values hold for up to "
-            f"{found.stored.silence:g} s"
+            f"{found.stored.own[found.parts.temperature.header]:g} s"
         )
     for column in found.columns:
         if column.bad:
@@ -174,11 +187,10 @@ def _conclusions(found: _Found) -> list[str]:
 
 
 def _columns(
-    table: FoundTable, clock: FoundClock, long: _LongForm | None, rows: Rows, times: Array
+    table: FoundTable, clock: FoundClock, long: _LongForm | None, taken: Collection[int | None], times: Array
 ) -> tuple[list[FoundColumn], list[Array], str]:
     """What each column, or each signal of a long file, holds, and the times of its cells; the file's decimal mark."""
     if long is None:
-        taken = {clock.place, clock.date, rows.machine, rows.session}
         places = [p for p in range(len(table.header)) if p not in taken and table.header[p]]
         decimal = decimal_of([table.column(place) for place in places], table.separator)
         found = [column_of(table.header[p], table.titles[p], table.units[p], table.column(p), decimal) for p in places]
@@ -268,10 +280,15 @@ def _text(found: _Found, traces: Sequence[Trace] = (), gap: float | None = None)
     for key, place in (("machine", rows.machine), ("session", rows.session)):
         if place is not None:
             lines.append(f"{key} = {{ column = {quoted(table.header[place])} }}    # each has traces of its own")
+    if found.quality.places:
+        names = _quoted_list([table.header[place] for place in found.quality.places])
+        lines.append(
+            f"quality = {{ column = {names}, good = {_quoted_list(found.quality.good)} }}    # others are refused"
+        )
     if stored.on_change:
         lines += [
             'stored = "on change"    # a value holds until the next one',
-            f"silence = {stored.silence:g}    # s: the longest here that still means as before",
+            f"silence = {stored.silence:g}    # s: of the recorder and of signals that name no other; then unknown",
             f"interval = {stored.interval:g}    # s: how often held values stand in a trace",
         ]
     if long is not None:
@@ -290,7 +307,7 @@ def _text(found: _Found, traces: Sequence[Trace] = (), gap: float | None = None)
     lines += ["", "[signals]"]
     for column in found.columns:
         if column.kind in ("number", "switch"):
-            lines.append(_signal(column, parts))
+            lines.append(_signal(column, parts, stored))
     unused = [column.header for column in found.columns if column.kind not in ("number", "switch")]
     if unused:
         lines.append(f"# neither numbers nor switches: {listed(map(_one_line, unused), _SHOWN)}")
@@ -298,7 +315,7 @@ def _text(found: _Found, traces: Sequence[Trace] = (), gap: float | None = None)
     lines += ["", "[effects]    # for `decanter diagnose`"]
     role = _role(parts.current)
     lines += [f"{role} = {quoted(parts.current.name)}"] if role and parts.current is not None else []
-    lines += _alphabet(parts, traces, gap, found.derived)
+    lines += _alphabet(found, traces, gap)
     return "\n".join(lines) + "\n"
 
 
@@ -312,7 +329,7 @@ def _role(load: FoundColumn | None) -> str:
     )
 
 
-def _signal(column: FoundColumn, parts: Parts) -> str:
+def _signal(column: FoundColumn, parts: Parts, stored: Stored) -> str:
     keys = [f"column = {_quoted(column.header)}"]
     if column.kind == "switch":
         keys.append("boolean = true")
@@ -325,6 +342,8 @@ def _signal(column: FoundColumn, parts: Parts) -> str:
         unit = column.unit or ("degC" if column is parts.temperature else "")
         keys += [f"unit = {_quoted(unit)}"] if unit else []
         keys += [f"bad = [{', '.join(map(_exact, column.bad))}]"] if column.bad else []
+    if stored.on_change and stored.own.get(column.header, stored.silence) != stored.silence:
+        keys.append(f"silence = {_exact(stored.own[column.header])}")
     comment = ""
     finite = column.values[np.isfinite(column.values)]
     if column.kind == "number" and finite.size:
@@ -364,12 +383,14 @@ def _derived(parts: Parts, name: str) -> list[str]:
     ]
 
 
-def _alphabet(parts: Parts, traces: Sequence[Trace], gap: float | None, derived: str) -> list[str]:
+def _alphabet(found: _Found, traces: Sequence[Trace], gap: float | None) -> list[str]:
+    parts, derived = found.parts, found.derived
     running, current = parts.running, parts.current
     lines = ["", "[alphabet]    # the events that a model learns from"]
     lines += [f"gap = {gap:g}", "channels = ["] if gap is not None else ["channels = ["]
     name = derived if running is None else running.name
-    polled = running is None or np.isfinite(running.values).mean() > 0.5
+    # Held values stand in each row, as polled ones do.
+    polled = found.stored.on_change or running is None or np.isfinite(running.values).mean() > 0.5
     change = ", on_change = false" if polled else ""
     why = parts.reasons.get("running", "derived")
     lines.append(

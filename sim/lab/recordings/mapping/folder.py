@@ -10,8 +10,7 @@ import numpy as np
 from sim.lab.recordings import TraceError, folded, listed, stem_of
 from sim.lab.recordings.mapping.answers import Answers
 from sim.lab.recordings.mapping.clocks import FoundClock
-from sim.lab.recordings.mapping.decide import clock_of
-from sim.lab.recordings.mapping.rows import seconds_of
+from sim.lab.recordings.mapping.decide import clock_of, seconds_of
 from sim.lab.recordings.mapping.table import FoundTable, find_table
 
 
@@ -46,10 +45,13 @@ def one_table(folder: Path, files: Sequence[Path], answers: Answers) -> tuple[Fo
     single = all(sum(map(bool, table.header)) <= 2 + (clock.date is not None) for table in tables)
     clock_name, date = first.header[clock.place], None if clock.date is None else first.header[clock.date]
     names: list[str] = [clock_name, *([] if date is None else [date])]
-    rows: list[tuple[float, dict[str, str]]] = []
+    rows: list[tuple[float, int, dict[str, str]]] = []
+    # One tag a file come row by row in turn; parts one after another, as the clock that is set back goes in each.
+    begins = [np.nanmin(seconds_of(table, own)[0]) for table, own in zip(tables, clocks, strict=True)]
+    order = np.argsort(begins, kind="stable").tolist()
     titles: dict[str, str] = {}
     units: dict[str, str] = {}
-    for table, own in zip(tables, clocks, strict=True):
+    for number, (table, own) in enumerate(zip(tables, clocks, strict=True)):
         keys: list[str] = []
         for place, name in enumerate(table.header):
             shared = single and len(tables) > 1 and seen[folded(name)] > 1 and place not in (own.place, own.date)
@@ -60,15 +62,15 @@ def one_table(folder: Path, files: Sequence[Path], answers: Answers) -> tuple[Fo
             units.setdefault(key, table.units[place])
             keys.append(key)
         for row, time in zip(table.rows, seconds_of(table, own)[0].tolist(), strict=True):
-            rows.append((time, dict(zip(keys, row, strict=True))))
-    rows.sort(key=lambda row: (np.isnan(row[0]), row[0]))
+            rows.append((time, order.index(number), dict(zip(keys, row, strict=True))))
+    rows.sort(key=(lambda row: (np.isnan(row[0]), row[0])) if single else (lambda row: (False, row[1])))
     table = replace(
         first,
         path=folder,
         header=tuple(names),
         titles=tuple(titles[name] for name in names),
         units=tuple(units[name] for name in names),
-        rows=tuple(tuple(row.get(name, "") for name in names) for _, row in rows),
+        rows=tuple(tuple(row.get(name, "") for name in names) for _, _, row in rows),
         parts=f"*{ending}",
     )
     return table, replace(clock, place=0, date=None if date is None else 1)

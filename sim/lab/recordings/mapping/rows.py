@@ -1,19 +1,19 @@
 """What the rows of a table are: whose, what equal and falling times mean, and whether silence says something."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from itertools import pairwise, product
 
 import numpy as np
 
-from sim.lab.recordings import ClockColumns, listed, longest_rising, numbers, read_clock, to_utc, unroll_midnight
+from sim.lab.recordings import listed, longest_rising, numbers, to_utc
 from sim.lab.recordings.mapping.answers import Answers, Undecided
 from sim.lab.recordings.mapping.clocks import FoundClock
 from sim.lab.recordings.mapping.columns import FoundColumn
 from sim.lab.recordings.mapping.table import FoundTable
 from sim.lab.recordings.mapping.words import named_machine, named_session, surely_machine
-from sim.sha import Array, Mask
+from sim.sha import SOON, Array, Mask
 
 _ZONES = (
     "Europe/Rome", "Europe/London", "Europe/Athens", "America/New_York", "America/Chicago", "America/Denver",
@@ -21,22 +21,37 @@ _ZONES = (
 )  # fmt: skip
 """One zone for each hour at which summer time ends somewhere with plants; those beside it keep the same rule."""
 _FEW = 0.01
-"""Share of rows that may be merged or refused without a question."""
+"""Share of rows that may be merged or refused without a question: a recorder's hiccups are fewer."""
 _MOST_OWNERS = 500
+"""Machines or sessions of one export: more words in a column are readings."""
 _LEFT = 0.02
 """Of the doubled or falling times so many may be left within one machine, as of a recorder's hiccup."""
+_FAR = 1e12
+"""s between machines or sessions whose times are looked at together: no recording lasts so long."""
+_LEAST_STEPS = 3
+"""Steps between a column's readings below which they show no habit."""
 _LONG_STEPS = 3.0
+"""Of the shortest usual steps: a longer one is silence, where a lost row or two makes two or three."""
 _SILENT = 0.1
-"""Share of the time in steps of _LONG_STEPS usual ones, at least, in a recording that is stored on change."""
+"""Share of the time in silence, at least, in a recording that is stored on change: what is seldom is a lost row."""
 _REPEATED = 0.05
-"""Share of values that are those before them; a recorder of each row repeats what stands still."""
+"""Share of values that are those before them; a recorder of each row repeats what stands still, and noise a few."""
 _UNEVEN = 0.05
 """Share of steps that differ from the usual one by half of it; nights without a recorder are few."""
 _SPARSE = 0.7
+"""Share of the rows in which a column of a polled table has a cell, but for faults."""
 _APART = 0.2
 """The smallest moves beside the usual one: of noise a tenth, beyond a deadband nearly as large."""
+_FEW_SOON = 0.05
+"""Share of steps, at least, that come sooner, or there is one usual step and no longest silence."""
+_MARGIN = 1.5
+"""Of the longest silence that is seen: another export of the same recorder has a somewhat longer one."""
+_WIDE_MARGIN = 3.0
+"""The same where no longest time of the recorder shows: how long a load stays as it is has no limit, but a habit."""
+_FINEST = 10.0
+"""s between held values at least: of the shortest horizon of a forecast, a minute, a sixth."""
 _MOST_HELD = 1_000_000
-"""Rows that held values may make of the sample."""
+"""Rows that held values may make of the sample: more take longer to learn from than they teach."""
 _OUTAGE = 6.0
 """A silence so many times the next shorter one is an outage, not a value that held."""
 
@@ -51,14 +66,6 @@ class Rows:
     clock_back: str
     timezone: str
     said: tuple[str, ...]
-
-
-def seconds_of(table: FoundTable, clock: FoundClock) -> tuple[Array, Mask]:
-    """The times of the sample's rows as the clock reads them (NaN: none), and which of them are local."""
-    columns = ClockColumns(column="t", date="d" if clock.date is not None else (), formats=clock.formats)
-    cells = [table.column(clock.place), *([] if clock.date is None else [table.column(clock.date)])]
-    times, local = read_clock(columns, cells, clock.decimal)
-    return (unroll_midnight(times) if columns.daily else times), local
 
 
 def rows_of(
@@ -102,6 +109,12 @@ def rows_of(
         timezone=timezone,
         said=tuple(said),
     )
+
+
+def apart(table: FoundTable, rows: Rows, times: Array) -> Array:
+    """The times with those of each machine and session far from those of others: no step leads from one to another."""
+    places = [place for place in (rows.machine, rows.session) if place is not None]
+    return times + _FAR * _codes([tuple(row[place] for place in places) for row in table.rows])
 
 
 def _codes(names: Sequence[object]) -> Array:
@@ -149,6 +162,11 @@ def _owners(
     chosen: tuple[int, ...] = ()
     if before > _LEFT * times.size or (before and _falls(times, inside)):
         singles = [place for place in few if left([place]) <= _LEFT * before]
+        # In autumn each machine's clock goes back once, too, for each of its signals.
+        nights = {
+            place: len(set(few[place])) * len(np.unique(inside)) for place in few if surely_machine(header[place])
+        }
+        singles += [place for place, most in nights.items() if place not in singles and left([place]) <= most < before]
         named = [place for place in singles if named_machine(header[place]) or named_session(header[place])]
         if singles:
             chosen = (min(named or singles, key=lambda place: (len(set(few[place])), place)),)
@@ -276,11 +294,15 @@ def _goes_on(rows: Sequence[Sequence[str]], count: int) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Stored:
-    """How a recording was stored; on change, for how long silence means as before, and how often its rows come (s)."""
+    """How a recording was stored; on change, for how long silence means as before, and how often its rows come (s).
+
+    `silence` is the recorder's, `own` that of each column's header: a tag may die while others speak.
+    """
 
     on_change: bool
     silence: float = 0.0
     interval: float = 0.0
+    own: Mapping[str, float] = field(default_factory=dict)
     why: str = ""
 
 
@@ -297,40 +319,45 @@ def stored_of(
     """
     every = np.unique(np.concatenate([each[np.isfinite(each)] for each in times]))
     steps = np.diff(every)
-    if steps.size < 3:
+    steps = steps[steps < _FAR / 2]
+    if steps.size < _LEAST_STEPS or answers.stored == "each row":
         return Stored(False)
-    # The temperature's own steps: tags of a scan may stand a second apart.
-    place = next(at for at, column in enumerate(columns) if column.header == temperature.header)
-    own_times = np.unique(times[place][np.isfinite(temperature.values) & np.isfinite(times[place])])
-    kept = Stored(True, _longest_silence(steps), _interval(np.diff(own_times) if own_times.size > 3 else steps))
-    if answers.stored:
-        return kept if answers.stored == "on change" else Stored(False)
     looks = {
-        column.header: _looks_stored(own, column, every.size)
+        column.header: _looks_stored(own, column, every.size, steps)
         for column, own in zip(columns, times, strict=True)
         if column.kind in ("number", "switch", "states")
     }
+    own = looks[temperature.header]
+    # A column's own steps: tags of a scan may stand a second apart.
+    scans = [float(np.quantile(look.steps, 0.05)) for look in looks.values() if look is not None]
+    interval = _interval(min(scans, default=0.0), steps)
+    kept = Stored(
+        True,
+        _holds(steps),
+        interval,
+        {name: float(steps.sum()) if look is None else look.holds for name, look in looks.items()},
+    )
+    if answers.stored:
+        return kept
     told = [look for look in looks.values() if look is not None]
-    own = looks.get(temperature.header)
-    if own is None or not own.may:
+    # One that repeats what it was is polled.
+    if own is None or own.repeated >= _REPEATED:
         return Stored(False)
-    # A load that changes every ten minutes has even steps; one that repeats what it was is polled.
-    if any(look.surely for look in told) and all(look.repeated < _REPEATED for look in told):
-        return Stored(
-            True,
-            kept.silence,
-            kept.interval,
-            f"values stand where they change, repeated in {own.repeated:.0%} of the readings; {own.silent:.0%} "
-            f"of the time is "
-            "silence",
+    if own.surely or (any(look.surely for look in told) and all(look.repeated < _REPEATED for look in told)):
+        return replace(
+            kept,
+            why=f"values stand where they change, repeated in {own.repeated:.0%} of the readings; {own.silent:.0%} "
+            "of the time is silence",
         )
-    if own.silent < _SILENT:
+    seldom = next((name for name, look in looks.items() if look is not None and look.surely), "")
+    if not seldom and (not own.may or own.silent < _SILENT):
         return Stored(False)
+    name = seldom or temperature.header
+    silent = next(look.silent for header, look in looks.items() if look is not None and header == name)
     raise Undecided(
         table.path,
-        f"{own.silent:.0%} of the time has no reading of {temperature.header!r}, whose values never repeat: it "
-        f"may be stored on "
-        "change, so that silence means as before, or each row may be there and the rest unknown",
+        f"{silent:.0%} of the time has no reading of {name!r}, whose values never repeat: it "
+        "may be stored on change, so that silence means as before, or each row may be there and the rest unknown",
         "stored",
         ["on change", "each row"],
         guess="on change",
@@ -339,37 +366,63 @@ def stored_of(
 
 @dataclass(frozen=True, slots=True)
 class _Look:
-    """Whether a column may be stored on change, and surely is; shares of repeated values and of time in silence."""
+    """Whether a column may be stored on change, and surely is; shares of repeated values and of time in silence.
+
+    `steps` (s) are those between its readings, and `holds` (s) is for how long its silence means as before.
+    """
 
     may: bool
     surely: bool
     repeated: float
     silent: float
+    steps: Array
+    holds: float
 
 
-def _looks_stored(times: Array, column: FoundColumn, rows: int) -> _Look | None:
-    """How the readings of a column look; None for too few."""
+def _looks_stored(times: Array, column: FoundColumn, rows: int, every: Array) -> _Look | None:
+    """How the readings of a column look, beside so many `rows` of all with the steps `every`; None for too few."""
     if column.kind == "number":
         known, values = np.isfinite(column.values), column.values
     else:
         known, values = np.array([bool(cell) for cell in column.cells], dtype=bool), _codes(column.cells)
     order = np.argsort(times[known], kind="stable")
     steps, moves = np.diff(times[known][order]), np.abs(np.diff(values[known][order]))
-    steps, moves = steps[steps > 0], moves[steps > 0]
-    if steps.size < 3:
+    steps, moves = steps[(steps > 0) & (steps < _FAR / 2)], moves[(steps > 0) & (steps < _FAR / 2)]
+    if steps.size < _LEAST_STEPS:
         return None
-    repeated, usual = float((moves == 0).mean()), float(np.median(steps))
-    silent = float(steps[steps > _LONG_STEPS * usual].sum() / steps.sum())
+    longest = _longest_silence(steps)
+    # What is stored because so long nothing changed may repeat what it was; what comes sooner has changed.
+    soon = steps < SOON * (longest - float(np.quantile(every, 0.05)))
+    beats = int((~soon).sum()) >= _LEAST_STEPS
+    # Between the beats of a recorder stands only what moved farther than from beat to beat.
+    between = beats and int(soon.sum()) >= _LEAST_STEPS
+    between = between and float(np.quantile(moves[soon], 0.05)) > float(np.quantile(moves[~soon], 0.9))
+    told = soon if between or soon.mean() > _FEW_SOON else np.ones(steps.shape, dtype=bool)
+    repeated, scan = float((moves[told] == 0).mean()), float(np.quantile(steps, 0.05))
+    if told.all() and scan > _LONG_STEPS * float(np.quantile(every, 0.05)):
+        # It is told only when the longest time is over, or polled more slowly than others: neither speaks.
+        repeated = 0.0
+    silent = float(steps[steps > _LONG_STEPS * scan].sum() / steps.sum())
     sparse = known.sum() < _SPARSE * rows
+    usual = float(np.median(steps[told]))
     uneven = float((np.abs(steps - usual) > 0.5 * usual).mean()) > _UNEVEN
-    may = repeated < _REPEATED and uneven
+    may = repeated < _REPEATED and (uneven or between)
     # Noise makes small steps too, an exception none below its deadband.
-    apart = float(np.quantile(moves, 0.05)) >= _APART * float(np.median(moves))
-    return _Look(may, may and ((silent >= _SILENT and apart) or bool(sparse)), repeated, silent)
+    apart = float(np.quantile(moves[told], 0.05)) >= _APART * float(np.median(moves[told]))
+    # A switch that is never told anew says by its silence that it did not change, however long that is.
+    holds = _holds(steps, beats=beats) if column.kind == "number" or beats else float(every.sum())
+    return _Look(
+        may, may and (between or (silent >= _SILENT and apart) or bool(sparse)), repeated, silent, steps, holds
+    )
 
 
-def _interval(steps: Array) -> float:
-    return max(float(f"{max(float(np.quantile(steps, 0.05)), float(steps.sum()) / _MOST_HELD):.3g}"), 1.0)
+def _interval(scan: float, steps: Array) -> float:
+    return float(f"{max(scan, float(steps.sum()) / _MOST_HELD, _FINEST):.3g}")
+
+
+def _holds(steps: Array, *, beats: bool = True) -> float:
+    """For how long silence means as before: somewhat longer than the longest one was, if that is a recorder's."""
+    return float(np.ceil((_MARGIN if beats else _WIDE_MARGIN) * _longest_silence(steps)))
 
 
 def _longest_silence(steps: Array) -> float:
@@ -377,5 +430,5 @@ def _longest_silence(steps: Array) -> float:
     long = np.unique(steps)[-50:]
     for shorter, longer in pairwise(long):
         if longer > _OUTAGE * shorter and shorter > 10 * float(np.median(steps)):
-            return float(np.ceil(shorter))
-    return float(np.ceil(long[-1]))
+            return float(shorter)
+    return float(long[-1])

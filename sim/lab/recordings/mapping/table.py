@@ -78,9 +78,14 @@ def find_table(path: Path) -> FoundTable:
     separator, rows = best[1], best[2]
     if not separator:
         raise TraceError(f"{path}: no separator of , ; tab | makes columns of its lines; give a CSV with a header")
-    first = next((place for place, row in enumerate(rows) if _is_data(row)), None) or next(
-        (place for place, row in enumerate(rows) if place and 2 * sum(map(_numeric, row)) > len(row) > 2), None
-    )
+    first = next((place for place, row in enumerate(rows) if _is_data(row)), None)
+    if first is None:
+        first = next((place for place, row in enumerate(rows) if place and _mostly_numbers(row)), None)
+    if first is None:
+        first = next((at for at in range(1, len(rows)) if _counts_time(rows[at - 1], rows[at])), None)
+    # Words and blanks may stand in the rows above the first one that has numbers only.
+    while first and first > 1 and len(rows[first - 1]) == len(rows[first]) and _mostly_numbers(rows[first - 1]):
+        first -= 1
     if not first:
         raise TraceError(_no_data(path, rows))
     width = len(rows[first])
@@ -184,6 +189,20 @@ def _is_data(row: Sequence[str]) -> bool:
         return True
     filled = [cell for cell in row if cell]
     return bool(row[0]) and len(filled) > 1 and all(_numeric(cell) for cell in filled)
+
+
+def _counts_time(above: Sequence[str], row: Sequence[str]) -> bool:
+    """Whether a number stands under a name that speaks of time, in a row of names."""
+    return (
+        len(above) == len(row)
+        and not any(map(_numeric, filter(None, above)))
+        and any(named_time(name) and _numeric(cell) for name, cell in zip(above, row, strict=True) if cell)
+    )
+
+
+def _mostly_numbers(row: Sequence[str]) -> bool:
+    filled = [cell for cell in row if cell]
+    return len(filled) > 1 and 2 * sum(map(_numeric, filled)) > len(filled)
 
 
 def _since_1970(cell: str) -> bool:

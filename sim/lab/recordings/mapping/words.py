@@ -8,7 +8,9 @@ from sim.lab.recordings import KEPT, known_unit
 # JI101
 # and SI101 are a temperature, a current, a power and a speed by ISA 5.1.
 _TEMPERATURE = re.compile(
-    r"temp(?!o\b|s\b)|°c|degc|thermo|^t_|_t$|(?-i:^T(?=[A-Z][a-z]|\d|_|BRG|BEA|LAG|CUSC|PAL))|\bt\d|_temp|^tt?[-_]?\d|tempér|coolant|warm|wärme",
+    r"temp(?!o\b|s\b)|°c|degc|thermo|(?:^|[:./ ])t_|_t$|"
+    r"(?-i:^T(?=[A-Z][a-z]|\d|_|BRG|BEA|LAG|CUSC|PAL))|\bt\d|_temp|"
+    r"(?:^|[:./_-])t[iet]?[ctr]?[-_]?\d|tempér|coolant|warm|wärme",
     re.IGNORECASE,
 )
 _BEARING = re.compile(r"bearing|brg|cuscinett|lager|palier|roulement|rodamiento|cojinete", re.IGNORECASE)
@@ -29,7 +31,7 @@ _RUNNING = re.compile(
 )
 _ALARM = re.compile(r"alarm|allarm|fault|stör|guasto|défaut|fallo|error|quality|qualit|valid", re.IGNORECASE)
 _TIME = re.compile(
-    r"time|zeit|datum|date|data\b|\bora\b|tempo\b|heure|horodat|temps|fecha|hora|stamp|\bt\b|\bts\b|clock|epoch|\bsec",
+    r"time|elapsed|^t_(?:ms|s|sec|min|h)$|zeit|datum|date|data\b|\bora\b|tempo\b|heure|horodat|temps|fecha|hora|stamp|\bt\b|\bts\b|clock|epoch|\bsec",
     re.IGNORECASE,
 )
 _NAME = re.compile(

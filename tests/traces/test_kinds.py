@@ -1,0 +1,143 @@
+"""Kinds of exports that were once read wrong in silence, or refused for a reason that was not true."""
+
+import zipfile
+from dataclasses import replace
+from datetime import datetime
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gateway.console import shipped
+from sim.lab.recordings import TraceError, load_map, load_traces, plain_time, sources
+from tests.traces.exports import recording, wide, written
+from tests.traces.test_dialects import asked, is_the_plant, mapped
+
+PLANT = recording()
+
+
+@pytest.mark.parametrize(
+    ("good", "bad"), [("Good", "Bad"), ("192", "0"), ("Gut", "Schlecht"), ("GOOD", "BAD_COMM_FAILURE")]
+)
+def test_readings_of_a_quality_that_is_not_good_are_refused(good: str, bad: str, tmp_path: Path) -> None:
+    lines = wide(tmp_path / "plain.csv").read_text(encoding="utf-8").splitlines()
+    rows = [f"{line},{bad if number % 40 == 7 else good}" for number, line in enumerate(lines[1:])]
+    rows = [f"{row.split(',')[0]},0,0,0,{bad}" if row.endswith(f",{bad}") else row for row in rows]
+    export = written(tmp_path / "a.csv", f"{lines[0]},Quality", rows)
+    (trace,), report, said = mapped(export, tmp_path / "m.toml")
+    assert np.isnan(trace.signals["Bearing_temperature"][7::40]).all()
+    assert report.files[0].bad_cells == 18 and any("not of a good quality" in line for line in said["report"])
+
+
+def test_each_reading_of_a_long_file_has_its_own_quality_and_unknown_words_are_asked_for(tmp_path: Path) -> None:
+    rows = []
+    for number, (moment, heat, current) in enumerate(zip(PLANT.moments, PLANT.heat, PLANT.current, strict=True)):
+        words = "Q7" if number % 40 == 7 else "Q1"
+        rows += [f"{moment},Bearing temperature,{heat},{words}", f"{moment},Motor current,{current},Q1"]
+    export = written(tmp_path / "a.csv", "Time,Tag,Value,Quality", rows)
+    assert "--good Q1" in asked(export, tmp_path / "m.toml")
+    (trace,), report, _ = mapped(export, tmp_path / "m.toml", "--good", "Q1")
+    assert report.files[0].bad_cells == 6 and np.isnan(trace.signals["Bearing_temperature"][7::40]).all()
+    assert not np.isnan(trace.signals["Motor_current"]).any()
+
+
+def test_each_value_with_a_clock_of_its_own_is_refused_where_these_differ(tmp_path: Path) -> None:
+    cells = [
+        (f"{moment}", heat, current)
+        for moment, heat, current in zip(PLANT.moments, PLANT.heat, PLANT.current, strict=True)
+    ]
+    same = [f"{moment},{heat},{moment},{current}" for moment, heat, current in cells]
+    other = [f"{a[0]},{a[1]},{b[0]},{b[2]}" for a, b in pairwise(cells)]
+    header = "Time,Bearing temperature,Time,Motor current"
+    assert "a clock of its own" in asked(written(tmp_path / "a.csv", header, other), tmp_path / "m.toml")
+    (trace,), _, _ = mapped(written(tmp_path / "b.csv", header, same), tmp_path / "m.toml")
+    is_the_plant(trace, tmp_path / "m.toml")
+
+
+@pytest.mark.parametrize("ambient", [14.0, 21.5])
+def test_tenths_of_a_degree_are_asked_for_also_of_a_bearing_that_rests_in_the_cold(
+    ambient: float, tmp_path: Path
+) -> None:
+    plant = recording(ambient=ambient)
+    tenths = replace(plant, heat=np.round(plant.heat * 10))
+    export = wide(tmp_path / "a.csv", of=tenths, cells=(lambda value: f"{value:.0f}", str, str))
+    assert "0.1 degC" in asked(export, tmp_path / "m.toml")
+    (trace,), _, _ = mapped(export, tmp_path / "m.toml", "--unit", "Bearing temperature=0.1 degC")
+    is_the_plant(trace, tmp_path / "m.toml", plant, within=0.06)
+
+
+@pytest.mark.parametrize("form", ["%a %b %d %H:%M:%S %Y", "%Y%m%dT%H%M%S"])
+def test_more_clocks_that_programs_write(form: str, tmp_path: Path) -> None:
+    (trace,), _, _ = mapped(wide(tmp_path / "a.csv", clock=lambda moment: moment.strftime(form)), tmp_path / "m.toml")
+    is_the_plant(trace, tmp_path / "m.toml")
+    assert trace.times[0] == (datetime(2024, 3, 13, 9, 58) - datetime(1970, 1, 1)).total_seconds()
+    assert plain_time("Sat Mar 02 00:30:00 +0100 2024") == "Mar 02 2024 00:30:00 +0100"
+
+
+@pytest.mark.parametrize(("name", "size"), [("elapsed_min", 60.0), ("t_ms", 0.001)])
+def test_elapsed_time_by_names_with_an_underscore(name: str, size: float, tmp_path: Path) -> None:
+    begin = PLANT.moments[0]
+    export = wide(
+        tmp_path / "a.csv",
+        header=f"{name},Bearing temperature,Motor current,Running",
+        clock=lambda moment: f"{(moment - begin).total_seconds() / size:.6g}",
+    )
+    (trace,), _, _ = mapped(export, tmp_path / "m.toml")
+    assert trace.times[-1] - trace.times[0] == pytest.approx(2390.0, abs=1.0)
+
+
+@pytest.mark.parametrize("name", ["TI-101.PV", "DB10.T_Bearing", "TT_204"])
+def test_a_temperature_by_its_tag_is_not_passed_over_for_one_by_its_word(name: str, tmp_path: Path) -> None:
+    rows = [
+        f"{moment},{heat},{current},{15 + 0.01 * number:.2f}"
+        for number, (moment, heat, current) in enumerate(zip(PLANT.moments, PLANT.heat, PLANT.current, strict=True))
+    ]
+    export = written(tmp_path / "a.csv", f"Time,{name},Motor current,Ambient temperature", rows)
+    _, _, said = mapped(export, tmp_path / "m.toml")
+    assert said["temperature"] == name
+
+
+@pytest.mark.parametrize("header", ["Time;Bearing temperature", "Time,Bearing temperature"])
+def test_decimal_commas_of_two_columns_are_no_separators(header: str, tmp_path: Path) -> None:
+    rows = [f"{m:%d.%m.%Y %H:%M:%S};{heat:.2f}" for m, heat in zip(PLANT.moments, PLANT.heat, strict=True)]
+    rows = [row[:20] + row[20:].replace(".", ",") for row in rows]
+    export = written(tmp_path / "a.csv", header, rows)
+    (trace,), _, _ = mapped(export, tmp_path / "m.toml")
+    assert np.allclose(trace.signals["Bearing_temperature"], PLANT.heat, atol=0.006)
+
+
+def test_sessions_stored_on_change_whose_first_rows_have_words_and_blanks(tmp_path: Path) -> None:
+    rows = []
+    for session in (1, 2):
+        for number, (heat, current, running) in enumerate(zip(PLANT.heat, PLANT.current, PLANT.running, strict=True)):
+            word = "" if number % 9 and number not in (30, 150, 180) else ("Ein" if running else "Aus")
+            rows.append(f"{session};{number / 6:.4f};{heat};{current if number % 3 else ''};{word}")
+    export = written(tmp_path / "a.csv", "session;Time (min);Bearing temperature;Motor current;Running", rows)
+    traces, _, _ = mapped(export, tmp_path / "m.toml", "--stored", "each row")
+    assert len(traces) == 2 and load_map(tmp_path / "m.toml").clock.formats == ("minutes",)
+
+
+def test_a_workbook_that_unpacks_to_more_than_is_opened_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sources, "MOST_UNPACKED", 1000)
+    with zipfile.ZipFile(tmp_path / "a.xlsx", "w", zipfile.ZIP_DEFLATED) as book:
+        book.writestr("xl/worksheets/sheet1.xml", "0" * 100_000)
+    said = asked(tmp_path / "a.xlsx", tmp_path / "m.toml")
+    assert "the most that is opened" in said
+    with pytest.raises(TraceError, match="the most that is opened"):
+        load_traces(tmp_path / "a.xlsx", load_map(shipped("traces", "decanter")))
+
+
+def test_the_order_of_dates_is_seen_in_all_rows_though_the_first_are_of_one_day(tmp_path: Path) -> None:
+    """The language says day first; the month goes on from row to row, and the day after midnight."""
+    plant = recording(step=60.0, times=45)
+    export = wide(
+        tmp_path / "a.csv",
+        header="Zeitstempel,Lagertemperatur,Motorstrom,Betrieb",
+        clock=lambda moment: moment.replace(month=5, day=moment.day - 11).strftime("%m/%d/%y %H:%M:%S"),
+        of=plant,
+    )
+    (trace,), _, _ = mapped(export, tmp_path / "m.toml")
+    assert trace.times[-1] - trace.times[0] == plant.seconds[-1]
