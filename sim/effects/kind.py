@@ -125,7 +125,8 @@ class VaryingLaw:
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecordView:
     """A record as a law that only a diagnosis knows reads it, each (n,): `time` (absolute s) in the middle of each step
-    of it, `running` 0 or 1, `signals` by role.
+    of it, `running` 0 or 1, `rate` (1/s) at which the model's own flow goes to where it tends (0: nowhere), `signals`
+    by role.
 
     `late(role, lag)` is a signal through a first-order lag (s), `run_since(at)` the seconds that the machine has run
     since a moment (absolute s; below 0 before it); both run on through what was cut out of the record.
@@ -133,6 +134,7 @@ class RecordView:
 
     time: Array
     running: Array
+    rate: Array
     signals: Signals
     late: Callable[[str, float], Array]
     run_since: Callable[[float], Array]

@@ -6,7 +6,7 @@ Where one explains more than every name does, the gap is described and stays wit
 
 from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
-from itertools import product
+from itertools import combinations, product
 
 import numpy as np
 
@@ -31,6 +31,8 @@ DATED = 1e8
 """Seconds from which a trace's clock is taken for that of the world (1973)."""
 MOMENTS = 24
 """Moments of a record at which something is tried to begin, at most."""
+TWICE = 16
+"""The same of what comes twice, where every two of them are tried."""
 REFUSED = EffectRefusal("it has no name")
 BURDEN = 3.0
 """Nats that looking at a dozen moments or hours costs."""
@@ -48,10 +50,10 @@ def _hour_words(seconds: float) -> str:
     return f"{minutes // 60:02d}:{minutes % 60:02d} UTC"
 
 
-def _moments(log: MachineLog) -> list[float]:
+def _moments(log: MachineLog, count: int = MOMENTS) -> list[float]:
     """Moments inside the record, evenly over what it ran (at rest hardly anything begins to show), none at its ends."""
     ran = np.cumsum(log.dt * (log.running if log.running.any() else 1.0))
-    shares = (np.arange(MOMENTS) + 1.0) / (MOMENTS + 1)
+    shares = (np.arange(count) + 1.0) / (count + 1)
     return [float(time) for time in np.interp(shares * ran[-1], ran, log.time)]
 
 
@@ -117,14 +119,23 @@ def _weekend_words(p: Params) -> str:
     return f"heat that comes with the weekday, more {'at weekends' if p['gain'] > 0 else 'on working days'}"
 
 
+AGAIN = "again"
+"""The parameter that is the moment at which what fades comes a second time."""
+
+
 def _fading(p: Params, view: RecordView) -> Array:
-    """gain exp(-u / tau) while the machine runs, u its running seconds since `at`."""
-    run = np.maximum(view.run_since(p["at"]), 0.0)
-    return np.asarray(np.where(view.time >= p["at"], p["gain"] * np.exp(-run / p["tau"]), 0.0) * view.running)
+    """gain exp(-u / tau) while the machine runs, u its running seconds since `at`; that of `again` too, if there is."""
+    heat = np.zeros_like(view.time)
+    for at in (p[name] for name in ("at", AGAIN) if name in p):
+        run = np.maximum(view.run_since(at), 0.0)
+        heat += np.where(view.time >= at, np.exp(-run / p["tau"]), 0.0)
+    return np.asarray(p["gain"] * heat * view.running)
 
 
 def _fading_words(p: Params) -> str:
-    return f"heat after an event at {moment_words(p['at'])}, fading over {p['tau'] / HOUR:.1f} running hours"
+    first, *further = sorted(p[name] for name in ("at", AGAIN) if name in p)
+    events = f"an event at {moment_words(first)}" + "".join(f" and again at {moment_words(each)}" for each in further)
+    return f"heat after {events}, fading over {p['tau'] / HOUR:.1f} running hours"
 
 
 def _since(p: Params, view: RecordView) -> Array:
@@ -135,6 +146,15 @@ def _since(p: Params, view: RecordView) -> Array:
 def _since_words(p: Params) -> str:
     while_ = " while the machine runs," if p["turning"] else ""
     return f"{'heat' if p['gain'] > 0 else 'less heat'}{while_} since {moment_words(p['at'])}"
+
+
+def _surroundings(p: Params, view: RecordView) -> Array:
+    """rise k from `at` on, k the model's own rate: what it tends to is by `rise` (degC) warmer, running or at rest."""
+    return np.asarray(p["rise"] * view.rate * (view.time >= p["at"]))
+
+
+def _surroundings_words(p: Params) -> str:
+    return f"{'warmer' if p['rise'] > 0 else 'cooler'} surroundings since {moment_words(p['at'])}"
 
 
 def _less_cooling(effect: Effect, view: RecordView) -> tuple[Array, Array]:
@@ -167,10 +187,11 @@ SECONDS = Parameter(unit="s", positive=True, rescaled="stays")
 CHOICE = Parameter(unit="1", low=0.0, high=1.0, whole=True, rescaled="stays")
 PARAMETERS: Mapping[str, Parameter] = {
     "gain": Parameter(unit="degC/s, for each unit of the signal where one is read", rescaled="scaled"),
+    "rise": Parameter(unit="degC", rescaled="scaled"),
     "sigma": Parameter(unit="degC/s", positive=True, rescaled="scaled"),
     "loss": Parameter(unit="1/s", low=0.0, rescaled="stays"),
     "sink": Parameter(unit="degC", rescaled="mapped"),
-    "at": Parameter(unit=ABSOLUTE_SECONDS, rescaled="stays"),
+    **dict.fromkeys(("at", AGAIN), Parameter(unit=ABSOLUTE_SECONDS, rescaled="stays")),
     "over": Parameter(unit="s", low=0.0, rescaled="stays"),
     **dict.fromkeys(("lag", "period", "length", "tau", "memory"), SECONDS),
     **dict.fromkeys(("both", "turning"), CHOICE),
@@ -195,6 +216,7 @@ def _rival(
     refine: Mapping[str, tuple[float, float]] | None = None,
     widths: Mapping[str, float] | None = None,
     burden: float = BURDEN,
+    special: tuple[str, ...] = (),
 ) -> EffectKind:
     """A row of the table; the first of its parameters is the strength."""
     return EffectKind(
@@ -215,6 +237,7 @@ def _rival(
             refine=refine or {},
             widths=widths or {},
             burden=burden,
+            special=special,
             words=words,
         ),
     )
@@ -236,6 +259,30 @@ def _cooling(name: str, meaning: str, shapes: Callable[[MachineLog], Sequence[Pa
         widths={"at": 4 * HOUR},
         experiment="clean the cooler or open the air's way, and compare the same load before and after",
         look="what carries heat away: cooler, fan, filter, flow of oil and water, dirt on the housing",
+    )
+
+
+def _event(
+    name: str,
+    meaning: str,
+    moments: tuple[str, ...],
+    shapes: Callable[[MachineLog], Sequence[Params]],
+    special: tuple[str, ...] = (),
+) -> EffectKind:
+    """A heat that fades with the hours run since one or two moments, each of which was looked for."""
+    return _rival(
+        name,
+        meaning,
+        _heat_only(_fading),
+        _fading_words,
+        parameters=("gain", "tau", *moments),
+        shapes=shapes,
+        refine={"tau": (0.5 * HOUR, 60 * HOUR), **dict.fromkeys(moments, ANY_TIME)},
+        widths=dict.fromkeys(moments, 4 * HOUR),
+        burden=len(moments) * BURDEN,
+        special=special,
+        experiment="do again what was done then, and watch the same load for as many hours",
+        look="what was done to the machine then: greasing, a new part, a cleaning",
     )
 
 
@@ -303,17 +350,20 @@ RIVAL_KINDS = (
         experiment="run the same load on a working day and at a weekend",
         look="what is different at weekends: feed, staff, ventilation, other machines",
     ),
-    _rival(
+    _event(
         "heat-after-an-event",
         "heat after an event, fading over running hours",
-        _heat_only(_fading),
-        _fading_words,
-        parameters=("gain", "at", "tau"),
-        shapes=lambda log: [{"at": at, "tau": hours * HOUR} for at, hours in product(_moments(log), (2.0, 6.0))],
-        refine={"tau": (0.5 * HOUR, 60 * HOUR), "at": ANY_TIME},
-        widths={"at": 4 * HOUR},
-        experiment="do again what was done then, and watch the same load for as many hours",
-        look="what was done to the machine then: greasing, a new part, a cleaning",
+        ("at",),
+        lambda log: [{"at": at, "tau": hours * HOUR} for at, hours in product(_moments(log), (2.0, 6.0))],
+    ),
+    _event(
+        "heat-after-two-events",
+        "heat after an event that came twice, fading over running hours",
+        ("at", AGAIN),
+        lambda log: [
+            {"at": first, AGAIN: second, "tau": 4.0 * HOUR} for first, second in combinations(_moments(log, TWICE), 2)
+        ],
+        special=("heat-after-an-event",),
     ),
     _rival(
         "heat-since-a-moment",
@@ -328,6 +378,20 @@ RIVAL_KINDS = (
         widths={"at": 4 * HOUR},
         experiment="look up what was changed then, and undo it for a day",
         look="what was changed at the machine then: a bearing, a belt, a setting, the load's kind",
+    ),
+    _rival(
+        "other-surroundings",
+        "surroundings that are warmer or cooler from some moment on",
+        _heat_only(_surroundings),
+        _surroundings_words,
+        parameters=("rise", "at"),
+        sign=0.0,
+        acts="anywhere",
+        shapes=lambda log: [{"at": at} for at in _moments(log)],
+        refine={"at": ANY_TIME},
+        widths={"at": 4 * HOUR},
+        experiment="log the room's temperature for three days, with a night at rest",
+        look="what changed around the machine then: weather, heating, a door, another machine, its enclosure",
     ),
     _cooling(
         "less-cooling",

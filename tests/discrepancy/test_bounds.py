@@ -56,7 +56,7 @@ def test_what_is_shorter_than_two_rows_is_not_offered(churned: Fitted) -> None:
     for rows, base in ((1, churned), (10, fitted(sparse(plant(3, days=2, churning=0.02), 10)))):
         shortest = 2.0 * rows * PERIOD
         assert shortest_visible(base.frame.record) == pytest.approx(shortest)
-        offered = screen(base, catalogue(), {}).shapes
+        offered = screen(base, catalogue(), {})[0].shapes
         times = [time for shape in offered for time in times_of(shape)]
         assert times and min(times) >= shortest
         names = {shape.entry.name for shape in offered}
@@ -117,6 +117,6 @@ def test_a_time_that_the_joint_fit_made_shorter_than_two_rows_is_refused(named: 
 @pytest.mark.parametrize(("days", "offered"), [(2, False), (3, True)])
 def test_the_clock_is_no_rival_on_a_record_that_has_an_hour_but_once_or_twice(days: int, offered: bool) -> None:
     """A cooler that failed, in a record of a day and a half, was heat of a shift "between 06:09 and 22:04"."""
-    names = {shape.entry.name for shape in screen(fitted(plant(3, days=days)), rivals(), {}).shapes}
+    names = {shape.entry.name for shape in screen(fitted(plant(3, days=days)), rivals(), {})[0].shapes}
     clocks = {"heat-by-the-clock", "heat-in-a-shift"}
     assert names & clocks == (clocks if offered else set())

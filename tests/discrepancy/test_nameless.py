@@ -50,6 +50,20 @@ def event(time: Array, on: Array, current: Array) -> tuple[Array, Array]:
     return 9e-3 * on * (time >= BEGIN + 2 * DAY) * np.maximum(1.0 - ran / 36000.0, 0.0), 0.0 * time
 
 
+def greased(time: Array, on: Array, current: Array) -> tuple[Array, Array]:
+    """Twice: on the first day and on the third, each gone within some running hours."""
+    heat = 0.0 * time
+    for days in (0.7, 2.6):
+        since = time >= BEGIN + days * DAY
+        heat += 4e-3 * since * np.exp(-np.cumsum(on * since) * PERIOD / 14400.0)
+    return on * heat, 0.0 * time
+
+
+def weather(time: Array, on: Array, current: Array) -> tuple[Array, Array]:
+    """A hall that is warmer by half a degree from 2023-11-17 05:25 on: less is lost to it, the more where more is."""
+    return 0.5 * np.where(on > 0.5, 1.0 / 1500.0, 1.0 / 3600.0) * (time >= BEGIN + 2.3 * DAY), 0.0 * time
+
+
 def cooler(time: Array, on: Array, current: Array) -> tuple[Array, Array]:
     """Less cooling from 2023-11-17 05:25 on, within half an hour."""
     return 0.0 * time, -2e-4 * np.clip((time - BEGIN - 2.3 * DAY) / 1800.0, 0.0, 1.0)
@@ -82,6 +96,11 @@ def neighbour(time: Array, on: Array, current: Array) -> tuple[Array, Array]:
         (clock, r"heat that comes with the clock, most at 0[23]:\d\d UTC"),
         (shift, r"heat that comes with the clock, between 1[34]:\d\d UTC and 2[123]:\d\d UTC while the machine runs"),
         (event, r"heat after an event at 2023-11-1[67] \d\d:\d\d UTC, fading over \d.\d running hours"),
+        (
+            greased,
+            r"heat after an event at 2023-11-15 .* and again at 2023-11-1[67] .*, fading over \d.\d running hours",
+        ),
+        (weather, r"warmer surroundings since 2023-11-17 0[0-9]:\d\d UTC"),
         (cooler, r"less cooling since 2023-11-17 0[4-6]:\d\d UTC"),
         (failing, r"less cooling while the machine runs, since 2023-11-17 0[4-6]:\d\d UTC"),
         (neighbour, r"heat from something that is not measured, that comes and goes over about [12]\.0 hours"),

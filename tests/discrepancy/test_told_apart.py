@@ -22,11 +22,13 @@ from sim.lab.discrepancy.gap import with_what_is_left
 from sim.lab.discrepancy.held_out import foretold, let_run, runs_before
 from sim.lab.discrepancy.judging import NamingResult
 from sim.lab.discrepancy.naming import NamingStep, confirm, entries_besides, step
+from sim.lab.discrepancy.posterior import NamesEvidence
 from sim.lab.discrepancy.proving import (
     Proof,
     as_special_case,
     began_otherwise,
     told_apart,
+    unlikely,
     with_rivals_told_apart,
     with_the_gap_itself,
 )
@@ -142,7 +144,7 @@ def test_what_is_no_better_than_its_special_case_by_all_cycles_is_that_case(
     ("left", "error", "source"),
     [
         (0.1, 0.1, "what the names leave of the held-out cycles"),
-        (0.25, np.sqrt(0.7 * 0.2**2 + 0.3 * 0.25**2), "what the names leave of all cycles"),
+        (0.25, np.sqrt(0.2 * 0.25), "what the names leave of all cycles"),
         (0.31, 0.2, "the sensor alone"),
     ],
 )
@@ -150,11 +152,25 @@ def test_what_names_leave_of_held_out_cycles_is_noise_where_chance_makes_as_much
     left: float, error: float, source: str
 ) -> None:
     made = NoiseFloor(0.2, (0.1, 0.3), np.arange(4), np.full(4, 0.2), "the sensor alone")
-    told = with_what_is_left(made, left, 0.3)
-    assert (told.error, told.source) == (pytest.approx(error), source)
-    assert told.interval == pytest.approx((0.5 * error, 1.5 * error)) and told.per_cycle == pytest.approx(
-        np.full(4, error)
-    )
+    # Known as well as the floor, whose interval holds 99 %: both count for half, in logarithms.
+    alike = replace(RULES, left_by_names_log_sd=np.log(0.3 / 0.1) / (2.0 * 2.5758))
+    told = with_what_is_left(made, left, alike)
+    assert (told.error, told.source) == (pytest.approx(error, rel=1e-4), source)
+    assert told.interval == pytest.approx((0.5 * error, 1.5 * error), rel=1e-4)
+    assert told.per_cycle == pytest.approx(np.full(4, error), rel=1e-4)
+
+
+def test_a_name_that_is_less_likely_than_not_is_none(near: NamingStep, parts: tuple[Fitted, Record]) -> None:
+    best = near.best
+    assert best is not None
+    alone = replace(near, evidence=(best,))
+    for nats, withheld in ((-9.0, False), (3.0, True)):
+        beside = replace(alone, rivals={"other-surroundings": best.gain + nats})
+        path = NamingResult(parts[0], parts[0], ((beside, ""),))
+        assert bool(unlikely(path, NamesEvidence(), RULES)) is withheld
+    path = NamingResult(parts[0], parts[0], ((alone, ""),))
+    little, much = (NamesEvidence(heat_left=left) for left in (0.02, 0.9))
+    assert not unlikely(path, little, RULES) and unlikely(path, much, RULES), "what names leave counts as well"
 
 
 def test_a_name_that_begins_half_way_is_none_that_acts_all_along(

@@ -10,6 +10,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 
 from sim.effects import without
 from sim.engine import open_loop
@@ -112,17 +113,22 @@ def floor_of(stated: Array, explained: Fitted, record: Record, seed: int, rules:
     return NoiseFloor(error, (float(error * low), float(error * high)), cycles, floor, source)
 
 
-def with_what_is_left(floor: NoiseFloor, left: float, share: float) -> NoiseFloor:
-    """The floor with what names leave (degC rms) of held-out cycles that they foresee better, `share` of all cycles.
+def with_what_is_left(floor: NoiseFloor, left: float, rules: DecisionRules) -> NoiseFloor:
+    """The floor with what names leave (degC rms) of held-out cycles that they foresee better.
 
     What is left of cycles that nothing was fitted to is their noise and what the names' shapes err by: noise alone is
     no more. Before and after err by the same noise, so this bound is nearer than what other cycles' noise tells. Where
-    it is more, but no more than chance makes, these cycles tell the noise as well as the fitted ones do, each as one.
+    it is more, but no more than chance makes, both tell what noise fell in these cycles, each as well as it is known.
     """
     low, high = floor.interval
     if left > high:
         return floor
-    error = min(left, max(floor.error, float(np.sqrt((1.0 - share) * floor.error**2 + share * left**2))))
+    # The fitted cycles as well as the interval says, those that were kept as well as names know an ideal fit's error:
+    # normal in logarithms, weighed by their precision.
+    beyond = float(scipy.stats.norm.isf(0.5 * (1.0 - rules.floor_interval_share)))
+    unsure = float(np.log(high / low)) / (2.0 * beyond)
+    weight = unsure**2 / (unsure**2 + rules.left_by_names_log_sd**2)
+    error = min(left, max(floor.error, floor.error * (left / floor.error) ** weight))
     scale = error / floor.error
     source = f"what the names leave of {'the held-out' if left <= floor.error else 'all'} cycles"
     interval = low * scale, high * scale

@@ -27,6 +27,7 @@ from sim.lab.discrepancy.screen import (
     Shape,
     columns_of,
     judged,
+    quieter,
     refined,
     screen,
     smooth_course,
@@ -38,6 +39,8 @@ CONFIRMED, WORTH = 4, 1.0
 """Entries that are confirmed at most, and the screen's gain (nats) from which it is worth while."""
 ONE_CHAIN = frozenset({"dead-time", "sensor-lag", "late-current-heating"})
 """What lies between what is done and the reading is named once: a second name would mend the first one's shape."""
+SCATTERED = 2
+"""Entries that would lead under less scatter of cycles, which are confirmed as well."""
 RIVALLED = 2
 """The likeliest of the others that an unmeasured neighbour is held against together."""
 
@@ -118,7 +121,7 @@ def step(
     rules: DecisionRules,
 ) -> NamingStep:
     """Screen and confirm `entries` on top of a fit; each that is fitted is `told` by its name before."""
-    screened = screen(before, entries, roles)
+    screened, quiet = screen(before, entries, roles)
     evidence = [_evidence(screened, number) for number in screened.best().values()]
     # The screen orders well but judges too low (its noise has swallowed a part of the effect): the first few are fitted
     # jointly, and only a gain of a joint refit can become a name.
@@ -130,6 +133,20 @@ def step(
     for each in likely:
         told(each.entry.name)
         confirmed = _slim_but_best([*confirmed, confirm(before, each)])
+    # What would lead if the cycles scattered less is fitted too, and what it is a special case of: it may be what they
+    # differ by. The joint fit decides.
+    differing = [_evidence(quiet, number) for number in quiet.best().values()]
+    leading = {each.entry.name for each in differing[:SCATTERED]}
+    done = {each.entry.name for each in confirmed}
+    wider = [
+        each
+        for each in differing[SCATTERED:]
+        if each.entry.name not in done and leading & {*each.entry.candidate.special}
+    ]
+    for each in (*differing[:SCATTERED], *wider):
+        if each.gain >= WORTH:
+            told(each.entry.name)
+            confirmed = _slim_but_best(_with(confirmed, confirm(quieter(before), each)))
     # What could win is weighed against its special cases: they are fitted too, wherever the screen has them.
     top = max((each.gain for each in confirmed), default=0.0)
     near = top - margin_of_class(top, rules)
@@ -145,6 +162,13 @@ def step(
         order = (replace(order[0], fitted=restored(order[0].fitted)), *order[1:])
     nameless = {each.entry.name: each.gain for each in everything if each.entry.rival}
     return NamingStep(before, order, _cosines(before, order), rules, nameless)
+
+
+def _with(confirmed: Sequence[EffectEvidence], again: EffectEvidence) -> list[EffectEvidence]:
+    """The evidence with one more refit, in the place of the other one of its entry if that has gained less."""
+    old = next((each for each in confirmed if each.entry.name == again.entry.name), again)
+    others = [each for each in confirmed if each.entry.name != again.entry.name]
+    return [*others, max(again, old, key=lambda each: each.gain)]
 
 
 def _slim_but_best(confirmed: Sequence[EffectEvidence]) -> list[EffectEvidence]:

@@ -13,7 +13,16 @@ import scipy
 
 from sim.effects import HeldLaw, VaryingLaw
 from sim.lab.discrepancy.diagnosis import GapBeginning
-from sim.lab.discrepancy.fitting import CatalogueEntry, Fitted, as_read, effects_of, heat_filter, net_heat, rivals
+from sim.lab.discrepancy.fitting import (
+    CatalogueEntry,
+    Fitted,
+    as_read,
+    effects_of,
+    heat_filter,
+    net_heat,
+    rivals,
+    stated_rate,
+)
 from sim.lab.discrepancy.rules import DecisionRules
 from sim.lab.discrepancy.screen import Projector, Shape, alone, columns_of, judged, shapes_of, smooth_course
 from sim.lab.learning import Indices
@@ -124,6 +133,7 @@ def _best_of_each(projector: Projector, shapes: Sequence[Shape], smooth: Array, 
         *(one for _, one in best.values()),
         _MayBegin("heat while the machine runs", 0.0, record.running),
         _MayBegin("heat at all times", 0.0, always),
+        _MayBegin("warmer or cooler surroundings", 0.0, stated_rate(record)),
         _MayBegin("an offset of the sensor", 0.0, always, reading=True),
     ]
 

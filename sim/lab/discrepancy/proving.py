@@ -38,7 +38,7 @@ from sim.lab.discrepancy.judging import (
 from sim.lab.discrepancy.layout import DataLayout
 from sim.lab.discrepancy.naming import NamingStep, margin_of_class
 from sim.lab.discrepancy.onset import acting_since
-from sim.lab.discrepancy.posterior import NamesEvidence, names_evidence
+from sim.lab.discrepancy.posterior import NamesEvidence, gains_of, names_evidence, posterior
 from sim.lab.discrepancy.rules import DecisionRules
 from sim.lab.discrepancy.story import beginning_reason, little_sentence
 from sim.sha import Array, shown_unit
@@ -308,8 +308,7 @@ def _judge_path(proof: Proof, path: NamingResult, shorter: NamingResult | None) 
     floor = proof.floor
     foreseen = foreseen_better(first, second)
     if path.taken and foreseen >= proof.rules.margin_nats:
-        fitted = np.unique(path.base.frame.record.window_cycle).size
-        floor = with_what_is_left(floor, held.rmse_after, held.pieces / (held.pieces + fitted))
+        floor = with_what_is_left(floor, held.rmse_after, proof.rules)
         held, *_ = compared(path.base, path.fitted, proof.held_out, proof.seed, floor, runs=proof.runs, second=second)
     left = ceiling(path.fitted, proof.seed) if path.taken else proof.ceiling
     # What a free learner still finds says that the shapes are not quite right, and by so little one may beat another.
@@ -330,9 +329,21 @@ def _judge_path(proof: Proof, path: NamingResult, shorter: NamingResult | None) 
         ),
         *left_over(path, foreseen, proof.before, excess_after),
         *(f"{step.members[0]} {why}" for step in path.taken if (why := undeserved(step))),
+        *unlikely(path, names_evidence(held, proof.ceiling, left, proof.rules), proof.rules),
     )
     return JudgedPath(
         path=path, reasons=reasons, floor=floor, held=held, second=second, ceiling=left, excess=excess_after
+    )
+
+
+def unlikely(path: NamingResult, against: NamesEvidence, rules: DecisionRules) -> tuple[str, ...]:
+    """Why names are withheld that are less likely than not by their own confidence: what has no name, or none of these,
+    is likelier."""
+    sure = [posterior(gains_of(step), against, rules).confidence(step.members) for step in path.taken]
+    return tuple(
+        f"{step.members[0]} is less likely than what has no name or than none of these ({confidence:.2g})"
+        for step, confidence in zip(path.taken, sure, strict=True)
+        if confidence < rules.named_least_confidence
     )
 
 

@@ -47,6 +47,8 @@ class DecisionRules:
     margin_share: float = 0.01
     """Of a gain, the margin for one of its class where that is more: by so little a shape that is not quite the plant's
     may win over its twin."""
+    named_least_confidence: float = 0.5
+    """That a name has, by all that it is stated with: one that is less likely than not is none."""
     told_apart_times: float = 2.0
     """Of the margin, up to which an effect that lies behind on the fitted cycles is held against the best on the
     held-out ones too."""
@@ -114,6 +116,9 @@ class DecisionRules:
     # ---- the floor
     floor_interval_share: float = 0.99
     """Of the errors that chance makes, what the floor's interval holds: of 200 clean machines one is beyond it."""
+    left_by_names_log_sd: float = 0.18
+    """By which what right names leave of held-out cycles differs, in logarithms, from what an ideal judge's fit leaves
+    of them: of 54 the middle half lies between 0.83 and 1.06 times of it."""
     stated_noise_log_sd: float = 0.35
     """By which the noise of a machine differs from what its model states, in logarithms: machines of one type differ
     by a factor of 1.4 in what is rough about them."""

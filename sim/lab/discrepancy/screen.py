@@ -7,7 +7,7 @@ shapes. The screen is conservative: the noise was fitted without the effect and 
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
@@ -212,11 +212,18 @@ def shortest_visible(record: Record) -> float:
     return VISIBLE_ROWS * float(np.median(between)) if between.size else 0.0
 
 
-def screen(fitted: Fitted, entries: Sequence[CatalogueEntry], roles: Mapping[str, str]) -> Screen:
-    """Every shape of every entry against what the fit leaves."""
+def screen(fitted: Fitted, entries: Sequence[CatalogueEntry], roles: Mapping[str, str]) -> tuple[Screen, Screen]:
+    """Every shape of every entry against what the fit leaves: under its noise, and under that of `quieter`."""
     smooth = smooth_course(fitted)
     shapes = tuple(shapes_of(fitted, entries, roles, smooth))
-    return judged(fitted, shapes, columns_of(fitted, shapes, smooth))
+    columns = columns_of(fitted, shapes, smooth)
+    return judged(fitted, shapes, columns), judged(quieter(fitted), shapes, columns)
+
+
+def quieter(fitted: Fitted) -> Fitted:
+    """The fit with cycles that scatter half as much: what differs from cycle to cycle is scatter to a fit without it,
+    and weighs next to nothing under that."""
+    return replace(fitted, noise=replace(fitted.noise, cycle=0.5 * fitted.noise.cycle))
 
 
 def judged(fitted: Fitted, shapes: tuple[Shape, ...], columns: Array) -> Screen:

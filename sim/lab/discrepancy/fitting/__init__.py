@@ -14,7 +14,15 @@ from sim.lab.discrepancy.fitting.course import (
     unseen_switches,
     window_sensitivity,
 )
-from sim.lab.discrepancy.fitting.effects import as_sensed, heat_and_loss, held, lagged_signal, net_heat, on_sensor
+from sim.lab.discrepancy.fitting.effects import (
+    as_sensed,
+    heat_and_loss,
+    held,
+    lagged_signal,
+    net_heat,
+    on_sensor,
+    stated_rate,
+)
 from sim.lab.discrepancy.fitting.free_run_fit import (
     Fitted,
     averaged_readings,

@@ -30,6 +30,7 @@ from sim.effects import (
 )
 from sim.engine import linear_recursion
 from sim.lab.discrepancy.fitting.record import Record
+from sim.lab.learning import RATES
 from sim.sha import Array, Effect, Mask
 
 ON_SENSOR = ("dead time", "sensor lag", "sensor offset")
@@ -110,10 +111,18 @@ def _view(record: Record, effect: Effect) -> RecordView:
     return RecordView(
         time=runs.time - runs.dt / 2.0,
         running=record.running,
+        rate=stated_rate(record),
         signals={role: record.signal(signal) for role, signal in effect.signals.items()},
         late=lambda role, lag: lagged_signal(record, np.nan_to_num(record.history(effect.signals[role])), lag),
         run_since=lambda at: record.ran[record.kept] - np.interp(at, record.uncut.time, record.ran),
     )
+
+
+def stated_rate(record: Record) -> Array:
+    """(n,) 1/s the rate of each step's flow as the given model has it, 0 where it does not relax."""
+    flows = (location.flow for location in record.model.sha.locations)
+    rates = [flow.params["k"] if RATES.get(flow.kind) == "k" else 0.0 for flow in flows]
+    return np.array(rates)[record.runs.place]
 
 
 def deviation(record: Record, effect: Effect) -> Array:
