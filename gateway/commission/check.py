@@ -101,12 +101,14 @@ def _found(site: Site) -> list[CheckStep]:
         for finding in check_plant(load_plant(config.path))
         if finding.machine in (config.machine, "" if config.leads else config.machine)
         and finding.part not in _STEP_OF_ITS_OWN
+        # What cannot be run, and whether the first models may be used, stand in the step of the models.
+        and not (finding.part == "model" and (finding.grave or not config.ensemble.members))
     ]
     steps = [(failed if finding.grave else warning)(finding.part, finding.sentence) for finding in found]
     return steps + [step for step in _told(config) if step.name not in {one.part for one in found}]
 
 
-_STEP_OF_ITS_OWN = frozenset({"device", "places", "model"})
+_STEP_OF_ITS_OWN = frozenset({"device", "places"})
 
 
 def _told(config: Config) -> list[CheckStep]:

@@ -25,7 +25,7 @@ from gateway.outside.serving import DeviceImage
 from gateway.outside.status import ControlError, GatewayStatus
 from gateway.plant.control import ControlScope, answer
 from gateway.plant.device import make_driver, scans_on_change
-from gateway.plant.plant_check import check_plant, limit_doubts
+from gateway.plant.plant_check import check_plant, limit_doubts, unfit_models
 from gateway.plant.service import ScanProgress
 from gateway.plant.shared_connections import on_one_connection
 from gateway.plant.shortfalls import MESSAGES, checked_notify
@@ -131,6 +131,8 @@ class Fleet:
         log = self.log if alone else self.log.bind(machine=config.machine)
         for doubt in limit_doubts(config, models):
             log.warning("a limit is worth a look", reason=doubt)
+        for unfit in unfit_models(config, models):
+            log.warning("an unfit model runs", reason=unfit)
         supervisor = self.supervisor if alone else Supervisor()
         if not alone:
             self.supervisor.include(config.machine, supervisor)

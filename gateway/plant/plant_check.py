@@ -11,7 +11,7 @@ import os
 import socket
 import stat
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import closing
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -62,6 +62,7 @@ def check_plant(
     for config in configs:
         models, problem = known[config.machine] if config.machine in known else models_at_start(config)
         found += [PlantFinding("model", problem, config.machine)] if problem else []
+        found += [PlantFinding("model", said, config.machine, grave=False) for said in unfit_models(config, models)]
         found += [PlantFinding("limits", said, config.machine, grave=False) for said in limit_doubts(config, models)]
     found += [PlantFinding(part, sentence) for part, sentence in of_plant(configs[0]).items()]
     found += [*_records(configs[0]), *_ports(configs[0])]
@@ -102,7 +103,10 @@ def _records(config: Config) -> Iterator[PlantFinding]:
     for key, path in written.items():
         if path is None:
             continue
-        reason = _unwritable(path)
+        reason, grave = _unwritable(path), True
+        if reason.startswith(_NOT_OURS):
+            # Who runs the gateway may be somebody else, as the service's own user is.
+            grave = False
         if not reason and key == "control.path":
             reason = _no_socket(path)
         if not reason and key in ("historian.path", "writeback.audit"):
@@ -110,7 +114,10 @@ def _records(config: Config) -> Iterator[PlantFinding]:
         if not reason and key == "writeback.audit_key" and path.exists():
             reason = _no_key(path)
         if reason:
-            yield PlantFinding("records", f"{config.path}: {key}: {path} {reason}")
+            yield PlantFinding("records", f"{config.path}: {key}: {path} {reason}", grave=grave)
+
+
+_NOT_OURS = "may by this user not"
 
 
 def _unwritable(path: Path) -> str:
@@ -119,12 +126,16 @@ def _unwritable(path: Path) -> str:
         if path.is_dir():
             return "is a folder; give the path of a file"
         if path.exists():
-            return "" if os.access(path, os.R_OK | os.W_OK) else "may not be written by this user; give one that may"
+            return "" if os.access(path, os.R_OK | os.W_OK) else f"{_NOT_OURS} be written; does another user run this?"
         parent = next(place for place in path.absolute().parents if place.exists())
         if not parent.is_dir():
             return f"cannot be: {parent} is no folder; give the path of a file in one"
-        writable = os.access(parent, os.W_OK | os.X_OK) and not os.statvfs(parent).f_flag & os.ST_RDONLY
-        return "" if writable else f"cannot be made: this user may not write in {parent}; give a place that it may"
+        if os.statvfs(parent).f_flag & os.ST_RDONLY:
+            return f"cannot be made: {parent} is on a read-only file system; give another place"
+        writable = os.access(parent, os.W_OK | os.X_OK)
+        return "" if writable else f"{_NOT_OURS} be made in {parent}; does another user run this?"
+    except PermissionError:
+        return f"{_NOT_OURS} be looked at; does another user run this?"
     except OSError as error:
         return f"cannot be looked at ({error.strerror}); give a place that this user may enter"
 
@@ -143,17 +154,16 @@ def _no_key(path: Path) -> str:
 
 
 def _no_database(path: Path) -> str:
-    if not path.exists():
-        return ""
+    if not path.is_file():
+        return "is no file; give the path of one" if path.exists() else ""
     with path.open("rb") as file:
         head = file.read(len(SQLITE_HEADER))
     return "" if head in (b"", SQLITE_HEADER) else "is no database; give the path of a historian or of a new file"
 
 
 def _ports(config: Config) -> Iterator[PlantFinding]:
-    """Ports that others have, unless a gateway runs by this very file: then they are its own."""
-    if (line := connect(config.control_socket)) is not None:
-        line.close()
+    """Ports that others have, or two of these servers; not where a gateway runs by this very file: it has them."""
+    if _is_running(config.control_socket):
         return
     northbound = config.northbound
     served = {
@@ -162,22 +172,57 @@ def _ports(config: Config) -> Iterator[PlantFinding]:
         "northbound.metrics.port": (northbound.metrics.host, northbound.metrics.port),
         "northbound.opcua.port": (northbound.opcua.host, northbound.opcua.port),
     }
-    for key, (host, port) in served.items():
-        if port and (reason := _cannot_listen(host, port)):
-            yield PlantFinding("ports", f"{config.path}: {key}: cannot listen at {host}:{port} ({reason})")
+    with ExitStack() as listening:
+        for key, (host, port) in served.items():
+            if not port:
+                continue
+            try:
+                # Kept until all are tried: two of these servers may want the same.
+                listening.enter_context(_listener(host, port))
+            except UnicodeError:
+                yield PlantFinding("ports", f"{config.path}: {key}: {host!r} is no host's name")
+            except OSError as error:
+                reason = error.strerror or str(error)
+                said = f"{config.path}: {key}: cannot listen at {host}:{port} ({reason})"
+                # A service may have the right to a port below 1024 that this user has not.
+                yield PlantFinding("ports", said, grave=not isinstance(error, PermissionError))
 
 
-def _cannot_listen(host: str, port: int) -> str:
+def _is_running(path: Path) -> bool:
+    """Whether a gateway answers at the socket, or one is there that this user may not ask."""
+    if (line := connect(path)) is not None:
+        line.close()
+        return True
     try:
-        family, kind, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
-        with closing(socket.socket(family, kind)) as listener:
-            # As the servers do: what merely waits for its last packets is no obstacle.
-            listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            listener.bind(address)
-            listener.listen(1)
-    except OSError as error:
-        return error.strerror or str(error)
-    return ""
+        return path.exists() and not os.access(path, os.W_OK)
+    except PermissionError:
+        return True
+
+
+def _listener(host: str, port: int) -> socket.socket:
+    """A socket that listens there, as the servers' do. Raises OSError or UnicodeError."""
+    family, kind, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+    listener = socket.socket(family, kind)
+    try:
+        # What merely waits for its last packets is no obstacle.
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        if family == socket.AF_INET6:
+            listener.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
+        listener.bind(address)
+        listener.listen(1)
+    except BaseException:
+        listener.close()
+        raise
+    return listener
+
+
+def unfit_models(config: Config, models: Sequence[LoadedModels]) -> Iterator[str]:
+    """The models that were judged unfit where they were learned, those of an ensemble too; a sentence each."""
+    for one, (first, members) in zip(config.followed, models, strict=True):
+        for loaded in (first, *members):
+            if loaded is not None and loaded.verdict is not None and loaded.verdict.word == "unfit":
+                name = f"{loaded.model.sha.name} ({loaded.hash[:12]})"
+                yield f"{config.path}: {name}, a model of {one.model.temperature}, is {loaded.verdict.sentence}"
 
 
 def limit_doubts(config: Config, models: Sequence[LoadedModels]) -> Iterator[str]:
@@ -204,8 +249,6 @@ def _limits_of_models(config: Config, models: Sequence[LoadedModels]) -> Iterato
     for one, (loaded, _) in zip(config.followed, models, strict=True):
         if loaded is None:
             continue
-        if loaded.verdict is not None and loaded.verdict.word == "unfit":
-            yield f"{config.path}: the model of {one.model.temperature} is {loaded.verdict.sentence}"
         model, limit = loaded.model, one.alarms.limit
         known = [
             model.correction.gain * distributions.mean(place.distribution) + model.correction.offset
@@ -220,9 +263,9 @@ def _limits_of_models(config: Config, models: Sequence[LoadedModels]) -> Iterato
         said = f"{config.path}: the limit of {one.model.temperature}, {limit:g} {unit},"
         if limit <= coldest:
             yield f"{said} lies below all that the model leads to ({coldest:.0f} to {hottest:.0f}): it always stands"
-        elif limit - one.alarms.deadband <= coldest:
+        elif hottest > coldest and limit - one.alarms.deadband <= coldest:
             yield f"{said} has a deadband of {one.alarms.deadband:g}: below {coldest:.0f} the model never leads"
-        elif limit > hottest + REACH * (hottest - coldest):
+        elif hottest > coldest and limit > hottest + REACH * (hottest - coldest):
             yield (
                 f"{said} never comes within reach: the model leads to {coldest:.0f} to {hottest:.0f}; it would "
                 "warn of nothing"

@@ -781,7 +781,7 @@ def _machine_config(
 
 
 def _shared_places(config: Config) -> list[str]:
-    """Files and ports that would be one and the same.
+    """Files that would be one and the same.
 
     Each file that the gateway writes is written as if it were the only one: a log in a device file would spoil it, and
     records in a plant file would set it aside as a damaged database.
@@ -809,28 +809,7 @@ def _shared_places(config: Config) -> list[str]:
         other = key if path is None else known.setdefault(path.resolve(), key)
         if other != key:
             problems.append(f"{key}: {path} is the file of {other} too; give each a path of its own")
-    metrics, opcua = config.northbound.metrics, config.northbound.opcua
-    served = {
-        "page.port": (config.page.host, config.page.port if config.page.enabled else None),
-        "serve.port": (config.serve.host, config.serve.port),
-        "northbound.metrics.port": (metrics.host, metrics.port),
-        "northbound.opcua.port": (opcua.host, opcua.port),
-    }
-    listening = [(key, host, port) for key, (host, port) in served.items() if port]
-    problems += [
-        f"{key}: {port} is {other} too, at the same address; give each server a port of its own"
-        for place, (key, host, port) in enumerate(listening)
-        for other, its_host, its_port in listening[:place]
-        if port == its_port and (host == its_host or _is_every_address(host) or _is_every_address(its_host))
-    ]
     return problems
-
-
-def _is_every_address(host: str) -> bool:
-    try:
-        return ip_address(host).is_unspecified
-    except ValueError:  # a name
-        return False
 
 
 def _only(model: ModelSection) -> TemperatureSection:

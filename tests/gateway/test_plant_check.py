@@ -119,7 +119,7 @@ def test_a_place_that_this_user_may_not_write_is_found(tmp_path: Path) -> None:
     assert "may not write" in found(path)["records"]
 
 
-def test_a_port_that_somebody_has_is_found_and_one_that_two_servers_want_is_refused(tmp_path: Path) -> None:
+def test_a_port_that_somebody_has_or_that_two_servers_want_is_found(tmp_path: Path) -> None:
     with closing(socket.socket()) as other:
         other.bind(("127.0.0.1", 0))
         other.listen()
@@ -127,9 +127,12 @@ def test_a_port_that_somebody_has_is_found_and_one_that_two_servers_want_is_refu
         assert "already in use" in found(in_folder(tmp_path, at("serve.port", port)))["ports"]
     twice = tmp_path / "twice"
     twice.mkdir()
-    text = f'[serve]\nport = {port}\nhost = "0.0.0.0"\n[northbound.metrics]\nport = {port}\n'
-    with pytest.raises(ConfigError, match=rf"northbound.metrics.port: {port} is serve.port too"):
-        load_plant(in_folder(twice, text))
+    text = f'[serve]\nport = {port}\nhost = "localhost"\n[northbound.metrics]\nport = {port}\n'
+    assert "northbound.metrics.port: cannot listen" in found(in_folder(twice, text))["ports"]
+    apart = tmp_path / "apart"
+    apart.mkdir()
+    text = f'[serve]\nport = {port}\nhost = "127.0.0.2"\n[northbound.metrics]\nport = {port}\n'
+    assert found(in_folder(apart, text)) == {}
 
 
 @pytest.mark.parametrize(

@@ -82,6 +82,21 @@ def a_few(column: np.ndarray) -> np.ndarray:
     return column
 
 
+def cold_room() -> Trace:
+    """It cools while it runs, and its suction pressure is lower then."""
+    whole = record()
+    warm = with_signal(whole, TEMPERATURE, 70.0 - whole.signals[TEMPERATURE])
+    return with_signal(warm, CURRENT, np.where(whole.signals[RUNNING] > 0.5, 150.0, 400.0))
+
+
+def rare_rows() -> Trace:
+    """Rows of an hour, between which a whole heating lies."""
+    times = np.arange(0.0, 30 * DAY_S, 3600.0)
+    on = (times // 7200.0) % 3 == 1
+    signals = {RUNNING: on.astype(float), CURRENT: np.where(on, 150.0, 0.0), TEMPERATURE: np.where(on, 50.0, 20.0)}
+    return Trace("rare", times + 1.7e9, signals, units={TEMPERATURE: "degC"})
+
+
 def one_place() -> Model:
     place = Location(
         "ON/200-300", Flow("exponential", {"k": 0.001, "noise": 0.01}), MODEL.sha.locations[2].distribution
@@ -115,9 +130,11 @@ CASES: dict[str, tuple[Callable[[], ModelVerdict], str, str]] = {
     "a switch upside down": (lambda: judged(spoiled(lambda on: 1.0 - on, RUNNING)), "unfit", "is upside down"),
     "the same without a load": (
         lambda: judged(spoiled(lambda on: 1.0 - on, RUNNING), switch_alone()),
-        "unfit",
-        "rises while it is 0",
+        "limited",
+        "is it upside down, or does it cool?",
     ),
+    "a compressor that cools a room": (lambda: judged(cold_room()), "limited", "or does it cool?"),
+    "rows of an hour": (lambda: judged(rare_rows()), "fit", ""),
     "degrees Fahrenheit": (lambda: judged(spoiled(lambda value: 1.8 * value + 32.0)), "limited", "Fahrenheit (20 °C)?"),
     "one location for everything": (
         lambda: judged(model=one_place()),

@@ -12,7 +12,7 @@ from gateway.console import CommandResult, Part, Rows, conclude, json_option, ma
 from gateway.entry import sentences
 from gateway.lab.options import traces_option
 from gateway.lab.traces.load import load
-from sim.artefacts import STORE_FILE, model_hash
+from sim.artefacts import STORE_FILE, VERDICT_FILE, model_hash
 from sim.lab.formats import find_model, save, write_model_directory
 from sim.lab.learning import (
     FORMS,
@@ -50,7 +50,8 @@ def correct(
     """
     with sentences(), progress("correcting") as report:
         traces, column_map = load(paths, map_name)
-        model = find_model(name, alphabet=column_map.alphabet, temperature=column_map.temperature).runnable()
+        found = find_model(name, alphabet=column_map.alphabet, temperature=column_map.temperature)
+        model = found.runnable()
         parent = model_hash(model)
         # Artefacts of the public learner know no unit: then that of the traces is the model's.
         model = replace(model, unit=unit_of(traces, model.temperature, model.unit))
@@ -68,7 +69,13 @@ def correct(
             if rate is not None and bites is not None and bites.accepted:
                 new = with_max_rate(new, rate)
             is_store = (out / STORE_FILE).is_file()
-            written = save(out, new, created=time.time()) if is_store else str(write_model_directory(out, new))
+            # A correction mends the sensor's scale: what was judged of the model stays so.
+            more = {} if found.verdict is None else {VERDICT_FILE: found.verdict.text()}
+            written = (
+                save(out, new, created=time.time(), more=more)
+                if is_store
+                else str(write_model_directory(out, new, more=more))
+            )
     fits = []
     for fit in learned.fits:
         row = asdict(fit)

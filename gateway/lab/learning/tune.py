@@ -11,11 +11,13 @@ from gateway.console import CommandResult, Part, Rows, conclude, json_option, ma
 from gateway.entry import Exit, interruptible, sentences
 from gateway.lab.options import method_option, traces_option
 from gateway.lab.traces.load import load, warned_of
+from sim.artefacts import VERDICT_FILE
 from sim.lab.formats import write_model_directory
+from sim.lab.judge import judge_learned
 from sim.lab.recordings import split_cycles
 from sim.lab.tuning import Objective, StudyPlan, Tuning, final_model
 from sim.lab.tuning import tune as searched
-from sim.sha import shown_unit, unit_of
+from sim.sha import encoded, shown_unit, unit_of
 
 SHOWN = 10
 
@@ -93,7 +95,10 @@ def tune(
                 raise ValueError(f"{tuning.sentence}; nothing is written to {out}")
             alphabet, temperature = column_map.alphabet, column_map.temperature
             learned = final_model(traces, alphabet, temperature, plan=plan, trial=tuning.best, name=name)
-            write_model_directory(out, learned.model, learned.values)
+            verdict = judge_learned(
+                learned.model, [encoded(trace, learned.model.alphabet) for trace in traces], learned.coverage
+            )
+            write_model_directory(out, learned.model, learned.values, more={VERDICT_FILE: verdict.text()})
             written = out
     data = {
         "method": method,

@@ -37,7 +37,7 @@ def promote(
     A model that does not verify (see `decanter model prove`), or that was judged unfit where it was learned, is
     refused, in one sentence with the reasons. Its verdict is shown beside that of the version that ran before. --force
     with --by promotes it all the same, if it can be run at all: name and reason are kept in the store, the gateway
-    warns at each start, and it does not run armed on such a model.
+    warns at each start, does not run armed on one that does not verify, and has red confidence in one that is unfit.
     """
     if (version is None) == (model is None):
         raise click.UsageError("name a VERSION of the store, or --add a model; one of the two")
@@ -47,10 +47,10 @@ def promote(
         now = time.time()
         if model is not None:
             familiar = read_familiarity(Path(model)) if Path(model).is_dir() else None
-            judged = read_verdict(Path(model)) if Path(model).is_dir() else None
+            found = find_model(model)
             more = {} if familiar is None else {FAMILIARITY_FILE: familiar.text()}
-            more |= {} if judged is None else {VERDICT_FILE: judged.text()}
-            version = save(store, find_model(model).runnable(), created=now, more=more)
+            more |= {} if found.verdict is None else {VERDICT_FILE: found.verdict.text()}
+            version = save(store, found.runnable(), created=now, more=more)
         chosen, before = str(version), ran(store)[-1:]
         promote_version(store, chosen, Force(str(by), reason, now) if reason is not None else None)
         force = forced(store)

@@ -36,6 +36,7 @@ from gateway.store import moment_of, oldest_scan, reading
 from sim.artefacts import (
     MANIFEST,
     MODEL_FILE,
+    VERDICT_FILE,
     Familiarity,
     current,
     listed,
@@ -50,7 +51,7 @@ from sim.familiarity import ClassFigures, measured_classes
 from sim.files import replace_durably
 from sim.lab.discrepancy import diagnose
 from sim.lab.formats import save, write_model_directory
-from sim.lab.judge import compared, verdict_on
+from sim.lab.judge import compared, judge_learned, verdict_on
 from sim.lab.tuning import METHODS, Settings, StudyPlan, Task, Taught, tune
 from sim.proof import verify
 from sim.sha import Alphabet, Model, Trace, content_hash, encoded, joint_hash
@@ -214,7 +215,9 @@ def retrain(
         report(f"learning ({method})", 0.25)
         record = _record(request, source, method, chosen, settings=settings_found)
         taught = learned_model(record, training, present.alphabet, present.temperature)
-        write_model_directory(folder / "model", taught.model, taught.values)
+        whole = [encoded(trace, taught.model.alphabet) for trace in joined(training, present.alphabet.gap)]
+        verdict = judge_learned(taught.model, whole, taught.coverage)
+        write_model_directory(folder / "model", taught.model, taught.values, more={VERDICT_FILE: verdict.text()})
         rows_learned = sum(trace.times.size for trace in training)
         learned = {"settings": settings_found, "rows": rows_learned, "tuned": tuned}
         library.done(study, "learned", learned)
@@ -423,7 +426,7 @@ def learned_model(record: TrainingRecord, training: Sequence[Trace], alphabet: A
     contents = tuple(sorted({content for _, content in record.training}))
     names = tuple(name for name, _ in record.training)
     origin = replace(taught.model.provenance, parent=record.parent_hash, contents=contents, traces=names)
-    return Taught(replace(taught.model, provenance=origin), taught.values)
+    return replace(taught, model=replace(taught.model, provenance=origin))
 
 
 def joined(traces: Sequence[Trace], gap: float) -> list[Trace]:

@@ -88,9 +88,15 @@ DOES_NOT_FOLLOW = Phrase(
 ZONE_WORDS = {"yellow": Phrase("yellow", it="media", de="mäßig"), "red": Phrase("red", it="bassa", de="gering")}
 
 
-def model_sentence(status: GatewayStatus) -> str:
-    """Why the prediction is not to be relied on; "" if it is, and without a model."""
-    p, model = status.prediction, status.model
+def _models(status: GatewayStatus) -> str:
+    first, *others = [(one, model_sentence(status, one)) for one in (status, *status.further)]
+    said = [first[1], *(f"{one.temperature}: {sentence}" for one, sentence in others if sentence)]
+    return said[0] if len(said) == 1 else "; ".join(filter(None, said))
+
+
+def model_sentence(status: GatewayStatus, one: GatewayStatus | TemperatureStatus) -> str:
+    """Why the prediction of a temperature is not to be relied on; "" if it is, and without a model."""
+    p, model = one.prediction, one.model
     if model is not None and model.refused:
         return REFUSED.filled(reason=model.refused)
     if model is not None and model.verdict == "unfit":
@@ -99,11 +105,13 @@ def model_sentence(status: GatewayStatus) -> str:
         return ""
     if p is not None and not p.known:
         return STATE_UNKNOWN
-    if any(alarm.kind == UNFORESEEN and alarm.active for alarm in status.alarm_summary):
-        return unforeseen_sentence(status)
+    if any(
+        alarm.kind == UNFORESEEN and alarm.active and alarm.tag == one.temperature for alarm in status.alarm_summary
+    ):
+        return unforeseen_sentence(status, one)
     if p is None:
         return ""
-    if strange := unfamiliar_sentence(status):
+    if strange := unfamiliar_sentence(one):
         return strange
     if p.zone in ("yellow", "red"):
         return DOES_NOT_FOLLOW.filled(zone=ZONE_WORDS[p.zone], anomaly=f"{p.anomaly or 0.0:.1f}")
@@ -125,14 +133,14 @@ TOO_LATE = Phrase(
 )
 
 
-def unforeseen_sentence(status: GatewayStatus) -> str:
+def unforeseen_sentence(status: GatewayStatus, one: GatewayStatus | TemperatureStatus) -> str:
     """Why there has been no usable forecast for longer than is usual."""
     failures = [part["failure"] for name, part in status.parts.items() if "forecast" in name and part["failure"]]
     if failures:
         return UNFORESEEN_FOR.filled(reason=failures[0])
-    if status.forecast is None:
+    if one.forecast is None:
         return UNFORESEEN_FOR.filled(reason=NONE_FINISHED)
-    return UNFORESEEN_FOR.filled(reason=TOO_LATE.filled(seconds=f"{status.forecast.age / status.speed:.0f}"))
+    return UNFORESEEN_FOR.filled(reason=TOO_LATE.filled(seconds=f"{one.forecast.age / status.speed:.0f}"))
 
 
 def unfamiliar_sentence(one: GatewayStatus | TemperatureStatus) -> str:
@@ -217,7 +225,7 @@ CHECKS: dict[str, Callable[[GatewayStatus], str]] = {
     "link": link_sentence,
     "readings": readings_sentence,
     "alarms": _alarms,
-    "model": model_sentence,
+    "model": _models,
     "sensors": _virtual,
     "write-back": _writeback,
     "records": records_sentence,

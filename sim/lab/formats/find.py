@@ -74,7 +74,9 @@ def find_model(
         if at_sign and not path.exists() and (Path(store) / STORE_FILE).is_file():
             model, home = load(Path(store), version), version_directory(Path(store), version)
         elif path.exists():
-            model, home = read_model(path), version_directory(path, current(path)) if is_store(path) else path
+            home = version_directory(path, current(path)) if is_store(path) else path
+            # A model's file in its directory is that directory's model.
+            model, home = read_model(path), path.parent if path.name == MODEL_FILE else home
         else:
             sets = _sets(path.parent)
             others = f"; the artefact sets in {path.parent} are {', '.join(sets)}" if sets else ""

@@ -14,9 +14,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sim.artefacts import (
+    FAMILIARITY_FILE,
     MANIFEST,
     MODEL_FILE,
     STORE_FILE,
+    VERDICT_FILE,
     VERSIONS,
     check_store,
     listed,
@@ -118,7 +120,8 @@ def write_model_directory(
         (out / MANIFEST).unlink(missing_ok=True)
         for name, content in (*files.items(), (MANIFEST, manifest)):
             replace_durably(out / name, content)
-        for name in stale:
+        # What was said of the model before is not said of this one, though no manifest may have listed it.
+        for name in stale | ({VERDICT_FILE, FAMILIARITY_FILE} - set(files)):
             (out / name).unlink(missing_ok=True)
     except OSError as error:
         raise refused(out, error) from None

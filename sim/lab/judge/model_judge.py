@@ -4,6 +4,7 @@ One table of criteria. What speaks are independent units (cycles, days, forecast
 verdict is kept beside the model, and whoever shows, proves, promotes or runs it reads that.
 """
 
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from math import isfinite
@@ -26,10 +27,13 @@ FEW_CYCLES, FEW_DAYS = 4, 2
 """Cycles and days below which nothing is known of how one differs from the next."""
 APART_DEGREES = 25.0
 """A reading so far (degC) from the median of the five around it is no bearing's: heat takes minutes."""
+NEAR_S = 300.0
+"""Five rows within so long (s) are held against one another; others say nothing of codes."""
 APART_SHARE = 0.005
 """The share of such readings above which they are no accidents but a code for "no reading", or a loose contact."""
-REVERSED = 1.5
-"""The load while "off" over that while "on", or the inverse of temperatures, from which a switch is upside down."""
+REVERSED = 20.0
+"""The load while "off" over that while "on" from which a switch is upside down: what runs draws something. A level that
+is merely lower while a machine runs, as a compressor's suction pressure is, says nothing."""
 FAHRENHEIT_REST = (50.0, 110.0)
 """Where a machine at rest settles if its degrees are Fahrenheit's (10 to 43 °C)."""
 MIXED_SHARE, MIXED_S = 0.1, 1800.0
@@ -136,17 +140,19 @@ def _taught_enough(case: LearnedCase) -> Said:
 
 def _readings_are_readings(case: LearnedCase) -> Said:
     apart, values, usual = 0, list[float](), 0
-    for _, column in case.readings():
-        if column.size < 5:
+    for times, column in case.readings():
+        if column.size < 5 or case.model.unit != DEGREES:
             continue
-        usual += column.size
-        middle = np.median(np.lib.stride_tricks.sliding_window_view(np.pad(column, 2, mode="edge"), 5), axis=1)
-        far = np.abs(column - middle) > APART_DEGREES * (1.0 if case.model.unit == DEGREES else np.inf)
-        apart += int(far.sum())
-        values += column[far].tolist()
+        windows = np.lib.stride_tricks.sliding_window_view
+        middle = np.median(windows(column, 5), axis=1)
+        # Rows that lie far apart may have all of a heating between them.
+        near = times[4:] - times[:-4] <= NEAR_S
+        far = near & (np.abs(column[2:-2] - middle) > APART_DEGREES)
+        usual, apart = usual + int(near.sum()), apart + int(far.sum())
+        values += column[2:-2][far].tolist()
     if not usual or apart <= APART_SHARE * usual:
         return True, "its readings follow one another as a bearing's do"
-    common, count = max(((value, values.count(value)) for value in set(values)), key=lambda pair: pair[1])
+    ((common, count),) = Counter(values).most_common(1)
     what = f", {count} of them {common:g}: a code for no reading?" if count > apart / 2 else ""
     return False, f"{apart} of {usual} readings of {case.model.temperature} stand apart from those around them{what}"
 
@@ -155,29 +161,28 @@ def _switch_is_upright(case: LearnedCase) -> Said:
     switch = first_switch(case.model.alphabet)
     if switch is None:
         return True, "no switch is read"
-    loads = level_signals(case.model.alphabet)
-    on_load, off_load, warming, cooling = list[Array](), list[Array](), list[float](), list[float]()
+    warming, cooling, loads = list[float](), list[float](), dict[str, tuple[list[Array], list[Array]]]()
     for trace in case.traces:
         if switch.signal not in trace.signals:
             continue
         running = _held(trace.signals[switch.signal])
-        for name in loads:
-            level = np.abs(_held(trace.signals[name]))
-            on_load.append(level[(running > 0.5) & np.isfinite(level)])
-            off_load.append(level[(running < 0.5) & np.isfinite(level)])
+        for name in level_signals(case.model.alphabet):
+            level = np.abs(_held(trace.signals[name])) if name in trace.signals else np.full(running.size, np.nan)
+            for of_it, mask in zip(loads.setdefault(name, ([], [])), (running > 0.5, running < 0.5), strict=True):
+                of_it.append(level[mask & np.isfinite(level)])
         temperature = trace.signals[case.model.temperature]
         for mask, rates in ((running > 0.5, warming), (running < 0.5, cooling)):
             rates += _course(trace.times, temperature, mask)
-    said = f"{switch.signal} is 1 while the machine runs"
-    on, off = (np.concatenate(parts) if parts else np.zeros(0) for parts in (on_load, off_load))
-    if on.size and off.size and off.mean() > REVERSED * max(float(on.mean()), 1e-9):
-        return (
-            False,
-            f"{switch.signal} is upside down: the load is {off.mean():.3g} while it is 0, {on.mean():.3g} else",
-        )
-    if not loads and warming and cooling and np.median(warming) < 0 < np.median(cooling):
-        return False, f"{switch.signal} is upside down: {case.model.temperature} rises while it is 0 and falls else"
-    return True, said
+    if not (warming and cooling and np.median(warming) < 0 < np.median(cooling)):
+        return True, f"{switch.signal} is 1 while {case.model.temperature} rises, or does not tell"
+    said = f"{case.model.temperature} rises while {switch.signal} is 0 and falls else"
+    for name, (on, off) in loads.items():
+        busy, idle = (float(np.concatenate(parts).mean()) if sum(map(len, parts)) else 0.0 for parts in (on, off))
+        if idle > REVERSED * busy:
+            levels = f"{name} is {idle:.3g} while it is 0 and {busy:.3g} else"
+            return False, f"{switch.signal} is upside down: {said}, and {levels}"
+    # What cools while it runs, as a cold room does, is no machine that is upside down.
+    return None, f"{said}: is it upside down, or does it cool?"
 
 
 def _held(column: Array) -> Array:

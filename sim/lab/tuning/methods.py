@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
+from sim.lab.learning import Coverage
 from sim.lab.learning.bins import CANDIDATES, learn_bins
 from sim.lab.learning.lsha import FLOW_KINDS, LshaSettings, learn_lsha
 from sim.sha import Alphabet, Bins, Model, Switch, Trace
@@ -57,10 +58,11 @@ class Task:
 
 @dataclass(frozen=True, slots=True)
 class Taught:
-    """A learned model, and the m of each stay by location for its histogram file."""
+    """A learned model, the m of each stay by location for its histogram file, and what it foresaw unseen."""
 
     model: Model
     values: Mapping[str, tuple[float, ...]]
+    coverage: tuple[Coverage, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +89,7 @@ def _learn_bins(task: Task, settings: Settings) -> Taught:
         name=task.name,
         candidates=[each for each in CANDIDATES if _allowed("flow", each.flow) and _allowed("rates", each.rates)],
     )
-    return Taught(learned.model, learned.values)
+    return Taught(learned.model, learned.values, learned.coverage)
 
 
 def _learn_lsha(task: Task, settings: Settings) -> Taught:
@@ -103,7 +105,7 @@ def _learn_lsha(task: Task, settings: Settings) -> Taught:
         name=task.name,
         settings=LshaSettings(**own),
     )
-    return Taught(learned.model, learned.values)
+    return Taught(learned.model, learned.values, learned.report.coverage)
 
 
 def tuned_alphabet(alphabet: Alphabet, settings: Settings) -> Alphabet:
