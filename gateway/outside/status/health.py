@@ -89,7 +89,8 @@ ZONE_WORDS = {"yellow": Phrase("yellow", it="media", de="mäßig"), "red": Phras
 
 
 def _models(status: GatewayStatus) -> str:
-    first, *others = [(one, model_sentence(status, one)) for one in (status, *status.further)]
+    followed: list[GatewayStatus | TemperatureStatus] = [status, *status.further]
+    first, *others = [(one, model_sentence(status, one)) for one in followed]
     said = [first[1], *(f"{one.temperature}: {sentence}" for one, sentence in others if sentence)]
     return said[0] if len(said) == 1 else "; ".join(filter(None, said))
 
