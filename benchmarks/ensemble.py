@@ -108,7 +108,7 @@ def follow(case: Case, runs: int, seed: int) -> tuple[list[Scheme], Array]:
     events, upcoming, last = [*trace.events, Event(inf, UNKNOWN)], 0, dict[int, str]()
     due = float(trace.times[0]) + case.every
     readings = trace.signals[name]
-    known = outcomes_of(trace, name, case.models[0].alphabet.gap)
+    known = outcomes_of(trace.times, trace.signals[name], case.models[0].alphabet.gap)
     for row, (time, value) in enumerate(zip(trace.times.tolist(), readings.tolist(), strict=True)):
         while events[upcoming].time <= time:
             event, upcoming = events[upcoming], upcoming + 1

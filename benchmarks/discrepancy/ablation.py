@@ -40,6 +40,7 @@ OFF: Mapping[str, Any] = {
     "wide_median_times": inf, "wide_low_times": 0.0, "wide_low_share": 0.0,
     "stated_noise_log_sd": inf, "stated_noise_most_times": inf,
     "floor_parameters_most_times": inf, "equal_least_cycles": 10**9, "comparable_least_share": inf,
+    "named_least_confidence": 0.0, "left_by_names_log_sd": inf,
     "floor_interval_share": 1.0, "floor_blind_from_share": inf,
     "beginning_least_cycles": 1, "beginning_most_p": -1.0, "beginning_carried_share": -inf,
     "beginning_wanders_from": inf,

@@ -47,7 +47,7 @@ def day_score(arm: str, model: Model, day: Day, *, seed: int) -> DayScore:
     """The day forecast as the running gateway would have, every EACH s."""
     section = ForecastSection(horizons=HORIZONS, period=EACH, runs=RUNS, seed=seed)
     made = forecasts_along([model], day.trace, section, scan_period=PERIOD, limit=LIMIT)
-    outcomes = outcomes_of(day.trace, TEMPERATURE, model.alphabet.gap)
+    outcomes = outcomes_of(day.trace.times, day.trace.signals[TEMPERATURE], model.alphabet.gap)
     errors: list[list[tuple[float, float, bool]]] = [[] for _ in HORIZONS]
     for forecast in made:
         for column, horizon in enumerate(HORIZONS):

@@ -76,16 +76,12 @@ ELSEWHERE = {
 @click.version_option(package_name="decanter-gateway")
 @click.option("--traceback", is_flag=True, help="Show where in the program an error arose.")
 def main(traceback: bool) -> None:
-    """Decanter gateway: foresees the bearing temperature of a decanter centrifuge.
-
-    \b
+    """\b
+    Decanter gateway: foresees the bearing temperature of a decanter centrifuge.
     Try it    decanter demo
     My PLC    decanter init plant --host ADDRESS --list io_list.csv
     My data   decanter trace map export.csv, then decanter model learn
     Run it    decanter run, and decanter top in another terminal
-
-    Exit codes: 0 done, 1 a check failed, 2 wrong input, 3 cannot connect, 4 the device refused, 5 timeout, 6 not
-    armed, 130 stopped by Ctrl-C.
     """
 
 

@@ -805,7 +805,12 @@ def _shared_places(config: Config) -> list[str]:
         if row.model is not None:
             known.setdefault(row.model.resolve(), f"the model of {row.tag}")
     problems = []
+    within = {folder: what for read, what in known.items() for folder in read.parents}
     for key, path in written.items():
+        if path is not None and (what := within.get(path.resolve())) is not None:
+            # A folder where records belong is moved aside as damaged, with all that is in it.
+            problems.append(f"{key}: {path} is a folder of {what}; give the path of a file")
+            continue
         other = key if path is None else known.setdefault(path.resolve(), key)
         if other != key:
             problems.append(f"{key}: {path} is the file of {other} too; give each a path of its own")

@@ -110,9 +110,8 @@ def opened(path: Path, *, max_mb: float, mend: bool = False, heir: str = "") -> 
 
 def _connected(path: Path, max_mb: float, heir: str) -> HistorianFile:
     if path.exists() and not path.is_file():
-        # Nobody's damaged records, and so nothing to be set aside.
         what = "a directory" if path.is_dir() else "no file"
-        raise UnusableHistorianError(f"{path}: is {what}; give the path of a file for the historian")
+        raise DamagedHistorianError(f"{path}: is {what}; give the path of a file for the historian")
     # Of a disk that has less room than it may take, it takes nine tenths: the tenth is for alarms, log and audit.
     size = path.stat().st_size if path.exists() else 0
     limit = min(max_mb * 1_000_000, 0.9 * (size + disk_usage(path.parent).free))

@@ -94,7 +94,7 @@ def test_a_schedule_diagnoses_only_while_the_drift_alarm_stands(model: Path, tmp
     said = decanter(*given, calm)
     assert said.exit_code == 0, said.stderr
     assert "not due: the free run was beyond its limit on 2 cycles running" in said.stdout
-    assert only_object(decanter(*given, calm, "--json").stdout) == {"due": False, "drifting": 2}
+    assert only_object(decanter(*given, calm, "--json").stdout) == {"ok": True, "due": False, "drifting": 2}
     assert not (tmp_path / "out").exists()
     data = only_object(decanter(*given, drifting, "--json").stdout)
     assert (data["verdict"], data["proposed"], data["new"]) == ("too-little-data", None, False)

@@ -86,7 +86,7 @@ def test_registers_and_bits_come_in_their_order_and_of_a_write_comes_nothing() -
             for place in range(count):
                 data = (1 << place).to_bytes((count + 7) // 8, "little")
                 assert words_of(Asked(7, 1, function, 0, count), data) == tuple(int(n == place) for n in range(count))
-    for function in (15, 16, 43):
+    for function in (15, 16):
         assert words_of(Asked(7, 1, function, 0, 2), b"\0\0\0\2") == ()
 
 
@@ -110,7 +110,7 @@ WRITE = Asked(7, 1, 16, 100, 4)
         (WRITE, mbap(7, 1, struct.pack(">BHH", 16, 101, 4)), "confirms"),
         (WRITE, mbap(7, 1, struct.pack(">BHHH", 16, 100, 4, 0)), "confirms"),
         (FAR, mbap(7, 1, struct.pack(">BHH", 16, 65534, 65535)), "confirms fffeffff instead of ffffffff"),
-        (IDENTITY, mbap(7, 1, b"\x2b\x0d\x01\x01\x00\x00\x00"), "identity:0 count 0: the reply holds no ident"),
+        (IDENTITY, mbap(7, 1, b"\x2b\x0d\x01\x01\x00\x00\x00"), "who are you.*the reply holds no identification"),
         (IDENTITY, mbap(7, 1, b"\x2b\x0e\x01\x01\x00\x00"), "holds no identification"),
     ],
 )

@@ -90,7 +90,14 @@ async def test_a_promoted_model_takes_over_between_two_scans_and_knows_where_the
     plant = running(config)
     plant.deeds[DEED] = lambda: promote(tmp_path / "store", second)
     status = await go(config, plant)
-    taken = {"name": "new", "hash": model_hash(other()), "version": second, "refused": ""}
+    taken = {
+        "name": "new",
+        "hash": model_hash(other()),
+        "version": second,
+        "refused": "",
+        "verdict": "",
+        "verdict_sentence": "",
+    }
     assert status["model"] == taken | {"written": ANY}
     assert status["failures"] == 0 and status["scan"]["missed"] == 0
     words = [int(block["model_hash"]) for block in plant.written if int(block["validity"])]

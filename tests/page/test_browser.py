@@ -260,6 +260,7 @@ def test_every_view_fits_a_phone_and_a_panel(page: Page, width: int) -> None:
         page.goto(f"{address}#/{view}")
         expect(page.locator("main h2, main .row, main .controls").first).to_be_visible()
         assert page.evaluate("document.documentElement.scrollWidth") <= width, view
+    page.goto(f"{address}#/box")
     expect(page.locator("main")).to_contain_text("Threads and tasks")
 
 

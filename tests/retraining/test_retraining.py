@@ -650,7 +650,7 @@ def test_the_commands_show_cycles_and_family_and_make_a_version_again(
     assert sum(count for filled, count in drawn if filled) == len(rows)
     assert sum(count for filled, count in drawn if not filled) == sum(row.name in trained for row in rows) > 0
     waiting = only_object(decanter(*given, "--if-due", "--after", 30, "--json").stdout)
-    assert waiting == {"due": False, "cycles": 0}
+    assert waiting == {"ok": True, "due": False, "cycles": 0}
     refused(
         decanter("model", "cycles", tmp_path / "none"), 2, "is no library of cycles; `decanter model retrain` makes one"
     )
@@ -669,7 +669,7 @@ def test_a_timer_retrains_on_its_own_bearings_drift_alarm_and_waits_without_a_re
     def due(*more: object) -> dict[str, Any]:
         return only_object(decanter(*given, "--json", *more).stdout)
 
-    assert due() == {"due": False, "cycles": CYCLES - 1}, "never retrained is no reason"
+    assert due() == {"ok": True, "due": False, "cycles": CYCLES - 1}, "never retrained is no reason"
     monkeypatch.setattr("time.time", lambda: begin + 3 * 86_400.0)
     assert due("--every", 4)["due"] is False, "the version was made three days ago"
     said = decanter(*given, "--every", 2).stdout
@@ -684,7 +684,7 @@ def test_a_timer_retrains_on_its_own_bearings_drift_alarm_and_waits_without_a_re
     own.put("guards", [(last, json.dumps({"drift": guards | {"cycles": 1}}))])
     assert gateway.close()
     written(path, more)
-    assert due() == {"due": False, "cycles": 4}
+    assert due() == {"ok": True, "due": False, "cycles": 4}
     gateway = open_historian(path)
     gateway.of("decanter", tags, temperature=TEMPERATURE).put("guards", [(last, json.dumps({"drift": guards}))])
     assert gateway.close()
