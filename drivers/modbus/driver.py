@@ -249,6 +249,7 @@ class ModbusDriver:
         self._searches: dict[tuple[Area, int, int], BlockSearch] = {}
         # By a tag's identity, of those with a period of their own.
         self._paced: dict[int, PacedTag] = {}
+        self._paced_over = 0
         self._counts = dict.fromkeys(("retries", "busy", "writes", "late_read_backs", "bisections"), 0)
         self._line = shared.join(settings)
         self.supervisor = shared.supervisor
@@ -285,6 +286,11 @@ class ModbusDriver:
     async def _in_turn(self, tags: Sequence[Tag], paced: Sequence[Tag]) -> list[Sample]:
         """Those tags that are due now, and of the others what was read last."""
         now = _now()
+        # Behind another connection there may be another device; one that is let go after each answer says nothing.
+        comes_and_goes = self._settings.close_between_scans or self._line.hangs_up
+        if not comes_and_goes and (self._line.connection is None or self._line.connects != self._paced_over):
+            self._paced.clear()
+        self._paced_over = self._line.connects
         held = {
             id(tag): one.sample
             for tag in paced
@@ -351,6 +357,7 @@ class ModbusDriver:
         try:
             await self._written(layout, values, before_sending)
         finally:
+            self._paced.clear()  # what was written is not what was read
             if self._settings.close_between_scans:
                 self._line.rest()
 
@@ -400,16 +407,9 @@ class ModbusDriver:
             yield write_request(area, place, [word], unit, single=True)
 
     async def _once(self, request: ModbusPDU, before_sending: BeforeSending) -> None:
-        """Send a write. One without an answer ends the connection, so that it cannot be delivered later."""
-        wire = self._line.connection
+        """Send a write."""
         try:
             await self._while_busy(lambda: self._line.ask(request, before_sending, urgent=True), _NOT_TAKEN)
-        except NotAsked:
-            raise
-        except (ReplyTimeout, ReplyMismatch):
-            if wire is not None:
-                self._line.give_up(wire, "a write was not answered: what is left of it must not arrive later")
-            raise
         except DeviceException as error:
             if error.code == _ILLEGAL_FUNCTION and (remedy := _OTHER_FUNCTION.get(request.function_code)):
                 raise DeviceException(error.code, f"{error}; {remedy}") from None
@@ -782,17 +782,24 @@ class PinnedDriver(ModbusDriver):
 
         One that hangs up after each answer is believed where it is the pinned one before the reading and after it.
         """
-        if (unknown := await self._unproven(urgent=False)) is None:
-            samples = await super().read(tags)
-            # What came over a connection that was made meanwhile may be another device's, as what followed a silence.
+        try:
             if (unknown := await self._unproven(urgent=False)) is None:
-                return samples
-        self._paced.clear()  # what was kept of this reading may be another device's
-        return [self._no(tag, *unknown) for tag in tags]
+                samples = await super().read(tags)
+                # What came over a connection that was made meanwhile may be another device's, as what followed a
+                # silence.
+                if (unknown := await self._unproven(urgent=False)) is None:
+                    return samples
+            self._paced.clear()  # what was kept of this reading may be another device's
+            return [self._no(tag, *unknown) for tag in tags]
+        finally:
+            if self._settings.close_between_scans:
+                self._line.rest()
 
     async def write(self, values: Sequence[tuple[Tag, Value]], *, before_sending: BeforeSending = anyhow) -> None:
         """As any driver; raises LinkDown, and nothing is sent, where the device is not known to be the pinned one."""
         if (unknown := await self._unproven(urgent=True)) is not None:
+            if self._settings.close_between_scans:
+                self._line.rest()
             raise LinkDown(f"{unknown[1]}; nothing was sent")
         proof = self._line.proof
 

@@ -104,7 +104,8 @@ def text_of_registers(words: Sequence[int]) -> str:
 
 def text_of_server_id(said: Sequence[int]) -> str:
     """What function 17 said, as text if it is one but for NULs at its ends, else in hexadecimal digits."""
-    data = bytes(said)
+    # Behind its number stands whether it runs, 0xFF or 0x00 (MODBUS V1.1b3, 6.13): who it is does not change with that.
+    data = bytes(said).replace(b"\xff", b"\0")
     plain = data.strip(b"\0\xff ")
     return plain.decode("ascii") if plain and all(32 <= byte < 127 for byte in plain) else data.hex()
 

@@ -21,7 +21,7 @@ from contextlib import contextmanager, suppress
 from pymodbus.pdu import ModbusPDU
 
 from drivers.driver import BeforeSending, Clock, anyhow
-from drivers.errors import DeviceException, DriverError, LinkDown, LinkFault, ReplyMismatch, ReplyTimeout
+from drivers.errors import DeviceException, DriverError, LinkDown, LinkFault, NotAsked, ReplyMismatch, ReplyTimeout
 from drivers.link import Backoff, DeadPeer, Link
 from drivers.modbus.replies import TransactionIds
 from drivers.modbus.settings import ModbusSettings
@@ -140,7 +140,10 @@ class SharedLink:
     async def exchange(
         self, line: "UnitLine", request: ModbusPDU, before_sending: BeforeSending, *, again: bool, urgent: bool
     ) -> WireReply:
-        """Send one request once when it is the unit's turn, and note how it went. `again`: see `Wire.ask`."""
+        """Send one request once when it is the unit's turn, and note how it went. `again`: see `Wire.ask`.
+
+        A write without an answer ends the connection that it was sent on, so that it cannot be delivered later.
+        """
         settings = line.settings
         if (health := self.health.get(settings.unit)) is None:
             health = self.health[settings.unit] = UnitHealth()
@@ -175,6 +178,8 @@ class SharedLink:
                 if shadowed or not self._is_its_own(settings, health, started):
                     with self._noting_its_end(wire):
                         self.link.failed(wire, waited, str(error))
+                if request.function_code in WRITES and not isinstance(error, NotAsked):
+                    self.give_up(wire, "a write was not answered: what is left of it must not arrive later")
                 raise
             except DeviceException as error:
                 line.counts["exceptions"] += 1
@@ -529,9 +534,10 @@ class UnitLine:
         """It changes with each connection, and with each question to the unit that has had no answer."""
         return self._shared.link.connects, self.counts["timeouts"] + self.counts["mismatches"]
 
-    def give_up(self, wire: AnyWire, reason: str) -> None:
-        """End this connection, if it is still the present one."""
-        self._shared.give_up(wire, reason)
+    @property
+    def hangs_up(self) -> bool:
+        """Whether the device is known to end the connection after its answers."""
+        return self._shared.hangs_up
 
     def statistics(self) -> Mapping[str, float]:
         """The unit's counters, and those of the connection that it has a part of."""

@@ -13,6 +13,7 @@ from drivers.driver import Complains
 from drivers.errors import DeviceException, DriverError, LinkDown
 from drivers.modbus.ascii import AsciiStream, ascii_frame
 from drivers.modbus.driver import PinnedDriver, open_modbus
+from drivers.modbus.identity import text_of_server_id
 from drivers.modbus.rtu import crc
 from drivers.modbus.settings import place_of, read_settings
 from drivers.tag import DType, Quality, Sample, Tag
@@ -345,6 +346,32 @@ async def test_a_device_that_hangs_up_after_each_answer_is_read_and_a_write_is_r
         assert (16, 0, 1) in plug.device.asked
 
 
+async def test_a_write_without_an_answer_ends_the_connection_that_it_was_sent_on() -> None:
+    async with plugged(Device(hangs_up=True)) as (plug, driver):
+        async with asyncio.timeout(60):
+            while not good(await driver.read(TAGS)) or plug.connections < 5:
+                await asyncio.sleep(0.01)
+        plug.device.hangs_up = False  # it has the habit, and is in the middle of a connection
+        async with asyncio.timeout(60):
+            while not plug.open or not good(await driver.read(TAGS)):
+                await asyncio.sleep(0.01)
+        keep, sent_on = plug.device.answer, list[asyncio.StreamWriter]()
+
+        def unanswered(pdu: bytes) -> bytes | None:
+            if pdu[0] != 16:
+                return keep(pdu)
+            sent_on.extend(plug.open[-1:])
+            return None
+
+        plug.device.answer = unanswered  # type: ignore[method-assign]
+        with pytest.raises(DriverError):
+            await driver.write([(TAGS[1], 777)])
+        assert len(sent_on) == 1
+        async with asyncio.timeout(20):
+            while sent_on[0] in plug.open:
+                await asyncio.sleep(0.01)
+
+
 async def test_a_connection_is_left_to_others_between_two_scans() -> None:
     async with plugged(Device(), close_between_scans=True) as (plug, driver):
         for count in (1, 2, 3):
@@ -461,3 +488,9 @@ def test_a_host_that_contradicts_the_port_is_refused() -> None:
     for given in ({"host": "plc:1502", "port": 502}, {"host": "plc:70000"}):
         with pytest.raises(DriverError, match="port"):
             read_settings(given)
+
+
+def test_whether_a_device_runs_is_no_part_of_who_it_is() -> None:
+    running, stopped = b"\x0a\x42\xff", b"\x0a\x42\x00"
+    assert text_of_server_id(running) == text_of_server_id(stopped) != text_of_server_id(b"\x0a\x43\x00")
+    assert text_of_server_id(b"PLC 7\xff") == text_of_server_id(b"PLC 7\x00") == "PLC 7"
