@@ -286,8 +286,8 @@ class ModbusDriver:
     async def _in_turn(self, tags: Sequence[Tag], paced: Sequence[Tag]) -> list[Sample]:
         """Those tags that are due now, and of the others what was read last."""
         now = _now()
-        # Behind another connection there may be another device; one that is let go after each answer says nothing.
-        comes_and_goes = self._settings.close_between_scans or self._line.hangs_up
+        # Behind another connection there may be another device, unless it says on each who it is.
+        comes_and_goes = bool(self._settings.identity) and (self._settings.close_between_scans or self._line.hangs_up)
         if not comes_and_goes and (self._line.connection is None or self._line.connects != self._paced_over):
             self._paced.clear()
         self._paced_over = self._line.connects
@@ -296,12 +296,14 @@ class ModbusDriver:
             for tag in paced
             if (one := self._paced.get(id(tag))) is not None and now < one.due - _PACE_SLACK * tag.period
         }
-        asked = [tag for tag in tags if id(tag) not in held] if held else tags
+        asked, writes = [tag for tag in tags if id(tag) not in held] if held else tags, self._counts["writes"]
         read = {id(tag): sample for tag, sample in zip(asked, await self._scanned(asked, all_due=True), strict=True)}
         for tag in paced:
             if (sample := read.get(id(tag))) is not None:
                 # What was not read is asked for with the next scan.
-                due = now + tag.period if sample.sent is not None else now
+                # What was read while something was written may be older than that.
+                kept = sample.sent is not None and self._counts["writes"] == writes
+                due = now + tag.period if kept else now
                 self._paced[id(tag)] = PacedTag(tag, sample, due)
         return [read[id(tag)] if id(tag) in read else held[id(tag)] for tag in tags]
 
