@@ -33,8 +33,8 @@ from gateway.commission.session import (
 from gateway.commission.writeback.write_plan import problems_of
 from gateway.console import CommandResult, Line, Part
 from gateway.entry import Exit, exit_code, sentences
-from gateway.machine.model import load_model
-from gateway.plant import check_plant
+from gateway.machine.model import LoadedModel, ModelsAtStart, models_at_start
+from gateway.plant import check_common, check_machine
 from gateway.settings import Config, load_plant
 
 _SAYS_SO = frozenset({Quality.NO_DATA, Quality.SENSOR_FAILURE})
@@ -47,7 +47,13 @@ async def check_configuration(sites: Mapping[str, Site], *, offline: bool) -> Co
     `sites` are the device over each of its links, by the links' names.
     """
     first = next(iter(sites.values()))
-    steps = [*_files(first), *_models(first), *_contract(first), *_found(first), *_clock(first)]
+    config, steps = first.target.config, _files(first)
+    if config is None:
+        steps.append(warning("model", "only the device file was given (--device): the model is not checked"))
+        steps += _contract(first)
+    else:
+        models = models_at_start(config)
+        steps += [*_models(config, models), *_contract(first), *_found(config, models), *_clock()]
     rows: list[dict[str, Any]] = []
     absent: list[DriverError] = []
     for name, site in sites.items():
@@ -91,24 +97,12 @@ def _files(site: Site) -> list[CheckStep]:
     return steps
 
 
-def _found(site: Site) -> list[CheckStep]:
+def _found(config: Config, models: ModelsAtStart) -> list[CheckStep]:
     """What the judge of the plant file finds beside what has a step of its own."""
-    config = site.target.config
-    if config is None:
-        return []
-    found = [
-        finding
-        for finding in check_plant(load_plant(config.path))
-        if finding.machine in (config.machine, "" if config.leads else config.machine)
-        and finding.part not in _STEP_OF_ITS_OWN
-        # What cannot be run, and whether the first models may be used, stand in the step of the models.
-        and not (finding.part == "model" and (finding.grave or not config.ensemble.members))
-    ]
+    found = [one for one in check_machine(config, models) if one.part != "model"]
+    found += check_common(config) if config.leads else []
     steps = [(failed if finding.grave else warning)(finding.part, finding.sentence) for finding in found]
     return steps + [step for step in _told(config) if step.name not in {one.part for one in found}]
-
-
-_STEP_OF_ITS_OWN = frozenset({"device", "places"})
 
 
 def _told(config: Config) -> list[CheckStep]:
@@ -124,10 +118,10 @@ def _told(config: Config) -> list[CheckStep]:
     return steps
 
 
-def _clock(site: Site) -> list[CheckStep]:
+def _clock() -> list[CheckStep]:
     """Whether somebody steers this computer's clock, by which a plant's records are dated."""
     error = clock_error()
-    if site.target.config is None or error is None:
+    if error is None:
         return []
     if isinf(error):
         return [
@@ -149,36 +143,33 @@ def _places(site: Site) -> list[CheckStep]:
     return [ok("places", f"{len(plan.requests)} requests for {count} addresses; none is used twice")]
 
 
-def _models(site: Site) -> list[CheckStep]:
-    """The model of each predicted temperature, and that the plant has what it reads."""
-    config = site.target.config
-    if config is None:
-        return [warning("model", "only the device file was given (--device): the model is not checked")]
+def _models(config: Config, models: ModelsAtStart) -> list[CheckStep]:
+    """The models of each predicted temperature, and that the plant has what they read."""
     if all(one.model.path is None for one in config.followed):
         key = "no temperature has a model" if len(config.followed) > 1 else "model.path is not set"
         return [warning("model", f"{key}: the gateway watches the limit and predicts nothing")]
-    steps = []
-    for one in config.followed:
-        tag = one.model.temperature
-        try:
-            loaded = load_model(one)
-        except ValueError as error:
-            steps.append(failed("model", str(error)))
-            continue
-        if loaded is None:
-            steps.append(warning("model", f"{tag} has no model: it is watched and not predicted"))
-            continue
-        machine = loaded.model.provenance.settings.get("machine")
-        own = f", with what it knows of the machine {machine}" if machine else ""
-        own = f", as a new machine of the type of {', '.join(loaded.model.machines)}" if loaded.model.machines else own
-        sentence = f"{loaded.model.sha.name} ({loaded.hash[:12]}) predicts {tag}{own}"
-        if (verdict := loaded.verdict) is not None:
-            sentence = f"{sentence}; it is {verdict.sentence}"
-            if verdict.word != "fit":
-                steps.append((failed if verdict.word == "unfit" else warning)("model", sentence))
-                continue
-        steps.append(warning("model", f"{sentence}; {loaded.warning}") if loaded.warning else ok("model", sentence))
+    loaded, problem = models
+    steps = [failed("model", problem)] if problem else []
+    for one, (first, members) in zip(config.followed, loaded, strict=True):
+        if one.model.path is None:
+            steps.append(warning("model", f"{one.model.temperature} has no model: it is watched and not predicted"))
+        steps += [_judged(model, one.model.temperature) for model in (first, *members) if model is not None]
     return steps
+
+
+def _judged(loaded: LoadedModel, tag: str) -> CheckStep:
+    """One model, and whether it may be used."""
+    model, verdict = loaded.model, loaded.verdict
+    machine = model.provenance.settings.get("machine")
+    own = f", with what it knows of the machine {machine}" if machine else ""
+    own = f", as a new machine of the type of {', '.join(model.machines)}" if model.machines else own
+    parts = [f"{model.sha.name} ({loaded.hash[:12]}) predicts {tag}{own}"]
+    parts += [] if verdict is None else [f"it is {verdict.sentence}"]
+    parts += [loaded.warning] if loaded.warning else []
+    if verdict is not None and verdict.word == "unfit":
+        return failed("model", "; ".join(parts))
+    limited = loaded.warning or (verdict is not None and verdict.word != "fit")
+    return (warning if limited else ok)("model", "; ".join(parts))
 
 
 def _contract(site: Site) -> list[CheckStep]:

@@ -21,7 +21,7 @@ from gateway.demo.prepare import DemoBearing, DemoRun
 from gateway.machine.reading import STALE_PERIODS
 from gateway.settings import load_device
 from gateway.store import events, history, matured, samples, scorecard, to_trace
-from sim.lab.judge import FitnessLimits, TraceJob, TraceRunSettings, fitness_of, model_facts, run_job, why
+from sim.lab.judge import FitnessLimits, TraceJob, TraceRunSettings, fitness_of, model_facts, run_job
 from sim.lab.judge import judge as criteria
 from sim.lab.pictures import Curve, Picture, draw
 from sim.sha import Array, Mask, Model
@@ -44,7 +44,8 @@ def fitness(setting: DemoRun, model: Model) -> dict[str, str]:
     run = TraceRunSettings(FITNESS_RUNS, seed=setting.seed)
     job = TraceJob(label=model.sha.name, semantics="carried", model=model, trace=trace, settings=run, seen="no")
     found = criteria([run_job(job).result], model_facts(model), FitnessLimits(synthetic=trace.synthetic))
-    return {"word": fitness_of(found), "why": why(found)}
+    verdict = fitness_of(found)
+    return {"word": verdict.word, "why": verdict.why}
 
 
 def judge(setting: DemoRun, recording: Path, historian: Path) -> dict[str, Any]:

@@ -19,6 +19,6 @@ if TYPE_CHECKING:
         without_arming,
     )
     from gateway.plant.log import open_log
-    from gateway.plant.plant_check import PlantFinding, check_plant
+    from gateway.plant.plant_check import PlantFinding, check_common, check_machine, check_plant
 else:
     __getattr__ = opened_at_use(__name__)

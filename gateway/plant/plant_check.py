@@ -9,8 +9,7 @@ from __future__ import annotations
 
 import os
 import socket
-import stat
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,13 +26,11 @@ from gateway.plant.shared_connections import on_one_connection
 from gateway.plant.shortfalls import of_plant
 from gateway.settings import Config
 from gateway.store import SQLITE_HEADER, SigningKeyError, load_key
-from sim.sha import distributions
+from sim.sha import RELAXING, distributions
 from sim.units import shown_unit
 
 REACH = 2.0
 """A limit so many times the model's span of temperatures above the hottest of them never comes within reach."""
-_TEMPERATURE_IS_M = frozenset({"exponential", "driven"})
-"""Flows whose mode parameter is the temperature that they lead to."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,13 +57,22 @@ def check_plant(
     known = known or {}
     found = [*_devices(configs)]
     for config in configs:
-        models, problem = known[config.machine] if config.machine in known else models_at_start(config)
-        found += [PlantFinding("model", problem, config.machine)] if problem else []
-        found += [PlantFinding("model", said, config.machine, grave=False) for said in unfit_models(config, models)]
-        found += [PlantFinding("limits", said, config.machine, grave=False) for said in limit_doubts(config, models)]
-    found += [PlantFinding(part, sentence) for part, sentence in of_plant(configs[0]).items()]
-    found += [*_records(configs[0]), *_ports(configs[0])]
-    return tuple(sorted(found, key=lambda finding: not finding.grave))
+        found += check_machine(config, known[config.machine] if config.machine in known else models_at_start(config))
+    return tuple(sorted([*found, *check_common(configs[0])], key=lambda finding: not finding.grave))
+
+
+def check_machine(config: Config, models: ModelsAtStart) -> list[PlantFinding]:
+    """What is wrong with a machine's models and limits."""
+    loaded, problem = models
+    found = [PlantFinding("model", problem, config.machine)] if problem else []
+    found += [PlantFinding("model", said, config.machine, grave=False) for said in unfit_models(config, loaded)]
+    return found + [PlantFinding("limits", said, config.machine, grave=False) for said in limit_doubts(config, loaded)]
+
+
+def check_common(config: Config) -> list[PlantFinding]:
+    """What is wrong with what all machines have in common: page, messages, sinks, records, ports."""
+    found = [PlantFinding(part, sentence) for part, sentence in of_plant(config).items()]
+    return [*found, *_records(config), *_ports(config)]
 
 
 def _devices(configs: Sequence[Config]) -> Iterator[PlantFinding]:
@@ -92,57 +98,47 @@ def _devices(configs: Sequence[Config]) -> Iterator[PlantFinding]:
 
 def _records(config: Config) -> Iterator[PlantFinding]:
     """Files that the gateway would write and this user cannot, or that are something else."""
-    written = {
-        "historian.path": config.historian.path,
-        "writeback.audit": config.audit,
-        "writeback.audit_key": config.audit_key,
-        "writeback.audit_heads": config.audit_heads,
-        "log.path": config.log.path,
-        "control.path": config.control_socket,
+    own: dict[str, Callable[[Path], str]] = {
+        "historian.path": _no_database,
+        "writeback.audit": _no_database,
+        "writeback.audit_key": _no_key,
+        "control.path": _no_socket,
     }
-    for key, path in written.items():
-        if path is None:
-            continue
-        reason, grave = _unwritable(path), True
-        if reason.startswith(_NOT_OURS):
-            # Who runs the gateway may be somebody else, as the service's own user is.
-            grave = False
-        if not reason and key == "control.path":
-            reason = _no_socket(path)
-        if not reason and key in ("historian.path", "writeback.audit"):
-            reason = _no_database(path)
-        if not reason and key == "writeback.audit_key" and path.exists():
-            reason = _no_key(path)
+    for key, path in config.written_files.items():
+        reason, grave = _unwritable(path)
+        if not reason and key in own and path.exists():
+            reason = own[key](path)
         if reason:
             yield PlantFinding("records", f"{config.path}: {key}: {path} {reason}", grave=grave)
 
 
-_NOT_OURS = "may by this user not"
+def _unwritable(path: Path) -> tuple[str, bool]:
+    """Why this user cannot have a file there ("": it can), and whether nobody could.
 
-
-def _unwritable(path: Path) -> str:
-    """Why this user cannot have a file there; "" where that can be."""
+    Who runs the gateway may be somebody else, as the service's own user is.
+    """
+    another = "does another user run this?"
     try:
         if path.is_dir():
-            return "is a folder; give the path of a file"
+            return "is a folder; give the path of a file", True
         if path.exists():
-            return "" if os.access(path, os.R_OK | os.W_OK) else f"{_NOT_OURS} be written; does another user run this?"
+            mine = os.access(path, os.R_OK | os.W_OK)
+            return "" if mine else f"may not be written by this user; {another}", mine
         parent = next(place for place in path.absolute().parents if place.exists())
         if not parent.is_dir():
-            return f"cannot be: {parent} is no folder; give the path of a file in one"
+            return f"cannot be: {parent} is no folder; give the path of a file in one", True
         if os.statvfs(parent).f_flag & os.ST_RDONLY:
-            return f"cannot be made: {parent} is on a read-only file system; give another place"
-        writable = os.access(parent, os.W_OK | os.X_OK)
-        return "" if writable else f"{_NOT_OURS} be made in {parent}; does another user run this?"
+            return f"cannot be made: {parent} is on a read-only file system; give another place", True
+        mine = os.access(parent, os.W_OK | os.X_OK)
+        return "" if mine else f"may not be made by this user in {parent}; {another}", mine
     except PermissionError:
-        return f"{_NOT_OURS} be looked at; does another user run this?"
+        return f"may not be looked at by this user; {another}", False
     except OSError as error:
-        return f"cannot be looked at ({error.strerror}); give a place that this user may enter"
+        return f"cannot be looked at ({error.strerror}); give another place", True
 
 
 def _no_socket(path: Path) -> str:
-    there = path.exists() and not stat.S_ISSOCK(path.stat().st_mode)
-    return "is a file that is no socket; give a path of its own" if there else ""
+    return "" if path.is_socket() else "is a file that is no socket; give a path of its own"
 
 
 def _no_key(path: Path) -> str:
@@ -155,7 +151,7 @@ def _no_key(path: Path) -> str:
 
 def _no_database(path: Path) -> str:
     if not path.is_file():
-        return "is no file; give the path of one" if path.exists() else ""
+        return "is no file; give the path of one"
     with path.open("rb") as file:
         head = file.read(len(SQLITE_HEADER))
     return "" if head in (b"", SQLITE_HEADER) else "is no database; give the path of a historian or of a new file"
@@ -253,9 +249,7 @@ def _limits_of_models(config: Config, models: Sequence[LoadedModels]) -> Iterato
         known = [
             model.correction.gain * distributions.mean(place.distribution) + model.correction.offset
             for place in model.sha.locations
-            if place.distribution is not None
-            and place.flow.kind in _TEMPERATURE_IS_M
-            and place.name not in model.borrowed
+            if place.distribution is not None and place.flow.kind in RELAXING and place.name not in model.borrowed
         ]
         if not known:
             continue

@@ -477,6 +477,19 @@ class Config:
         return self.writeback.audit_heads or self.audit.with_suffix(".heads.jsonl")
 
     @property
+    def written_files(self) -> dict[str, Path]:
+        """The files that the gateway writes, by the keys that name them."""
+        named = {
+            "historian.path": self.historian.path,
+            "writeback.audit": self.audit,
+            "writeback.audit_key": self.audit_key,
+            "writeback.audit_heads": self.audit_heads,
+            "log.path": self.log.path,
+            "control.path": self.control_socket,
+        }
+        return {key: path for key, path in named.items() if path is not None}
+
+    @property
     def certificate_folders(self) -> tuple[Path, ...]:
         """The folders of the certificates without which the machine is not read; of the first one's those of the OPC UA
         server too, which the plant has once."""
@@ -786,15 +799,7 @@ def _shared_places(config: Config) -> list[str]:
     Each file that the gateway writes is written as if it were the only one: a log in a device file would spoil it, and
     records in a plant file would set it aside as a damaged database.
     """
-    written = {
-        "historian.path": config.historian.path,
-        "writeback.audit": config.audit,
-        "writeback.audit_key": config.audit_key,
-        "writeback.audit_heads": config.audit_heads,
-        "page.users": config.users,
-        "log.path": config.log.path,
-        "control.path": config.control_socket,
-    }
+    written = {**config.written_files, "page.users": config.users}
     known = {config.path.resolve(): "the plant file itself"}
     for place, link in enumerate(config.links):
         known.setdefault(link.map.path.resolve(), "device.file" if len(config.links) == 1 else f"device.links[{place}]")
@@ -807,12 +812,11 @@ def _shared_places(config: Config) -> list[str]:
     problems = []
     within = {folder: what for read, what in known.items() for folder in read.parents}
     for key, path in written.items():
-        if path is not None and (what := within.get(path.resolve())) is not None:
+        if (what := within.get(path.resolve())) is not None:
             # A folder where records belong is moved aside as damaged, with all that is in it.
             problems.append(f"{key}: {path} is a folder of {what}; give the path of a file")
             continue
-        other = key if path is None else known.setdefault(path.resolve(), key)
-        if other != key:
+        if (other := known.setdefault(path.resolve(), key)) != key:
             problems.append(f"{key}: {path} is the file of {other} too; give each a path of its own")
     return problems
 

@@ -28,6 +28,14 @@ if TYPE_CHECKING:
         version_directory,
         versions,
     )
-    from sim.artefacts.verdict_file import FORECAST, VERDICT_FILE, JudgedCriterion, ModelVerdict, read_verdict, word_of
+    from sim.artefacts.verdict_file import (
+        FORECAST,
+        VERDICT_FILE,
+        JudgedCriterion,
+        ModelVerdict,
+        Word,
+        read_verdict,
+        word_of,
+    )
 else:
     __getattr__ = opened_at_use(__name__)

@@ -3,7 +3,6 @@
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from math import isfinite
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -35,17 +34,10 @@ class JudgedCriterion:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ModelVerdict:
-    """The `word`, all criteria behind it, and figures of the training that a plant is held against.
-
-    `row_s` is the usual time between two rows (s), `coldest` and `hottest` the range of the temperature (degC) that the
-    training had; None where that is not known.
-    """
+    """The `word`, and all criteria behind it."""
 
     word: Word
     criteria: tuple[JudgedCriterion, ...]
-    row_s: float | None = None
-    coldest: float | None = None
-    hottest: float | None = None
 
     @property
     def reasons(self) -> tuple[JudgedCriterion, ...]:
@@ -56,11 +48,16 @@ class ModelVerdict:
         return tuple(each for each in self.criteria if each.criterion == FORECAST)
 
     @property
-    def sentence(self) -> str:
-        """The word with its reasons and what to do next."""
+    def why(self) -> str:
+        """The reasons, and what to do next."""
         reasons = "; ".join(each.sentence for each in self.reasons)
         steps = "; ".join(dict.fromkeys(each.next_step for each in self.reasons if each.next_step))
-        return f"{self.word}{f': {reasons}' if reasons else ''}{f'; next: {steps}' if steps else ''}"
+        return f"{reasons}{f'; next: {steps}' if steps else ''}"
+
+    @property
+    def sentence(self) -> str:
+        """The word with its reasons and what to do next."""
+        return f"{self.word}{': ' if self.why else ''}{self.why}"
 
     def plain(self) -> dict[str, Any]:
         """As JSON carries it, without the file's head."""
@@ -95,9 +92,6 @@ def read_verdict(folder: Path) -> ModelVerdict | None:
         return ModelVerdict(
             word=document["word"],
             criteria=tuple(_criterion(each) for each in document["criteria"]),
-            row_s=_number(document["row_s"]),
-            coldest=_number(document["coldest"]),
-            hottest=_number(document["hottest"]),
         )
     except (AttributeError, KeyError, OverflowError, RecursionError, TypeError, ValueError) as error:
         raise at(file, None, f"cannot be used as a verdict ({str(error)[:80]}); learn the model again") from None
@@ -108,11 +102,3 @@ def _criterion(plain: Mapping[str, Any]) -> JudgedCriterion:
         raise ValueError(f"{plain['kept']!r} says nothing of a criterion")
     texts = {name: str(plain[name]) for name in ("criterion", "sentence", "next_step")}
     return JudgedCriterion(kept=plain["kept"], **texts)
-
-
-def _number(value: object) -> float | None:
-    if value is None:
-        return None
-    if isinstance(value, bool) or not isinstance(value, int | float) or not isfinite(value):
-        raise ValueError(f"{value!r} is no number")
-    return float(value)

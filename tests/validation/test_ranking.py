@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from sim.engine.open_loop_run import Score
 from sim.lab.judge.differences import holm, paired
-from sim.lab.judge.fitness import CRITERIA, Facts, FitnessLimits, fitness_of, fitness_sentence, judge, limits_of
+from sim.lab.judge.fitness import CRITERIA, Facts, FitnessLimits, fitness_of, judge, limits_of
 from sim.lab.judge.ranking import Ranking, Weights, rank, score
 from sim.lab.judge.ranking_page import as_plain, draw_ranking, page, spreads, win_matrix
 from sim.lab.judge.results import Seen, TraceResult
@@ -210,21 +210,21 @@ def test_unseen_traces_are_those_that_are_known_to_be(seen: tuple[Seen, Seen], k
 
 def test_fit_limited_and_unfit_follow_from_the_findings() -> None:
     results = [result("m", "t0")]
-    assert fitness_of(judge(results, KNOWN, FitnessLimits())) == "fit"
-    assert fitness_of(judge(results, Facts(), FitnessLimits())) == "limited"
-    assert fitness_of(judge(results, replace(KNOWN, verified=False), FitnessLimits())) == "unfit"
+    assert fitness_of(judge(results, KNOWN, FitnessLimits())).word == "fit"
+    assert fitness_of(judge(results, Facts(), FitnessLimits())).word == "limited"
+    assert fitness_of(judge(results, replace(KNOWN, verified=False), FitnessLimits())).word == "unfit"
     assert [one.criterion for one in judge(results, KNOWN, FitnessLimits())] == list(CRITERIA)
 
 
 def test_whatever_is_not_kept_says_what_to_do_next() -> None:
     results = [result("m", "t0", coverage=0.2, seen="unknown")]
-    unfit = fitness_sentence(judge(results, KNOWN, FitnessLimits()))
+    unfit = fitness_of(judge(results, KNOWN, FitnessLimits())).sentence
     assert (
         unfit.startswith("unfit: 20.0 % of the readings in the 90 % band") and "; next: learn with more traces" in unfit
     )
-    limited = fitness_sentence(judge([result("m", "t0", seen="unknown")], KNOWN, FitnessLimits()))
+    limited = fitness_of(judge([result("m", "t0", seen="unknown")], KNOWN, FitnessLimits())).sentence
     assert limited.startswith("limited: the model does not say which traces") and "that it has not seen" in limited
-    assert fitness_sentence(judge([result("m", "t0")], KNOWN, FitnessLimits())) == "fit"
+    assert fitness_of(judge([result("m", "t0")], KNOWN, FitnessLimits())).sentence == "fit"
 
 
 def test_coverage_and_persistence_are_judged_on_traces_that_were_not_trained_on() -> None:

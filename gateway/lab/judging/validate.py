@@ -30,7 +30,7 @@ from sim.lab.judge import (
     conduct,
     facts_of,
     findings_of,
-    fitness_sentence,
+    fitness_of,
     gain,
     held,
     load_stage,
@@ -61,7 +61,7 @@ class CampaignFindings:
         sentences = {}
         for name in dict.fromkeys(result.model for result in self.results):
             found = findings_of([result for result in self.results if result.model == name], self.facts.get(name, {}))
-            sentences[name] = {semantics: fitness_sentence(each) for semantics, each in found.items()}
+            sentences[name] = {semantics: fitness_of(each).sentence for semantics, each in found.items()}
         return sentences
 
 

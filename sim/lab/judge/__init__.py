@@ -14,11 +14,9 @@ if TYPE_CHECKING:
         facts_of,
         findings_of,
         fitness_of,
-        fitness_sentence,
         judge,
         limits_of,
         model_facts,
-        why,
     )
     from sim.lab.judge.free_run import TROUBLE, HeldOutFold, TraceJob, TraceRunSettings, held_out, run_job
     from sim.lab.judge.model_judge import judge_learned

@@ -10,8 +10,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from itertools import groupby
 
+from sim.artefacts import JudgedCriterion
 from sim.effects import signals_of
-from sim.lab.judge.fitness import Facts, Finding, findings_of
+from sim.lab.judge.fitness import Facts, findings_of
 from sim.lab.judge.free_run import TraceJob, TraceOutcome, TraceRunSettings, run_job
 from sim.lab.judge.output_folder import COMPLETE, RESULTS, SKILL, Folder, results_csv, results_json
 from sim.lab.judge.pictures import draw_one, drawings
@@ -221,7 +222,7 @@ def _reported(
     folder: Folder,
     progress: Progress,
     skill: ForecastSkill | None,
-    findings: Mapping[str, Sequence[Finding]],
+    findings: Mapping[str, Sequence[JudgedCriterion]],
 ) -> tuple[Stage, ModelReport]:
     """Stage 9: pictures, then the report."""
     last = Stage(9, prepared.label)

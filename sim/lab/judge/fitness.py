@@ -3,16 +3,13 @@
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from math import isfinite
-from typing import Literal
 
+from sim.artefacts import JudgedCriterion, ModelVerdict, word_of
 from sim.lab.judge.results import TRAINED_ON, TraceResult
 from sim.lab.judge.stages import Prepared
 from sim.lab.judge.verdicts import mean
 from sim.proof import verify
 from sim.sha import DEGREES, Model, shown_unit
-
-Fitness = Literal["fit", "limited", "unfit"]
-"""The one answer to "may I use this model": yes; yes, but not where something is not known; no."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,19 +89,6 @@ def facts_of(prepared: Prepared) -> dict[str, Facts]:
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
-    """One criterion: kept, not kept, or None where nothing is known; `sentence` says by which figure.
-
-    `next_step` says what to do about it; empty for a criterion that is kept.
-    """
-
-    criterion: str
-    kept: bool | None
-    sentence: str
-    next_step: str
-
-
-@dataclass(frozen=True, slots=True)
 class Case:
     """What the criteria look at: `results` on all traces, `judged` on those that were not trained on (or on all)."""
 
@@ -114,7 +98,7 @@ class Case:
     limits: FitnessLimits
 
 
-def judge(results: Sequence[TraceResult], facts: Facts, limits: FitnessLimits) -> tuple[Finding, ...]:
+def judge(results: Sequence[TraceResult], facts: Facts, limits: FitnessLimits) -> tuple[JudgedCriterion, ...]:
     """All criteria for one model, in the order of the table."""
     # What was not trained on, where there is any: errors in sample flatter. Failures count by criteria of their own.
     fresh = [result for result in results if result.seen not in TRAINED_ON]
@@ -123,11 +107,13 @@ def judge(results: Sequence[TraceResult], facts: Facts, limits: FitnessLimits) -
     findings = []
     for name, (criterion, next_step) in CRITERIA.items():
         kept, sentence = criterion(case)
-        findings.append(Finding(name, kept, sentence, "" if kept else next_step))
+        findings.append(
+            JudgedCriterion(criterion=name, kept=kept, sentence=sentence, next_step="" if kept else next_step)
+        )
     return tuple(findings)
 
 
-def findings_of(results: Sequence[TraceResult], facts: Mapping[str, Facts]) -> dict[str, tuple[Finding, ...]]:
+def findings_of(results: Sequence[TraceResult], facts: Mapping[str, Facts]) -> dict[str, tuple[JudgedCriterion, ...]]:
     """The criteria for one model under each of its semantics; `facts` are by semantics, "" for all others."""
     by_semantics: dict[str, list[TraceResult]] = {}
     for result in results:
@@ -136,24 +122,9 @@ def findings_of(results: Sequence[TraceResult], facts: Mapping[str, Facts]) -> d
     return {name: judge(own, facts.get(name, unknown), FitnessLimits()) for name, own in by_semantics.items()}
 
 
-def fitness_of(findings: Iterable[Finding]) -> Fitness:
-    """ "unfit" when one criterion is not kept, "limited" when one could not be looked at, else "fit"."""
-    kept = {finding.kept for finding in findings}
-    return "unfit" if False in kept else "limited" if None in kept else "fit"
-
-
-def why(findings: Sequence[Finding]) -> str:
-    """Why a model is limited or unfit and what to do next, of the gravest criteria alone; "" for one that is fit."""
-    word = fitness_of(findings)
-    worst = [finding for finding in findings if finding.kept is (False if word == "unfit" else None)]
-    where = "; ".join(finding.sentence for finding in worst)
-    return f"{where}; next: {'; '.join(finding.next_step for finding in worst)}" if worst else ""
-
-
-def fitness_sentence(findings: Sequence[Finding]) -> str:
-    """The word with its reasons."""
-    reasons = why(findings)
-    return f"{fitness_of(findings)}{': ' if reasons else ''}{reasons}"
+def fitness_of(findings: Sequence[JudgedCriterion]) -> ModelVerdict:
+    """The verdict that the criteria come to; it is told, as a campaign's forecasts have all been made."""
+    return ModelVerdict(word=word_of(findings, told=True), criteria=tuple(findings))
 
 
 Said = tuple[bool | None, str]

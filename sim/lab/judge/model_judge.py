@@ -14,7 +14,7 @@ import numpy as np
 from sim.artefacts import FORECAST, JudgedCriterion, ModelVerdict, word_of
 from sim.lab.learning import MOST_WIDENING, Coverage, first_switch, level_signals
 from sim.proof import Verification, verify
-from sim.sha import DEGREES, Array, Mask, Model, Trace, distributions, shown_unit
+from sim.sha import DEGREES, RELAXING, Array, Mask, Model, Trace, distributions, shown_unit
 
 LEAST_FORECASTS = 8.0
 """Independent held-out forecasts at a horizon below which they say nothing."""
@@ -81,15 +81,7 @@ def judge_learned(model: Model, traces: Sequence[Trace], coverage: Sequence[Cove
         criteria.append(
             JudgedCriterion(criterion=name, kept=kept, sentence=sentence, next_step="" if kept else next_step)
         )
-    values = np.concatenate([column for _, column in case.readings()] or [np.zeros(0)])
-    steps = np.concatenate([np.diff(trace.times) for trace in traces] or [np.zeros(0)])
-    return ModelVerdict(
-        word=word_of(criteria, told=bool(case.told())),
-        criteria=tuple(criteria),
-        row_s=float(np.median(steps[steps > 0])) if np.any(steps > 0) else None,
-        coldest=float(np.quantile(values, 0.01)) if values.size else None,
-        hottest=float(np.quantile(values, 0.999)) if values.size else None,
-    )
+    return ModelVerdict(word=word_of(criteria, told=bool(case.told())), criteria=tuple(criteria))
 
 
 def _verified(case: LearnedCase) -> Said:
@@ -278,7 +270,7 @@ def _stays_within(case: LearnedCase) -> Said:
         (place.name, mean)
         for place in case.model.sha.locations
         if place.distribution is not None
-        and place.flow.kind in ("exponential", "driven")
+        and place.flow.kind in RELAXING
         and place.name not in case.model.borrowed
         and not low - reach <= (mean := distributions.mean(place.distribution)) <= high + reach
     ]
@@ -294,7 +286,7 @@ CRITERIA: Mapping[str, tuple[Callable[[LearnedCase], Said], str]] = {
     "band": (_covers, "learn with more days, or look at the sensor's noise"),
     "units": (_taught_enough, "learn with more days and starts"),
     "readings": (_readings_are_readings, "say the code for no reading in the column map (bad = [...])"),
-    "switch": (_switch_is_upright, "turn the switch round in the column map (invert)"),
+    "switch": (_switch_is_upright, "derive it in the column map from what says standstill: [derived], below = 0.5"),
     "from a plant": (_from_a_plant, "learn from the plant's own recordings"),
     "degrees": (_degrees_are_celsius, "say the unit in the column map, or go on if the machine is kept so warm"),
     "locations": (_places_are_told_apart, "learn with --method bins, or with traces that show them"),

@@ -7,8 +7,9 @@ from math import isfinite, nan
 
 import numpy as np
 
+from sim.artefacts import JudgedCriterion, Word
 from sim.lab.judge.differences import Paired, tested, unit_differences
-from sim.lab.judge.fitness import Facts, Finding, Fitness, FitnessLimits, fitness_of, judge
+from sim.lab.judge.fitness import Facts, FitnessLimits, fitness_of, judge
 from sim.lab.judge.results import TRAINED_ON, Seen, TraceResult
 from sim.lab.judge.worth import ForecastSkill
 from sim.sha import DEGREES
@@ -55,12 +56,12 @@ class Standing:
     traces: int
     failed: int
     seen: Mapping[str, Seen] = field(default_factory=dict)
-    findings: tuple[Finding, ...] = ()
+    findings: tuple[JudgedCriterion, ...] = ()
 
     @property
-    def fitness(self) -> Fitness:
+    def fitness(self) -> Word:
         """Whether it may be used."""
-        return fitness_of(self.findings)
+        return fitness_of(self.findings).word
 
     @property
     def in_sample(self) -> str:

@@ -10,7 +10,8 @@ from math import ceil, floor, inf, isfinite, log10
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sim.lab.judge.fitness import Finding, Fitness, fitness_of, why
+from sim.artefacts import JudgedCriterion, Word
+from sim.lab.judge.fitness import fitness_of
 from sim.lab.judge.metrics import QUANTILES
 from sim.lab.judge.results import Interval, Seen, TraceResult
 from sim.lab.judge.stages import Prepared, Stage, location_row
@@ -87,12 +88,13 @@ class ModelReport:
     pictures: Sequence[ReportFigure] = ()
     missing: Mapping[str, int] = field(default_factory=dict)
     skill: ForecastSkill | None = None
-    findings: Mapping[str, Sequence[Finding]] = field(default_factory=dict)
+    findings: Mapping[str, Sequence[JudgedCriterion]] = field(default_factory=dict)
 
     @property
-    def fitness(self) -> list[tuple[str, Fitness, str]]:
+    def fitness(self) -> list[tuple[str, Word, str]]:
         """(semantics, word, why and what to do next) of each."""
-        return [(name, fitness_of(found), why(found)) for name, found in self.findings.items()]
+        verdicts = {name: fitness_of(found) for name, found in self.findings.items()}
+        return [(name, verdict.word, verdict.why) for name, verdict in verdicts.items()]
 
     @property
     def unit(self) -> str:
