@@ -89,8 +89,7 @@ def plant_findings(plant: Path) -> list[str]:
 
 
 def carry_out(files: Files, wanted: FileChange, template: Path, *, dry_run: bool) -> dict[str, Any]:
-    """Change the files; gives the diff, the backups, and what is not in order then. With `dry_run` nothing is
-    written, and nothing is checked.
+    """Change the files; gives the diff and the backups. With `dry_run` nothing is written, and nothing is checked.
 
     `template` is the shipped register map, whose block's fields are the pattern. Raises ConfigError or OSError.
     """
@@ -121,5 +120,4 @@ def carry_out(files: Files, wanted: FileChange, template: Path, *, dry_run: bool
         "changes": [{"file": str(edit.path), "new": edit.before is None, "diff": edit.diff()} for edit in edits],
         "backups": [str(path) for path in backups],
         "written": bool(edits) and not dry_run,
-        "findings": [] if dry_run or files.plant is None else plant_findings(files.plant),
     }

@@ -2,12 +2,14 @@
 
 import tomllib
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import click
 
 from drivers.named_files import parse_toml
+from gateway.commission.files.change import plant_findings
 from gateway.commission.files.plan_files import Files, find_files
 from gateway.commission.options import SharedOptions
 from gateway.commission.session import Site, Target, perform
@@ -63,7 +65,11 @@ def edit_files(
         target = Target("", files.driver, {}, files=paths)
 
     async def done(_: Site) -> CommandResult:
-        return work(files)
+        result = work(files)
+        # None: no plant file was written, so that nothing is said of whether one is in order.
+        judged = files.plant if result.data["written"] else None
+        findings = None if judged is None else plant_findings(judged)
+        return replace(result, data={**result.data, "findings": findings})
 
     perform(given, command, arguments, done, _view, target=target)
 
@@ -89,9 +95,9 @@ def _view(data: Mapping[str, Any]) -> Iterator[Part]:
             yield f"... and {len(lines) - len(shown)} lines more, as the table above says"
     if data["written"]:
         kept = f" (before: {', '.join(data['backups'])})" if data["backups"] else ""
-        in_order = "" if data["findings"] else " and in order"
+        in_order = " and in order" if data["findings"] == [] else ""
         yield f"written{in_order}: {', '.join(data['files'])}{kept}"
-        yield from (Line(finding, "yellow") for finding in data["findings"])
+        yield from (Line(finding, "yellow") for finding in data["findings"] or ())
     elif data["files"]:
         yield "dry run: nothing was written"
     elif not data.get("problems"):
