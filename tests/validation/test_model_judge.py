@@ -202,12 +202,13 @@ def test_what_has_befallen_the_version_that_ran_before_is_no_obstacle_and_no_fai
     store = tmp_path / "store"
     first, second = (save(store, MODEL, created=float(at), more={VERDICT_FILE: judged().text()}) for at in range(2))
     promote(store, first)
+    whole = (version_directory(store, first) / VERDICT_FILE).read_text(encoding="utf-8")
     (version_directory(store, first) / VERDICT_FILE).write_text("damaged", encoding="utf-8")
     said = CliRunner().invoke(main, ["model", "promote", str(store), second])
     assert said.exit_code == 0 and f"{first} (ran before): its verdict cannot be read" in said.output, said.output
     said = CliRunner().invoke(main, ["model", "promote", str(store), "--add", str(version_directory(store, first))])
     assert said.exit_code == 2 and current(store) == second, "a damaged verdict is not taken along as none"
-    (version_directory(store, first) / VERDICT_FILE).unlink()
+    (version_directory(store, first) / VERDICT_FILE).write_text(whole, encoding="utf-8")
     shutil.rmtree(version_directory(store, second))
     said = CliRunner().invoke(main, ["model", "promote", str(store), first])
     assert said.exit_code == 0 and f"{second} (ran before): its verdict cannot be read" in said.output
