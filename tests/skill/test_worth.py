@@ -14,7 +14,7 @@ NORMAL = ndtri(np.array(DENSE))
 
 
 def rows(horizon: float, machine: str = "A", **errors: float) -> list[SkillRow]:
-    """Forecasts of each method that miss every outcome by its error (degC), at the same ten moments, a horizon apart."""
+    """Forecasts of each method that miss every outcome by its error (degC), at ten moments a horizon apart."""
     return [
         SkillRow(
             machine=machine,
