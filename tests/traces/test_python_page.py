@@ -16,7 +16,7 @@ import decanter_gateway as decanter
 from decanter_gateway import start
 from gateway.lab.python import frames
 from sim.lab.recordings import load_traces, parse_map
-from sim.lab.recordings.mapping import Answers, draft_map
+from sim.lab.recordings.mapping import CHOICES, Answers, draft_map
 from tests.rig.no_bands import without_bands
 from tests.traces.exports import recording, wide
 
@@ -104,6 +104,22 @@ def test_what_cannot_be_read_is_one_sentence(given: object, said: str) -> None:
     with pytest.raises(ValueError, match=re.escape(said)) as raised:
         decanter.read(given)  # type: ignore[arg-type]
     assert "\n" not in str(raised.value) and gettempdir() not in str(raised.value)
+
+
+def test_a_word_is_one_of_those_that_the_command_takes_and_a_string_is_one_of_several(frame: pd.DataFrame) -> None:
+    for name, choices in CHOICES.items():
+        with pytest.raises(ValueError, match=rf"^{name}= 'foo': is no answer; give '{choices[0]}'"):
+            decanter.read(frame, **{name: "foo"})  # type: ignore[arg-type]
+    read = decanter.read(frame, on="1", unit="Bearing temperature=degC")
+    assert read.column_map == decanter.read(frame, on=["1"], unit=["Bearing temperature=degC"]).column_map
+    with pytest.raises(ValueError, match=r"^method='foo': is no answer; give 'bins' or 'lsha'$"):
+        decanter.learn(read, method="foo")  # type: ignore[call-overload]
+    for name in ("policy", "start"):
+        with pytest.raises(ValueError, match=f"^{name}='foo': is no answer; give "):
+            decanter.simulate("nowhere", read, **{name: "foo"})  # type: ignore[arg-type]
+    # The whole word is what is not known, not its first letter.
+    with pytest.raises(ValueError, match=r"^'Motor' cannot drive"):
+        decanter.learn(read, drivers="Motor")
 
 
 def test_a_map_and_answers_are_one_too_many(frame: pd.DataFrame) -> None:

@@ -11,7 +11,7 @@ from math import inf
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from time import time as now
-from typing import TYPE_CHECKING, Literal, overload
+from typing import TYPE_CHECKING, get_args, overload
 
 import pandas as pd
 
@@ -21,6 +21,7 @@ from gateway.lab.checking.simulate import simulate_traces
 from gateway.lab.gap.diagnose import DiagnosisRequest, roles_of, run
 from gateway.lab.judging.skill import MOST_MOMENTS, skill_along, spaced
 from gateway.lab.learning.learn import TaughtModel, taught_model
+from gateway.lab.options import Method
 from gateway.machine.model import forecasts_along
 from gateway.settings import ForecastSection
 from sim.engine import Policy, Start
@@ -29,7 +30,7 @@ from sim.lab.discrepancy import Diagnosis
 from sim.lab.formats import FoundModel, find_model, write_model_directory
 from sim.lab.judge import ForecastSkill
 from sim.lab.learning.lsha import LshaSettings
-from sim.lab.recordings import ColumnMap, TraceError, channel_uses, load_map, load_traces, parse_map
+from sim.lab.recordings import ColumnMap, TraceError, channel_uses, listed, load_map, load_traces, parse_map
 from sim.lab.recordings.mapping import Answers, Undecided, draft_map
 from sim.sha import Array, Model, Trace, encoded
 
@@ -44,6 +45,16 @@ _FRAME = Path("recording") / "frame.csv"
 _SINCE_1970 = 1e8
 """s: a clock beyond it counts since 1970, any other since its beginning."""
 _OPTION = re.compile(r"--([a-z][a-z-]*)")
+
+
+def _several(given: str | Sequence[str]) -> tuple[str, ...]:
+    # A string is a sequence too, of its letters.
+    return tuple(filter(None, (given,) if isinstance(given, str) else given))
+
+
+def _one_of(name: str, given: object, choices: Sequence[str]) -> None:
+    if given not in choices:
+        raise ValueError(f"{name}={given!r}: is no answer; give {listed(map(repr, choices))}")
 
 
 def _quiet(what: str, share: float) -> None:
@@ -155,8 +166,8 @@ def read(
     temperature: str = "",
     current: str | Sequence[str] = (),
     running: str = "",
-    on: Sequence[str] = (),
-    good: Sequence[str] = (),
+    on: str | Sequence[str] = (),
+    good: str | Sequence[str] = (),
     time: str = "",
     dates: str = "",
     timezone: str = "",
@@ -165,7 +176,7 @@ def read(
     stored: str = "",
     duplicates: str = "",
     clock_back: str = "",
-    unit: Sequence[str] = (),
+    unit: str | Sequence[str] = (),
     guess: bool = False,
 ) -> Recording:
     """A recording from a data frame, a file, a folder or a pattern, as `decanter trace map` and `trace show` read it.
@@ -177,22 +188,23 @@ def read(
 
     Raises TraceError (a ValueError) with one sentence: nothing that can be used, or a question with its answers.
     """
-    answers = Answers(
-        temperature=temperature,
-        current=(current,) if isinstance(current, str) and current else tuple(current),
-        running=running,
-        time=time,
-        dates=dates,
-        on=tuple(on),
-        good=tuple(good),
-        timezone=timezone,
-        machine=machine,
-        session=session,
-        stored=stored,
-        duplicates=duplicates,
-        clock_back=clock_back,
-        unit=tuple(unit),
-    )
+    with _said_in_python(""):
+        answers = Answers(
+            temperature=temperature,
+            current=_several(current),
+            running=running,
+            time=time,
+            dates=dates,
+            on=_several(on),
+            good=_several(good),
+            timezone=timezone,
+            machine=machine,
+            session=session,
+            stored=stored,
+            duplicates=duplicates,
+            clock_back=clock_back,
+            unit=_several(unit),
+        )
     if column_map is not None and answers != Answers():
         raise TraceError("a column map says it all; give either column_map or what is to be found out")
     if not isinstance(source, pd.DataFrame):
@@ -292,8 +304,8 @@ def learn(
     recording: Recording,
     *,
     temperature: str | None = None,
-    drivers: Sequence[str] = (),
-    method: Literal["bins", "lsha"] = "bins",
+    drivers: str | Sequence[str] = (),
+    method: Method = "bins",
     settings: LshaSettings | None = None,
     name: str = "decanter",
     seed: int = 0,
@@ -306,8 +318,8 @@ def learn(
     recording: Recording,
     *,
     temperature: list[str] | tuple[str, ...],
-    drivers: Sequence[str] = (),
-    method: Literal["bins", "lsha"] = "bins",
+    drivers: str | Sequence[str] = (),
+    method: Method = "bins",
     settings: LshaSettings | None = None,
     name: str = "decanter",
     seed: int = 0,
@@ -319,8 +331,8 @@ def learn(
     recording: Recording,
     *,
     temperature: str | list[str] | tuple[str, ...] | None = None,
-    drivers: Sequence[str] = (),
-    method: Literal["bins", "lsha"] = "bins",
+    drivers: str | Sequence[str] = (),
+    method: Method = "bins",
     settings: LshaSettings | None = None,
     name: str = "decanter",
     seed: int = 0,
@@ -333,6 +345,7 @@ def learn(
     readings and the `seed`, not on the order of the traces. Raises LearningError (a ValueError) where the recording
     cannot teach a model.
     """
+    _one_of("method", method, get_args(Method))
     if settings is not None and method != "lsha":
         raise ValueError('settings belong to method="lsha"; leave them out, or choose that method')
     lsha = (settings or LshaSettings()) if method == "lsha" else None
@@ -345,7 +358,7 @@ def learn(
             recording.traces,
             recording.column_map,
             temperature=signal,
-            drivers=drivers,
+            drivers=_several(drivers),
             name=name,
             seed=seed,
             lsha=lsha,
@@ -501,6 +514,8 @@ def simulate(
     A row for each trace: errors in the temperature's unit, the 90 % band's coverage (0 to 1) over `runs` stochastic
     runs; a trace that the model cannot follow has the reason in `error`.
     """
+    _one_of("policy", policy, get_args(Policy))
+    _one_of("start", start, get_args(Start))
     chosen = _runnable(model, recording)
     traces = [encoded(trace, chosen.alphabet) for trace in recording.traces]
     rows = simulate_traces(
