@@ -112,7 +112,7 @@ def test_a_word_is_one_of_those_that_the_command_takes_and_a_string_is_one_of_se
             decanter.read(frame, **{name: "foo"})  # type: ignore[arg-type]
     read = decanter.read(frame, on="1", unit="Bearing temperature=degC")
     assert read.column_map == decanter.read(frame, on=["1"], unit=["Bearing temperature=degC"]).column_map
-    with pytest.raises(ValueError, match=r"^method='foo': is no answer; give 'bins' or 'lsha'$"):
+    with pytest.raises(ValueError, match=r"^method='foo': is no answer; give 'bins', 'lsha'$"):
         decanter.learn(read, method="foo")  # type: ignore[call-overload]
     for name in ("policy", "start"):
         with pytest.raises(ValueError, match=f"^{name}='foo': is no answer; give "):
@@ -120,6 +120,32 @@ def test_a_word_is_one_of_those_that_the_command_takes_and_a_string_is_one_of_se
     # The whole word is what is not known, not its first letter.
     with pytest.raises(ValueError, match=r"^'Motor' cannot drive"):
         decanter.learn(read, drivers="Motor")
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"horizons": (300, 60)}, "forecast: horizons: "),
+        ({"horizons": (-1,)}, "forecast: horizons: "),
+        ({"horizons": 60.0}, "forecast: horizons: "),
+        ({"period": 0.0}, "forecast: period: "),
+        ({"seed": -1}, "forecast: seed: "),
+        ({"moments": 0}, "moments=0: there is nothing to forecast from; give a whole number from 1"),
+        ({"scan": 0.0}, "scan=0.0: no scan is so long; give its seconds, above 0"),
+        ({"scan": float("nan")}, "scan=nan: "),
+    ],
+)
+def test_what_cannot_be_forecast_is_one_sentence_before_a_model_is_looked_for(
+    frame: pd.DataFrame, given: dict[str, Any], said: str
+) -> None:
+    recording = decanter.read(frame)
+    for function in (decanter.forecast, decanter.judge):
+        with pytest.raises(ValueError, match=f"^{re.escape(said)}") as raised:
+            function("nowhere", recording, **given)
+        assert "\n" not in str(raised.value) and "pydantic" not in str(raised.value)
+    for horizons in ([60, 300], (60.0, 300.0), np.array([60.0, 300.0])):
+        with pytest.raises(ValueError, match="nowhere"):
+            decanter.forecast("nowhere", recording, horizons=horizons)
 
 
 def test_a_map_and_answers_are_one_too_many(frame: pd.DataFrame) -> None:

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, get_args, overload
 
 import pandas as pd
 
+from drivers.settings import checked
 from gateway.console import shipped
 from gateway.entry import sentence
 from gateway.lab.checking.simulate import simulate_traces
@@ -400,10 +401,11 @@ def forecast(
     probability that `limit` is reached by then. Nothing of what comes after a moment is known to its forecast. Raises
     ValueError for a trace without a signal that the model reads.
     """
+    asked = _asked(horizons, period, seed, moments=moments, scan=scan)
     chosen = _runnable(model, recording)
     rows = []
     for trace in recording.traces:
-        section = ForecastSection(horizons=tuple(horizons), period=spaced(trace, period, moments), seed=seed)
+        section = asked.model_copy(update={"period": spaced(trace, asked.period, moments)})
         for made in forecasts_along([chosen], trace, section, scan_period=scan, since=since, limit=limit):
             for column, horizon in enumerate(made.horizons.tolist()):
                 quantiles = dict(zip(made.levels, made.quantiles[:, column].tolist(), strict=True))
@@ -420,6 +422,15 @@ def forecast(
         raise ValueError("there is no moment to forecast from; give a longer recording or an earlier since")
     frame = pd.DataFrame(rows)
     return frame.assign(time=_moments(frame["time"].to_numpy()), due=_moments(frame["due"].to_numpy()))
+
+
+def _asked(horizons: Sequence[float], period: float, seed: int, *, moments: int, scan: float) -> ForecastSection:
+    if moments < 1:
+        raise ValueError(f"moments={moments!r}: there is nothing to forecast from; give a whole number from 1")
+    if not 0 < scan < inf:
+        raise ValueError(f"scan={scan!r}: no scan is so long; give its seconds, above 0")
+    wanted = {"horizons": horizons, "period": period, "seed": seed}
+    return checked(ForecastSection, wanted, "forecast")
 
 
 def judge(
@@ -439,11 +450,12 @@ def judge(
     Beside persistence, and beside the statistical rivals fitted to `training` where that is given. Times as those of
     `forecast`. Raises ValueError where no forecast came due.
     """
+    asked = _asked(horizons, period, seed, moments=moments, scan=scan)
     along = skill_along(
         [_runnable(model, recording)],
         recording.traces,
         training=None if training is None else training.traces,
-        forecasts=ForecastSection(horizons=tuple(horizons), period=period, seed=seed),
+        forecasts=asked,
         scan=scan,
         moments=moments,
         report=progress,
