@@ -1,5 +1,6 @@
 """The page on Python is run as it stands, and the door says what the commands say, in its own words."""
 
+import ast
 import re
 import runpy
 from dataclasses import fields
@@ -155,9 +156,22 @@ def test_a_map_and_answers_are_one_too_many(frame: pd.DataFrame) -> None:
         decanter.learn(decanter.read(frame), settings=frames.LshaSettings())
 
 
+def test_the_door_shows_what_it_hands_out() -> None:
+    handed = {name for name in dir(decanter) if hasattr(frames, name) and not name.startswith("_")}
+    assert {"read", "learn", "forecast", "judge", "LearnedModel"} <= handed
+    assert all(getattr(decanter, name) is getattr(frames, name) for name in decanter.NAMES)  # type: ignore[attr-defined]
+    # The names for the type checker are the same ones.
+    door = ast.parse(Path(decanter.__file__).read_text(encoding="utf-8"))
+    imports = [node for node in ast.walk(door) if isinstance(node, ast.ImportFrom)]
+    (checked,) = (node for node in imports if node.module == frames.__name__)
+    assert [alias.name for alias in checked.names] == list(decanter.NAMES)  # type: ignore[attr-defined]
+
+
 def test_what_is_not_handed_out_is_said_and_a_strangers_package_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(AttributeError, match="nothing_of_this_name"):
-        _ = decanter.nothing_of_this_name  # type: ignore[attr-defined]
+    # What the functions are made with is not handed out, be it imported or written beside them.
+    for name in ("nothing_of_this_name", "re", "pd", "ForecastSection", "_write"):
+        with pytest.raises(AttributeError, match=f"module 'decanter_gateway' has no attribute '{name}'"):
+            getattr(decanter, name)
     monkeypatch.setattr(start, "stranger", lambda home: "another one's")
     with pytest.raises(ImportError, match="another one's"):
         _ = decanter.simulate
