@@ -80,6 +80,20 @@ def test_a_data_frame_is_read_as_its_file_is(frame: pd.DataFrame, export: Path) 
     assert list(back["time"]) == list(frame.index.tz_localize("UTC"))
 
 
+def test_an_index_of_several_levels_is_columns_and_a_time_since_the_beginning_is_seconds(frame: pd.DataFrame) -> None:
+    two = pd.concat({"A": frame, "B": frame + 1.0}, names=["Machine"])
+    read = decanter.read(two)
+    assert [(trace.machine, trace.times.size) for trace in read.traces] == [("A", len(frame)), ("B", len(frame))]
+    since = frame.index - frame.index[0]
+    for index in (since, since.rename("Time")):
+        (trace,) = decanter.read(frame.set_index(index)).traces
+        assert trace.times.tolist() == since.total_seconds().tolist()
+    (trace,) = decanter.read(frame.assign(Time=since).reset_index(drop=True)).traces
+    assert trace.times.tolist() == since.total_seconds().tolist()
+    with pytest.raises(ValueError, match=r"^the data frame has 'Time' as a column and in its index; drop one of them$"):
+        decanter.read(frame.assign(Time=frame.index))
+
+
 def test_a_question_names_the_arguments_that_answer_it(frame: pd.DataFrame) -> None:
     doubled = frame.rename(columns={"Bearing temperature": "T 1", "Motor current": "T 2"})
     with pytest.raises(ValueError, match=r"temperature='T 1' or temperature='T 2'$") as raised:

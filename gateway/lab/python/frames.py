@@ -43,6 +43,8 @@ Progress = Callable[[str, float], None]
 Frame = pd.DataFrame
 _FRAME = Path("recording") / "frame.csv"
 """What a data frame is called; the folder is the machine of traces that say none."""
+_CLOCKS = (pd.DatetimeIndex, pd.PeriodIndex, pd.TimedeltaIndex)
+"""What an index without a name is when it is a clock."""
 _SINCE_1970 = 1e8
 """s: a clock beyond it counts since 1970, any other since its beginning."""
 _OPTION = re.compile(r"--([a-z][a-z-]*)")
@@ -183,9 +185,10 @@ def read(
     """A recording from a data frame, a file, a folder or a pattern, as `decanter trace map` and `trace show` read it.
 
     A data frame has a row for each time and a column for each signal, or a row for each reading; its clock is a column
-    of times or its index. `column_map` is a map, its file, or a name in config/traces; without one it is drafted, and
-    what the recording leaves open is answered by the other arguments, each as the option of that name of `trace map`:
-    columns by their headers, `unit` as "COLUMN=UNIT". `guess` takes the most likely answer.
+    of times or its index. The levels of an index are columns; times since a beginning are seconds. `column_map` is a
+    map, its file, or a name in config/traces; without one it is drafted, and what the recording leaves open is answered
+    by the other arguments, each as the option of that name of `trace map`: columns by their headers, `unit` as
+    "COLUMN=UNIT". `guess` takes the most likely answer.
 
     Raises TraceError (a ValueError) with one sentence: nothing that can be used, or a question with its answers.
     """
@@ -270,9 +273,17 @@ def _write(frame: Frame, path: Path) -> None:
         raise TraceError(
             f"the data frame has {len(frame)} rows and {len(frame.columns)} columns; give one with readings"
         )
-    index = frame.index
-    if index.name is not None or isinstance(index, pd.DatetimeIndex):
-        frame = frame.rename_axis(str(index.name or "time")).reset_index()
+    levels = [frame.index.get_level_values(number) for number in range(frame.index.nlevels)]
+    if len(levels) > 1 or levels[0].name is not None or isinstance(levels[0], _CLOCKS):
+        clocks = ["time" if isinstance(level, _CLOCKS) else f"level {place}" for place, level in enumerate(levels)]
+        names = [str(level.name or clock) for level, clock in zip(levels, clocks, strict=True)]
+        if again := sorted({*names} & set(map(str, frame.columns))):
+            raise TraceError(f"the data frame has {again[0]!r} as a column and in its index; drop one of them")
+        frame = frame.rename_axis(names).reset_index()
+    spans = frame.select_dtypes("timedelta").columns
+    if len(spans):
+        frame = frame.copy()
+        frame[spans] = frame[spans].apply(lambda column: column.dt.total_seconds())
     if len(frame.columns) < 2:
         raise TraceError(f"the data frame has one column, {frame.columns[0]!r}; it needs a clock and a temperature")
     path.parent.mkdir()
