@@ -71,6 +71,7 @@ def test_a_data_frame_is_read_as_its_file_is(frame: pd.DataFrame, export: Path) 
         read = decanter.read(given)
         (own,) = read.traces
         assert np.array_equal(own.times, trace.times) and own.events == trace.events and own.machine == "recording"
+        assert own.origin == "the data frame"
         assert {name: column.tobytes() for name, column in own.signals.items()} == {
             name: column.tobytes() for name, column in trace.signals.items()
         }

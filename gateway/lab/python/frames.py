@@ -6,7 +6,7 @@ Each function calls what the command of its name calls. Bad input raises a Value
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from math import inf
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -43,6 +43,7 @@ Progress = Callable[[str, float], None]
 Frame = pd.DataFrame
 _FRAME = Path("recording") / "frame.csv"
 """What a data frame is called; the folder is the machine of traces that say none."""
+_FROM = "the data frame"
 _CLOCKS = (pd.DatetimeIndex, pd.PeriodIndex, pd.TimedeltaIndex)
 """What an index without a name is when it is a clock."""
 _SINCE_1970 = 1e8
@@ -245,7 +246,10 @@ def _read(
         _plain(each, shown) for each in (report.sentences() if report.refused or report.errors else report.warnings)
     ]
     return Recording(
-        traces=tuple(traces),
+        # Where the rows were on their way is gone when somebody asks where they come from.
+        traces=tuple(replace(each, origin=_FROM if shown in each.origin else each.origin) for each in traces)
+        if shown
+        else tuple(traces),
         column_map=column_map.model_copy(update={"alphabet": report.alphabet}),
         text=text,
         account=tuple(file.account() for file in report.files if not file.error),
@@ -308,7 +312,7 @@ def _said_in_python(shown: str) -> Iterator[None]:
 
 def _plain(text: str, shown: str) -> str:
     text = _OPTION.sub(lambda match: match[1].replace("-", "_") + "=", text)
-    return text.replace(shown, "the data frame") if shown else text
+    return text.replace(shown, _FROM) if shown else text
 
 
 @overload
