@@ -3,7 +3,7 @@
 import ast
 import re
 import runpy
-from dataclasses import fields
+from dataclasses import fields, replace
 from inspect import signature
 from pathlib import Path
 from tempfile import gettempdir
@@ -15,6 +15,7 @@ import pytest
 
 import decanter_gateway as decanter
 from decanter_gateway import start
+from gateway.lab.learning import learn
 from gateway.lab.python import frames
 from sim.lab.recordings import load_traces, parse_map
 from sim.lab.recordings.mapping import CHOICES, Answers, draft_map
@@ -169,6 +170,29 @@ def test_a_map_and_answers_are_one_too_many(frame: pd.DataFrame) -> None:
         decanter.read(frame, "decanter", temperature="T")
     with pytest.raises(ValueError, match="settings belong to"):
         decanter.learn(decanter.read(frame), settings=frames.LshaSettings())
+
+
+def test_signals_that_nobody_looked_at_are_named_with_the_reason(
+    frame: pd.DataFrame, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    without_bands(monkeypatch)
+    monkeypatch.setattr(learn, "MOST_OTHERS", 1)
+    noise = np.random.default_rng(0).normal(size=(len(frame), 3)).round(2)
+    read = decanter.read(frame.assign(**dict(zip(("Oil", "Pump", "Valve"), noise.T, strict=True))))
+    (trace,) = read.traces
+    begin, middle, end = trace.times[[0, trace.times.size // 2, -1]]
+    first, second = trace.between(begin, middle), trace.between(middle, end)
+    fewer = {name: column for name, column in second.signals.items() if name != "Valve"}
+    model = decanter.learn(replace(read, traces=(first, replace(second, signals=fewer))))
+    said = [
+        "not looked at: Valve: not every trace has it",
+        "not looked at: Pump: no more than 1 beside the alphabet's are",
+    ]
+    assert list(model.drivers["signal"]) == ["Motor_current", "Oil"]
+    assert [each for each in model.warnings if "looked at" in each] == said
+    assert model.taught is not None
+    shown = list(learn._shown(model.taught, Path("model")))
+    assert all(sentence in shown for sentence in said)
 
 
 def test_the_door_shows_what_it_hands_out() -> None:

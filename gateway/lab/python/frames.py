@@ -106,7 +106,7 @@ class LearnedModel:
     each signal: its verdict, the shares (0 to 1) of the temperature's rises that it explains alone and beyond the other
     drivers, its gain in the end (degC per unit), the share of its own moves that the temperature foretells, and all of
     it as a sentence. `verdict` says where the model may be used ("": nobody has judged it), `warnings` what of the
-    alphabet the traces cannot teach.
+    alphabet the traces cannot teach, and which signals nobody looked at.
     """
 
     model: Model
@@ -387,7 +387,7 @@ def learn(
             tables=tables,
             drivers=pd.DataFrame(rows),
             verdict=taught.verdict.sentence,
-            warnings=warnings,
+            warnings=(*warnings, *taught.not_looked_at),
             taught=taught,
         )
 
