@@ -22,12 +22,28 @@ if TYPE_CHECKING:
         simulate,
     )
 else:
+    NAMES = (
+        "DiagnosedGap",
+        "Judgement",
+        "LearnedModel",
+        "Recording",
+        "check",
+        "diagnose",
+        "forecast",
+        "judge",
+        "learn",
+        "read",
+        "simulate",
+    )
+
+    def __dir__() -> list[str]:
+        return sorted({*globals(), *NAMES})
 
     def __getattr__(name: str) -> Any:
-        """A function of `gateway.lab.python.frames`. Raises ImportError where its packages are somebody else's."""
+        """One of NAMES. Raises ImportError where its packages are somebody else's."""
         from decanter_gateway.start import stranger
 
-        if name.startswith("_") or name in ("start", "__main__"):
+        if name not in NAMES:
             raise AttributeError(f"module 'decanter_gateway' has no attribute {name!r}")
         if (reason := stranger(Path(__file__).parents[1])) is not None:
             raise ImportError(reason)

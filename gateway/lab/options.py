@@ -1,9 +1,12 @@
 """Options that several commands of the laboratory share."""
 
 from pathlib import Path
+from typing import Literal, get_args
 
 import click
 
+Method = Literal["bins", "lsha"]
+"""How a model is learned."""
 historian_option = click.option(
     "--historian", type=click.Path(path_type=Path), required=True, help="The gateway's historian."
 )
@@ -11,7 +14,7 @@ jobs_option = click.option("--jobs", type=click.IntRange(1), help="Worker proces
 library_option = click.option(
     "--library", "folder", type=click.Path(path_type=Path), help="Its cycles  [cycles beside the historian]."
 )
-method_option = click.option("--method", type=click.Choice(["bins", "lsha"]), default="bins", show_default=True)
+method_option = click.option("--method", type=click.Choice(get_args(Method)), default="bins", show_default=True)
 optional_traces_option = click.option(
     "--traces", "paths", multiple=True, help="A file, a folder or a glob; may be given again."
 )

@@ -29,9 +29,10 @@ class Trace:
     """n rows on one clock: `times` (n,) in absolute seconds, never decreasing; `signals` name -> (n,) floats.
 
     Booleans are 0.0 and 1.0. NaN says "no new reading in this row", nothing more; `bad` name -> (n,) marks readings
-    whose quality was bad (their value is NaN too). `held` name -> (n,) marks rows in which no reading of its own
-    stands: the one before still holds there, to within the deadband of what stored it. `events` are empty until
-    encoded. `origin` says where the rows come from (file, scenario and seed), `machine` which of several machines they
+    whose quality was bad (their value is NaN too). `held` name -> (n,), only of signals whose small changes were kept
+    back, marks rows in which no reading of its own stands: the one before holds there to within the deadband, `drawn`
+    gives the likely course. A signal without an entry was read wherever it is finite. `events` are empty until encoded.
+    `origin` says where the rows come from (file, scenario and seed), `machine` which of several machines they
     are of ("": nobody says) and `synthetic` that no plant produced them. `units` are those of the signals, as far as
     they are known. Raises ValueError on shapes that do not match and on times that go back.
     """

@@ -7,21 +7,21 @@ import pytest
 from scipy.special import ndtri
 
 from sim.forecast.ensemble import DENSE
-from sim.lab.judge.rows import SkillRow
+from sim.lab.judge.rows import LEAST_FORECASTS, SkillRow, independent
 from sim.lab.judge.worth import forecast_skill
 
 NORMAL = ndtri(np.array(DENSE))
 
 
 def rows(horizon: float, machine: str = "A", **errors: float) -> list[SkillRow]:
-    """Forecasts of each method that miss every outcome by its error (degC), all at the same ten moments."""
+    """Forecasts of each method that miss every outcome by its error (degC), at ten moments a horizon apart."""
     return [
         SkillRow(
             machine=machine,
             trace="A",
             method=method,
             horizon=horizon,
-            origin=60.0 * moment,
+            origin=horizon * moment,
             outcome=40.0,
             quantiles=40.0 + error + 0.1 * NORMAL,
         )
@@ -61,3 +61,37 @@ def test_several_models_are_named_and_methods_without_a_common_moment_are_not_co
     found = forecast_skill(apart, ["ours"], notes=["first"])
     assert found.worth == () and found.sentences == []
     assert found.notes == ("first", "the methods have no forecast for the same moment, so they cannot be compared")
+
+
+@pytest.mark.parametrize(
+    ("step", "count", "worth"),
+    [(30.0, 4, "1.1"), (30.0, 31, "2"), (900.0, 7, "7"), (9000.0, 7, "7"), (449.0, 15, "7.9")],
+)
+def test_from_few_forecasts_that_do_not_overlap_nothing_is_known(step: float, count: int, worth: str) -> None:
+    made = [
+        replace(row, origin=step * moment)
+        for row in rows(900.0, ours=0.5, persistence=5.0)[::10]
+        for moment in range(count)
+    ]
+    (found,) = forecast_skill(made, ["ours"]).worth
+    assert (found.verdict, found.scored) == ("not known", count) and found.independent < LEAST_FORECASTS
+    assert forecast_skill(made, ["ours"]).sentences == [
+        "at 900 s it is not known whether the model is better than persistence (CRPS 0.444 against 4.94 °C): "
+        f"{count} forecasts had an outcome, worth {worth} that do not overlap; 8 is the fewest that tell"
+    ]
+
+
+def test_traces_and_machines_count_together_and_a_machine_of_which_nothing_is_known_has_no_sentence() -> None:
+    few = [row for row in rows(60.0, "B", ours=1.0, persistence=0.3) if row.origin < 240.0]
+    own = [row for row in few if row.method == "ours"]
+    assert independent(own) == 4.0 and independent([]) == 0.0
+    assert independent([*own, *(replace(row, trace="other") for row in own)]) == 8.0
+    found = forecast_skill([*rows(60.0, "A", ours=0.5, persistence=5.0), *few], ["ours"])
+    assert [(each.machine, each.verdict) for each in found.worth] == [
+        ("", "better"),
+        ("A", "better"),
+        ("B", "not known"),
+    ]
+    assert [sentence.partition(" (")[0] for sentence in found.sentences] == [
+        "at 60 s the model is better than persistence"
+    ]

@@ -1,8 +1,9 @@
 """The page on Python is run as it stands, and the door says what the commands say, in its own words."""
 
+import ast
 import re
 import runpy
-from dataclasses import fields
+from dataclasses import fields, replace
 from inspect import signature
 from pathlib import Path
 from tempfile import gettempdir
@@ -14,9 +15,10 @@ import pytest
 
 import decanter_gateway as decanter
 from decanter_gateway import start
+from gateway.lab.learning import learn
 from gateway.lab.python import frames
 from sim.lab.recordings import load_traces, parse_map
-from sim.lab.recordings.mapping import Answers, draft_map
+from sim.lab.recordings.mapping import CHOICES, Answers, draft_map
 from tests.rig.no_bands import without_bands
 from tests.traces.exports import recording, wide
 
@@ -70,6 +72,7 @@ def test_a_data_frame_is_read_as_its_file_is(frame: pd.DataFrame, export: Path) 
         read = decanter.read(given)
         (own,) = read.traces
         assert np.array_equal(own.times, trace.times) and own.events == trace.events and own.machine == "recording"
+        assert own.origin == "the data frame"
         assert {name: column.tobytes() for name, column in own.signals.items()} == {
             name: column.tobytes() for name, column in trace.signals.items()
         }
@@ -77,6 +80,20 @@ def test_a_data_frame_is_read_as_its_file_is(frame: pd.DataFrame, export: Path) 
     back = decanter.read(frame).frame()
     assert back["Bearing_temperature"].tolist() == frame["Bearing temperature"].tolist()
     assert list(back["time"]) == list(frame.index.tz_localize("UTC"))
+
+
+def test_an_index_of_several_levels_is_columns_and_a_time_since_the_beginning_is_seconds(frame: pd.DataFrame) -> None:
+    two = pd.concat({"A": frame, "B": frame + 1.0}, names=["Machine"])
+    read = decanter.read(two)
+    assert [(trace.machine, trace.times.size) for trace in read.traces] == [("A", len(frame)), ("B", len(frame))]
+    since = frame.index - frame.index[0]
+    for index in (since, since.rename("Time")):
+        (trace,) = decanter.read(frame.set_index(index)).traces
+        assert trace.times.tolist() == since.total_seconds().tolist()
+    (trace,) = decanter.read(frame.assign(Time=since).reset_index(drop=True)).traces
+    assert trace.times.tolist() == since.total_seconds().tolist()
+    with pytest.raises(ValueError, match=r"^the data frame has 'Time' as a column and in its index; drop one of them$"):
+        decanter.read(frame.assign(Time=frame.index))
 
 
 def test_a_question_names_the_arguments_that_answer_it(frame: pd.DataFrame) -> None:
@@ -106,6 +123,48 @@ def test_what_cannot_be_read_is_one_sentence(given: object, said: str) -> None:
     assert "\n" not in str(raised.value) and gettempdir() not in str(raised.value)
 
 
+def test_a_word_is_one_of_those_that_the_command_takes_and_a_string_is_one_of_several(frame: pd.DataFrame) -> None:
+    for name, choices in CHOICES.items():
+        with pytest.raises(ValueError, match=rf"^{name}= 'foo': is no answer; give '{choices[0]}'"):
+            decanter.read(frame, **{name: "foo"})  # type: ignore[arg-type]
+    read = decanter.read(frame, on="1", unit="Bearing temperature=degC")
+    assert read.column_map == decanter.read(frame, on=["1"], unit=["Bearing temperature=degC"]).column_map
+    with pytest.raises(ValueError, match=r"^method='foo': is no answer; give 'bins', 'lsha'$"):
+        decanter.learn(read, method="foo")  # type: ignore[call-overload]
+    for name in ("policy", "start"):
+        with pytest.raises(ValueError, match=f"^{name}='foo': is no answer; give "):
+            decanter.simulate("nowhere", read, **{name: "foo"})  # type: ignore[arg-type]
+    # The whole word is what is not known, not its first letter.
+    with pytest.raises(ValueError, match=r"^'Motor' cannot drive"):
+        decanter.learn(read, drivers="Motor")
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"horizons": (300, 60)}, "forecast: horizons: "),
+        ({"horizons": (-1,)}, "forecast: horizons: "),
+        ({"horizons": 60.0}, "forecast: horizons: "),
+        ({"period": 0.0}, "forecast: period: "),
+        ({"seed": -1}, "forecast: seed: "),
+        ({"moments": 0}, "moments=0: there is nothing to forecast from; give a whole number from 1"),
+        ({"scan": 0.0}, "scan=0.0: no scan is so long; give its seconds, above 0"),
+        ({"scan": float("nan")}, "scan=nan: "),
+    ],
+)
+def test_what_cannot_be_forecast_is_one_sentence_before_a_model_is_looked_for(
+    frame: pd.DataFrame, given: dict[str, Any], said: str
+) -> None:
+    recording = decanter.read(frame)
+    for function in (decanter.forecast, decanter.judge):
+        with pytest.raises(ValueError, match=f"^{re.escape(said)}") as raised:
+            function("nowhere", recording, **given)
+        assert "\n" not in str(raised.value) and "pydantic" not in str(raised.value)
+    for horizons in ([60, 300], (60.0, 300.0), np.array([60.0, 300.0])):
+        with pytest.raises(ValueError, match="nowhere"):
+            decanter.forecast("nowhere", recording, horizons=horizons)
+
+
 def test_a_map_and_answers_are_one_too_many(frame: pd.DataFrame) -> None:
     with pytest.raises(ValueError, match="give either column_map or"):
         decanter.read(frame, "decanter", temperature="T")
@@ -113,9 +172,45 @@ def test_a_map_and_answers_are_one_too_many(frame: pd.DataFrame) -> None:
         decanter.learn(decanter.read(frame), settings=frames.LshaSettings())
 
 
+def test_signals_that_nobody_looked_at_are_named_with_the_reason(
+    frame: pd.DataFrame, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    without_bands(monkeypatch)
+    monkeypatch.setattr(learn, "MOST_OTHERS", 1)
+    noise = np.random.default_rng(0).normal(size=(len(frame), 3)).round(2)
+    read = decanter.read(frame.assign(**dict(zip(("Oil", "Pump", "Valve"), noise.T, strict=True))))
+    (trace,) = read.traces
+    begin, middle, end = trace.times[[0, trace.times.size // 2, -1]]
+    first, second = trace.between(begin, middle), trace.between(middle, end)
+    fewer = {name: column for name, column in second.signals.items() if name != "Valve"}
+    model = decanter.learn(replace(read, traces=(first, replace(second, signals=fewer))))
+    said = [
+        "not looked at: Valve: not every trace has it",
+        "not looked at: Pump: no more than 1 beside the alphabet's are",
+    ]
+    assert list(model.drivers["signal"]) == ["Motor_current", "Oil"]
+    assert [each for each in model.warnings if "looked at" in each] == said
+    assert model.taught is not None
+    shown = list(learn._shown(model.taught, Path("model")))
+    assert all(sentence in shown for sentence in said)
+
+
+def test_the_door_shows_what_it_hands_out() -> None:
+    handed = {name for name in dir(decanter) if hasattr(frames, name) and not name.startswith("_")}
+    assert {"read", "learn", "forecast", "judge", "LearnedModel"} <= handed
+    assert all(getattr(decanter, name) is getattr(frames, name) for name in decanter.NAMES)  # type: ignore[attr-defined]
+    # The names for the type checker are the same ones.
+    door = ast.parse(Path(decanter.__file__).read_text(encoding="utf-8"))
+    imports = [node for node in ast.walk(door) if isinstance(node, ast.ImportFrom)]
+    (checked,) = (node for node in imports if node.module == frames.__name__)
+    assert [alias.name for alias in checked.names] == list(decanter.NAMES)  # type: ignore[attr-defined]
+
+
 def test_what_is_not_handed_out_is_said_and_a_strangers_package_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(AttributeError, match="nothing_of_this_name"):
-        _ = decanter.nothing_of_this_name  # type: ignore[attr-defined]
+    # What the functions are made with is not handed out, be it imported or written beside them.
+    for name in ("nothing_of_this_name", "re", "pd", "ForecastSection", "_write"):
+        with pytest.raises(AttributeError, match=f"module 'decanter_gateway' has no attribute '{name}'"):
+            getattr(decanter, name)
     monkeypatch.setattr(start, "stranger", lambda home: "another one's")
     with pytest.raises(ImportError, match="another one's"):
         _ = decanter.simulate

@@ -143,6 +143,7 @@ def learn(
             "machines": asdict(each.spread),
             "drivers": [{**asdict(one), "sentence": one.sentence} for one in each.drivers],
             "left out": list(each.left_out),
+            "not looked at": list(each.not_looked_at),
             "warnings": warnings,
         }
         for folder, each in taught.items()
@@ -172,6 +173,7 @@ def _shown(taught: TaughtModel, out: Path) -> Iterator[Part]:
         yield one.sentence
     for signal in taught.left_out:
         yield f"left out of the alphabet: {signal}, which follows"
+    yield from taught.not_looked_at
     yield spread_sentence(taught.spread, shown_unit(taught.model.unit))
     cycles = taught.cycles
     yield f"familiarity: {f'{cycles} cycles' if cycles else 'unknown, too few cycles with an hour before them'}"
@@ -188,6 +190,7 @@ class TaughtModel:
     """A learned `model` and how it came about: tables `shown`, the machines' `spread`, how many `cycles` are familiar.
 
     `drivers` is what the traces say of each signal; channels of those in `left_out` are not in the model's alphabet.
+    `not_looked_at` are sentences about signals of which it is not known whether they drive the temperature.
     `values`, `observations` and `more` files stand beside it in a model directory; `acceptance` is of `lsha` alone;
     `verdict` says where the model may be used.
     """
@@ -195,6 +198,7 @@ class TaughtModel:
     model: Model
     drivers: tuple[DriverEvidence, ...]
     left_out: tuple[str, ...]
+    not_looked_at: tuple[str, ...]
     shown: Mapping[str, Sequence[Mapping[str, Any]]]
     spread: MachineSpread
     cycles: int
@@ -228,7 +232,7 @@ def taught_model(
     # The judge brings rooms that a command begins without.
     from sim.lab.judge import judge_learned
 
-    column_map, traces, evidence, left_out = _driven(traces, column_map, temperature, drivers)
+    column_map, traces, evidence, left_out, not_looked_at = _driven(traces, column_map, temperature, drivers)
     observations, acceptance, more = None, None, dict[str, str]()
     if lsha is not None:
         from sim.lab.learning.lsha import learn_lsha, report_document, report_text
@@ -256,6 +260,7 @@ def taught_model(
         model=model,
         drivers=evidence,
         left_out=left_out,
+        not_looked_at=not_looked_at,
         shown=shown,
         spread=spread,
         cycles=0 if familiar is None else familiar.reference.held_out.size,
@@ -269,8 +274,10 @@ def taught_model(
 
 def _driven(
     traces: Sequence[Trace], column_map: ColumnMap, temperature: str, drivers: Sequence[str]
-) -> tuple[ColumnMap, Sequence[Trace], tuple[DriverEvidence, ...], tuple[str, ...]]:
+) -> tuple[ColumnMap, Sequence[Trace], tuple[DriverEvidence, ...], tuple[str, ...], tuple[str, ...]]:
     """The map and traces by the alphabet that drives the temperature, the evidence, and which signals are left out.
+
+    At the end sentences about those that were not looked at.
 
     Raises LearningError for a driver that no trace has.
     """
@@ -285,6 +292,12 @@ def _driven(
     switches = [channel.signal for channel in alphabet.channels if not isinstance(channel, Bins)]
     shared = [name for name in known if all(name in trace.signals for trace in traces)]
     others = [name for name in shared if name not in (temperature, *levels, *switches)]
+    absent = [name for name in known if name not in (*shared, temperature, *switches)]
+    reasons = {
+        "not every trace has it": absent,
+        f"no more than {MOST_OTHERS} beside the alphabet's are": others[MOST_OTHERS:],
+    }
+    not_looked_at = tuple(f"not looked at: {', '.join(names)}: {why}" for why, names in reasons.items() if names)
     evidence = drivers_of(
         traces, temperature, [*(name for name in levels if name in shared), *others[:MOST_OTHERS]], gap=alphabet.gap
     )
@@ -298,7 +311,7 @@ def _driven(
     if alphabet is not column_map.alphabet:
         column_map = column_map.model_copy(update={"alphabet": alphabet})
         traces = [replace(trace, events=encode(trace, alphabet)) for trace in traces]
-    return column_map, traces, evidence, left_out
+    return column_map, traces, evidence, left_out, not_looked_at
 
 
 def learn_from(

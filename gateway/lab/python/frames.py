@@ -6,21 +6,23 @@ Each function calls what the command of its name calls. Bad input raises a Value
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from math import inf
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from time import time as now
-from typing import TYPE_CHECKING, Literal, overload
+from typing import TYPE_CHECKING, get_args, overload
 
 import pandas as pd
 
+from drivers.settings import checked
 from gateway.console import shipped
 from gateway.entry import sentence
 from gateway.lab.checking.simulate import simulate_traces
 from gateway.lab.gap.diagnose import DiagnosisRequest, roles_of, run
 from gateway.lab.judging.skill import MOST_MOMENTS, skill_along, spaced
 from gateway.lab.learning.learn import TaughtModel, taught_model
+from gateway.lab.options import Method
 from gateway.machine.model import forecasts_along
 from gateway.settings import ForecastSection
 from sim.engine import Policy, Start
@@ -29,7 +31,7 @@ from sim.lab.discrepancy import Diagnosis
 from sim.lab.formats import FoundModel, find_model, write_model_directory
 from sim.lab.judge import ForecastSkill
 from sim.lab.learning.lsha import LshaSettings
-from sim.lab.recordings import ColumnMap, TraceError, channel_uses, load_map, load_traces, parse_map
+from sim.lab.recordings import ColumnMap, TraceError, channel_uses, listed, load_map, load_traces, parse_map
 from sim.lab.recordings.mapping import Answers, Undecided, draft_map
 from sim.sha import Array, Model, Trace, encoded
 
@@ -41,9 +43,22 @@ Progress = Callable[[str, float], None]
 Frame = pd.DataFrame
 _FRAME = Path("recording") / "frame.csv"
 """What a data frame is called; the folder is the machine of traces that say none."""
+_FROM = "the data frame"
+_CLOCKS = (pd.DatetimeIndex, pd.PeriodIndex, pd.TimedeltaIndex)
+"""What an index without a name is when it is a clock."""
 _SINCE_1970 = 1e8
 """s: a clock beyond it counts since 1970, any other since its beginning."""
 _OPTION = re.compile(r"--([a-z][a-z-]*)")
+
+
+def _several(given: str | Sequence[str]) -> tuple[str, ...]:
+    # A string is a sequence too, of its letters.
+    return tuple(filter(None, (given,) if isinstance(given, str) else given))
+
+
+def _one_of(name: str, given: object, choices: Sequence[str]) -> None:
+    if given not in choices:
+        raise ValueError(f"{name}={given!r}: is no answer; give {listed(map(repr, choices))}")
 
 
 def _quiet(what: str, share: float) -> None:
@@ -91,7 +106,7 @@ class LearnedModel:
     each signal: its verdict, the shares (0 to 1) of the temperature's rises that it explains alone and beyond the other
     drivers, its gain in the end (degC per unit), the share of its own moves that the temperature foretells, and all of
     it as a sentence. `verdict` says where the model may be used ("": nobody has judged it), `warnings` what of the
-    alphabet the traces cannot teach.
+    alphabet the traces cannot teach, and which signals nobody looked at.
     """
 
     model: Model
@@ -155,8 +170,8 @@ def read(
     temperature: str = "",
     current: str | Sequence[str] = (),
     running: str = "",
-    on: Sequence[str] = (),
-    good: Sequence[str] = (),
+    on: str | Sequence[str] = (),
+    good: str | Sequence[str] = (),
     time: str = "",
     dates: str = "",
     timezone: str = "",
@@ -165,34 +180,36 @@ def read(
     stored: str = "",
     duplicates: str = "",
     clock_back: str = "",
-    unit: Sequence[str] = (),
+    unit: str | Sequence[str] = (),
     guess: bool = False,
 ) -> Recording:
     """A recording from a data frame, a file, a folder or a pattern, as `decanter trace map` and `trace show` read it.
 
     A data frame has a row for each time and a column for each signal, or a row for each reading; its clock is a column
-    of times or its index. `column_map` is a map, its file, or a name in config/traces; without one it is drafted, and
-    what the recording leaves open is answered by the other arguments, each as the option of that name of `trace map`:
-    columns by their headers, `unit` as "COLUMN=UNIT". `guess` takes the most likely answer.
+    of times or its index. The levels of an index are columns; times since a beginning are seconds. `column_map` is a
+    map, its file, or a name in config/traces; without one it is drafted, and what the recording leaves open is answered
+    by the other arguments, each as the option of that name of `trace map`: columns by their headers, `unit` as
+    "COLUMN=UNIT". `guess` takes the most likely answer.
 
     Raises TraceError (a ValueError) with one sentence: nothing that can be used, or a question with its answers.
     """
-    answers = Answers(
-        temperature=temperature,
-        current=(current,) if isinstance(current, str) and current else tuple(current),
-        running=running,
-        time=time,
-        dates=dates,
-        on=tuple(on),
-        good=tuple(good),
-        timezone=timezone,
-        machine=machine,
-        session=session,
-        stored=stored,
-        duplicates=duplicates,
-        clock_back=clock_back,
-        unit=tuple(unit),
-    )
+    with _said_in_python(""):
+        answers = Answers(
+            temperature=temperature,
+            current=_several(current),
+            running=running,
+            time=time,
+            dates=dates,
+            on=_several(on),
+            good=_several(good),
+            timezone=timezone,
+            machine=machine,
+            session=session,
+            stored=stored,
+            duplicates=duplicates,
+            clock_back=clock_back,
+            unit=_several(unit),
+        )
     if column_map is not None and answers != Answers():
         raise TraceError("a column map says it all; give either column_map or what is to be found out")
     if not isinstance(source, pd.DataFrame):
@@ -229,7 +246,10 @@ def _read(
         _plain(each, shown) for each in (report.sentences() if report.refused or report.errors else report.warnings)
     ]
     return Recording(
-        traces=tuple(traces),
+        # Where the rows were on their way is gone when somebody asks where they come from.
+        traces=tuple(replace(each, origin=_FROM if shown in each.origin else each.origin) for each in traces)
+        if shown
+        else tuple(traces),
         column_map=column_map.model_copy(update={"alphabet": report.alphabet}),
         text=text,
         account=tuple(file.account() for file in report.files if not file.error),
@@ -257,9 +277,17 @@ def _write(frame: Frame, path: Path) -> None:
         raise TraceError(
             f"the data frame has {len(frame)} rows and {len(frame.columns)} columns; give one with readings"
         )
-    index = frame.index
-    if index.name is not None or isinstance(index, pd.DatetimeIndex):
-        frame = frame.rename_axis(str(index.name or "time")).reset_index()
+    levels = [frame.index.get_level_values(number) for number in range(frame.index.nlevels)]
+    if len(levels) > 1 or levels[0].name is not None or isinstance(levels[0], _CLOCKS):
+        clocks = ["time" if isinstance(level, _CLOCKS) else f"level {place}" for place, level in enumerate(levels)]
+        names = [str(level.name or clock) for level, clock in zip(levels, clocks, strict=True)]
+        if again := sorted({*names} & set(map(str, frame.columns))):
+            raise TraceError(f"the data frame has {again[0]!r} as a column and in its index; drop one of them")
+        frame = frame.rename_axis(names).reset_index()
+    spans = frame.select_dtypes("timedelta").columns
+    if len(spans):
+        frame = frame.copy()
+        frame[spans] = frame[spans].apply(lambda column: column.dt.total_seconds())
     if len(frame.columns) < 2:
         raise TraceError(f"the data frame has one column, {frame.columns[0]!r}; it needs a clock and a temperature")
     path.parent.mkdir()
@@ -284,7 +312,7 @@ def _said_in_python(shown: str) -> Iterator[None]:
 
 def _plain(text: str, shown: str) -> str:
     text = _OPTION.sub(lambda match: match[1].replace("-", "_") + "=", text)
-    return text.replace(shown, "the data frame") if shown else text
+    return text.replace(shown, _FROM) if shown else text
 
 
 @overload
@@ -292,8 +320,8 @@ def learn(
     recording: Recording,
     *,
     temperature: str | None = None,
-    drivers: Sequence[str] = (),
-    method: Literal["bins", "lsha"] = "bins",
+    drivers: str | Sequence[str] = (),
+    method: Method = "bins",
     settings: LshaSettings | None = None,
     name: str = "decanter",
     seed: int = 0,
@@ -306,8 +334,8 @@ def learn(
     recording: Recording,
     *,
     temperature: list[str] | tuple[str, ...],
-    drivers: Sequence[str] = (),
-    method: Literal["bins", "lsha"] = "bins",
+    drivers: str | Sequence[str] = (),
+    method: Method = "bins",
     settings: LshaSettings | None = None,
     name: str = "decanter",
     seed: int = 0,
@@ -319,8 +347,8 @@ def learn(
     recording: Recording,
     *,
     temperature: str | list[str] | tuple[str, ...] | None = None,
-    drivers: Sequence[str] = (),
-    method: Literal["bins", "lsha"] = "bins",
+    drivers: str | Sequence[str] = (),
+    method: Method = "bins",
     settings: LshaSettings | None = None,
     name: str = "decanter",
     seed: int = 0,
@@ -333,6 +361,7 @@ def learn(
     readings and the `seed`, not on the order of the traces. Raises LearningError (a ValueError) where the recording
     cannot teach a model.
     """
+    _one_of("method", method, get_args(Method))
     if settings is not None and method != "lsha":
         raise ValueError('settings belong to method="lsha"; leave them out, or choose that method')
     lsha = (settings or LshaSettings()) if method == "lsha" else None
@@ -345,7 +374,7 @@ def learn(
             recording.traces,
             recording.column_map,
             temperature=signal,
-            drivers=drivers,
+            drivers=_several(drivers),
             name=name,
             seed=seed,
             lsha=lsha,
@@ -358,7 +387,7 @@ def learn(
             tables=tables,
             drivers=pd.DataFrame(rows),
             verdict=taught.verdict.sentence,
-            warnings=warnings,
+            warnings=(*warnings, *taught.not_looked_at),
             taught=taught,
         )
 
@@ -387,10 +416,11 @@ def forecast(
     probability that `limit` is reached by then. Nothing of what comes after a moment is known to its forecast. Raises
     ValueError for a trace without a signal that the model reads.
     """
+    asked = _asked(horizons, period, seed, moments=moments, scan=scan)
     chosen = _runnable(model, recording)
     rows = []
     for trace in recording.traces:
-        section = ForecastSection(horizons=tuple(horizons), period=spaced(trace, period, moments), seed=seed)
+        section = asked.model_copy(update={"period": spaced(trace, asked.period, moments)})
         for made in forecasts_along([chosen], trace, section, scan_period=scan, since=since, limit=limit):
             for column, horizon in enumerate(made.horizons.tolist()):
                 quantiles = dict(zip(made.levels, made.quantiles[:, column].tolist(), strict=True))
@@ -407,6 +437,15 @@ def forecast(
         raise ValueError("there is no moment to forecast from; give a longer recording or an earlier since")
     frame = pd.DataFrame(rows)
     return frame.assign(time=_moments(frame["time"].to_numpy()), due=_moments(frame["due"].to_numpy()))
+
+
+def _asked(horizons: Sequence[float], period: float, seed: int, *, moments: int, scan: float) -> ForecastSection:
+    if moments < 1:
+        raise ValueError(f"moments={moments!r}: there is nothing to forecast from; give a whole number from 1")
+    if not 0 < scan < inf:
+        raise ValueError(f"scan={scan!r}: no scan is so long; give its seconds, above 0")
+    wanted = {"horizons": horizons, "period": period, "seed": seed}
+    return checked(ForecastSection, wanted, "forecast")
 
 
 def judge(
@@ -426,11 +465,12 @@ def judge(
     Beside persistence, and beside the statistical rivals fitted to `training` where that is given. Times as those of
     `forecast`. Raises ValueError where no forecast came due.
     """
+    asked = _asked(horizons, period, seed, moments=moments, scan=scan)
     along = skill_along(
         [_runnable(model, recording)],
         recording.traces,
         training=None if training is None else training.traces,
-        forecasts=ForecastSection(horizons=tuple(horizons), period=period, seed=seed),
+        forecasts=asked,
         scan=scan,
         moments=moments,
         report=progress,
@@ -501,6 +541,8 @@ def simulate(
     A row for each trace: errors in the temperature's unit, the 90 % band's coverage (0 to 1) over `runs` stochastic
     runs; a trace that the model cannot follow has the reason in `error`.
     """
+    _one_of("policy", policy, get_args(Policy))
+    _one_of("start", start, get_args(Start))
     chosen = _runnable(model, recording)
     traces = [encoded(trace, chosen.alphabet) for trace in recording.traces]
     rows = simulate_traces(

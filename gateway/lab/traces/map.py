@@ -10,7 +10,7 @@ import click
 from drivers.named_files import writing
 from gateway.console import CommandResult, Line, Part, conclude, json_option
 from gateway.entry import sentences
-from sim.lab.recordings.mapping import DUPLICATES, NONE, Answers, DraftedMap, Undecided, draft_map
+from sim.lab.recordings.mapping import CHOICES, NONE, Answers, DraftedMap, Undecided, draft_map
 
 MOST_QUESTIONS = 3
 """Of one export; what is open beyond them is taken as it most likely is, and said."""
@@ -29,17 +29,15 @@ MOST_QUESTIONS = 3
 @click.option("--running", default="", help=f"The column that says whether the machine runs; {NONE} for none.")
 @click.option("--on", multiple=True, help="A word of that column that means running; may be given several times.")
 @click.option("--time", default="", help="The column of times.")
-@click.option("--dates", type=click.Choice(["day", "month"]), help="What comes first in 03/04/2024.")
+@click.option("--dates", type=click.Choice(CHOICES["dates"]), help="What comes first in 03/04/2024.")
 @click.option("--timezone", default="", help="The zone of times that do not say theirs, such as Europe/Rome [UTC].")
 @click.option("--unit", multiple=True, help="The unit of a column that does not say it, as 'Bearing temperature=K'.")
 @click.option("--machine", default="", help=f"The column that says which machine a row is of; {NONE} for none.")
 @click.option("--session", default="", help=f"The column that says which session a row is of; {NONE} for none.")
 @click.option("--good", multiple=True, help=f"A word of the quality of good readings; {NONE}: it says nothing.")
-@click.option("--stored", type=click.Choice(["each row", "on change"]), help="How values were stored.")
-@click.option("--duplicates", type=click.Choice(DUPLICATES), help="What becomes of rows with the same time.")
-@click.option(
-    "--clock-back", type=click.Choice(["refuse", "split", "sort"]), help="What becomes of a clock that goes back."
-)
+@click.option("--stored", type=click.Choice(CHOICES["stored"]), help="How values were stored.")
+@click.option("--duplicates", type=click.Choice(CHOICES["duplicates"]), help="What becomes of rows with the same time.")
+@click.option("--clock-back", type=click.Choice(CHOICES["clock_back"]), help="What becomes of a clock that goes back.")
 @click.option("--yes", is_flag=True, help="Take what is most likely wherever a question says it.")
 @json_option
 def map_command(

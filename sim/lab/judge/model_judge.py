@@ -12,12 +12,11 @@ from math import isfinite
 import numpy as np
 
 from sim.artefacts import FORECAST, JudgedCriterion, ModelVerdict, word_of
+from sim.lab.judge.rows import LEAST_FORECASTS
 from sim.lab.learning import MOST_WIDENING, Coverage, first_switch, level_signals
 from sim.proof import Verification, verify
 from sim.sha import DEGREES, RELAXING, Array, Mask, Model, Trace, distributions, shown_unit
 
-LEAST_FORECASTS = 8.0
-"""Independent held-out forecasts at a horizon below which they say nothing."""
 WORSE = 1.05
 """A model is worse than persistence where its CRPS is more than so many times persistence's."""
 HALF_COVERED = 0.5

@@ -9,7 +9,7 @@ import numpy as np
 
 from sim.forecast import DENSE
 from sim.lab.judge.differences import Paired, paired, unit_differences
-from sim.lab.learning import outcomes_of
+from sim.lab.learning import independent_forecasts, outcomes_of
 from sim.scores import crps_quantiles
 from sim.sha import Array, Trace
 
@@ -19,6 +19,9 @@ Row = TypeVar("Row")
 LOW, MEDIAN, HIGH = (DENSE.index(level) for level in (0.05, 0.5, 0.95))
 NOMINAL = 0.9
 """The share of outcomes that the band from 5 to 95 % should hold."""
+
+LEAST_FORECASTS = 8.0
+"""Independent forecasts at a horizon below which they say nothing."""
 
 STRETCHES: Mapping[str, tuple[float, float]] = {
     "0-30 min": (0.0, 1800.0),
@@ -128,6 +131,14 @@ def figures(
                     )
                 )
     return rows
+
+
+def independent(rows: Iterable[SkillRow]) -> float:
+    """How many forecasts that do not overlap the rows of one method and horizon are worth, over machines and traces."""
+    traces = grouped(rows, lambda row: (row.machine, row.trace, row.horizon))
+    return sum(
+        independent_forecasts(np.sort([row.origin for row in own]), horizon) for (*_, horizon), own in traces.items()
+    )
 
 
 def machine_of(trace: Trace) -> str:

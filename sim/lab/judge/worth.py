@@ -3,11 +3,22 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from itertools import product
+from math import floor
 from typing import Any, Literal
 
 import numpy as np
 
-from sim.lab.judge.rows import STRETCHES, SkillRow, common, difference, grouped, means, stretch
+from sim.lab.judge.rows import (
+    LEAST_FORECASTS,
+    STRETCHES,
+    SkillRow,
+    common,
+    difference,
+    grouped,
+    independent,
+    means,
+    stretch,
+)
 from sim.sha import DEGREES, shown_unit
 
 
@@ -16,6 +27,7 @@ class Worth:
     """A method of ours against the best other one at one `horizon` (s), on one machine or on all of them ("").
 
     `crps` and `best_crps` are the means of both in the temperature's unit; the best has the lowest at that place.
+    `scored` forecasts had an outcome, which overlap and are worth `independent` ones that do not.
     """
 
     method: str
@@ -24,10 +36,17 @@ class Worth:
     crps: float
     best: str
     best_crps: float
+    scored: int
+    independent: float
 
     @property
-    def verdict(self) -> Literal["better", "as good", "worse"]:
-        """What the model is: as good as the best other method while neither CRPS is AHEAD times the other's."""
+    def verdict(self) -> Literal["not known", "better", "as good", "worse"]:
+        """What the model is: as good as the best other method while neither CRPS is AHEAD times the other's.
+
+        Not known from fewer than LEAST_FORECASTS independent forecasts.
+        """
+        if self.independent < LEAST_FORECASTS:
+            return "not known"
         if self.crps > AHEAD * self.best_crps:
             return "worse"
         return "better" if AHEAD * self.crps < self.best_crps else "as good"
@@ -36,6 +55,13 @@ class Worth:
         """The verdict with its figures, in `unit` as people read it."""
         where = f"on {self.machine} at {self.horizon:g} s" if self.machine else f"at {self.horizon:g} s"
         own, other = f"{self.crps:.3g}", f"{self.best_crps:.3g}"
+        if self.verdict == "not known":
+            had = "1 forecast" if self.scored == 1 else f"{self.scored} forecasts"
+            return (
+                f"{where} it is not known whether the model is better than {self.best} (CRPS {own} against {other} "
+                f"{unit}): {had} had an outcome, worth {_floored(self.independent)} that do not overlap; "
+                f"{LEAST_FORECASTS:g} is the fewest that tell"
+            )
         if self.verdict == "better":
             return f"{where} the model is better than {self.best} (CRPS {own} against {other} {unit})"
         if self.verdict == "worse":
@@ -65,7 +91,8 @@ class ForecastSkill:
         told = []
         for each in self.worth:
             over_all = whole[each.method, each.horizon]
-            if each.machine and (each.verdict == "better") == (over_all.verdict == "better"):
+            otherwise = (each.verdict == "better") != (over_all.verdict == "better")
+            if each.machine and (each.verdict == "not known" or not otherwise):
                 continue
             name = f"{each.method}: " if len(self.ours) > 1 else ""
             told.append(name + each.sentence(shown_unit(self.unit)))
@@ -87,6 +114,7 @@ def forecast_skill(
     if rows and not shared:
         said.append("the methods have no forecast for the same moment, so they cannot be compared")
     found = tables(shared, ours, seed)
+    own = grouped(shared, lambda row: (row.method, row.horizon))
     crps: dict[float, dict[str, dict[str, float]]] = {}
     for row in (*found["by horizon"], *found["by machine"]):
         places = crps.setdefault(row["horizon"], {})
@@ -99,6 +127,7 @@ def forecast_skill(
             others = {name: value for name, value in here.items() if name not in ours}
             if method in here and others:
                 best = min(others, key=lambda name: others[name])
+                made = [row for row in own[method, horizon] if machine in ("", row.machine)]
                 worth.append(
                     Worth(
                         method=method,
@@ -107,9 +136,16 @@ def forecast_skill(
                         crps=here[method],
                         best=best,
                         best_crps=others[best],
+                        scored=len(made),
+                        independent=independent(made),
                     )
                 )
     return ForecastSkill(ours=tuple(ours), tables=found, worth=tuple(worth), notes=tuple(said), unit=unit)
+
+
+def _floored(count: float) -> str:
+    # Rounded to the nearest, 7.97 would read as the fewest that tell.
+    return f"{floor(10.0 * count) / 10.0:g}"
 
 
 AHEAD = 1.05

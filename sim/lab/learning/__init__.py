@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 from sim.doors import opened_at_use
 
 if TYPE_CHECKING:
-    from sim.lab.learning.calibrate import MOST_WIDENING, Coverage, HeldOutForecasts
+    from sim.lab.learning.calibrate import MOST_WIDENING, Coverage, HeldOutForecasts, independent_forecasts
     from sim.lab.learning.correction import FORMS, corrected_model, learn_correction
     from sim.lab.learning.data import in_order
     from sim.lab.learning.drivers import DriverEvidence, drivers_of

@@ -11,7 +11,7 @@ from sim.forecast import LEVELS, Z90, forecast, weighted
 from sim.lab.learning.outcomes import Outcomes, outcomes_of
 from sim.lab.learning.plain import PERSISTENCE
 from sim.scores import crps_quantiles
-from sim.sha import UNKNOWN, Event, Model, PlainMember, Trace, plain_model
+from sim.sha import UNKNOWN, Array, Event, Model, PlainMember, Trace, plain_model
 
 HORIZONS = (60.0, 300.0, 900.0)
 ORIGINS = 100
@@ -180,6 +180,14 @@ def _mean_crps(scored: Sequence[Scored]) -> dict[float, float]:
     return {horizon: float(np.mean(values)) for horizon, values in by_horizon.items()}
 
 
+def independent_forecasts(times: Array, horizon: float) -> float:
+    """How many forecasts that do not overlap those for one `horizon` (s) at the ascending `times` (n,) are worth.
+
+    Gaps are cut to one horizon: beyond that they have nothing in common anyway.
+    """
+    return 1.0 + float(np.minimum(np.diff(times), horizon).sum()) / horizon if times.size else 0.0
+
+
 def coverage_of(scored: Sequence[Scored]) -> tuple[Coverage, ...]:
     """The factor of each horizon, from the 90 % quantile of z.
 
@@ -193,8 +201,7 @@ def coverage_of(scored: Sequence[Scored]) -> tuple[Coverage, ...]:
         if not forecasts:
             continue
         due, z = np.array([each.due for each in forecasts]), np.array([each.z for each in forecasts])
-        # The span that the forecasts cover, gaps cut to one horizon: beyond that they have nothing in common anyway.
-        independent = 1.0 + float(np.minimum(np.diff(due), horizon).sum()) / horizon
+        independent = independent_forecasts(due, horizon)
         level = min(0.9 * (1.0 + 1.0 / independent), 0.97)
         seen = min(max(float(np.quantile(z, level)) / Z90, LEAST_WIDENING), MOST_WIDENING)
         factor = exp((independent * log(seen) + PRIOR_FORECASTS * log(PRIOR_FACTOR)) / (independent + PRIOR_FORECASTS))

@@ -1,6 +1,6 @@
 """What a person is asked about a recording, and what a person has said."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -8,8 +8,14 @@ from sim.lab.recordings import TraceError, listed
 
 NONE = "none"
 """The answer that a part is played by no column."""
-DUPLICATES = ("average", "last", "keep", "spread")
-"""What a person may say of rows with the same time."""
+CHOICES: Mapping[str, tuple[str, ...]] = {
+    "dates": ("day", "month"),
+    "stored": ("each row", "on change"),
+    "duplicates": ("average", "last", "keep", "spread"),
+    "clock_back": ("refuse", "split", "sort"),
+}
+"""The answers that are one of a few words: what comes first in 03/04/2024, how values were stored, what becomes of rows
+with the same time, and of a clock that goes back."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -18,7 +24,7 @@ class Answers:
 
     `current` are the columns of what loads the machine; `dates` is the order of dates, day or month; `on` the words of
     a switch or of states that mean running; `unit` are texts NAME=UNIT; `good` the words of good readings; `machine`
-    and `session` are columns; the others are the map's own keys.
+    and `session` are columns; the others are the map's own keys. Raises TraceError for a word that is none of CHOICES.
     """
 
     temperature: str = ""
@@ -35,6 +41,12 @@ class Answers:
     clock_back: str = ""
     unit: tuple[str, ...] = ()
     good: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        for name, choices in CHOICES.items():
+            if (given := getattr(self, name)) and given not in choices:
+                option = f"--{name.replace('_', '-')}"
+                raise TraceError(f"{option} {given!r}: is no answer; give {listed(map(repr, choices))}")
 
     def with_answer(self, field: str, answer: str) -> "Answers":
         """The answers with one more, to the question of an Undecided."""
