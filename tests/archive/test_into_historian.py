@@ -173,3 +173,17 @@ def test_traces_of_one_machine_at_one_time_are_refused(tmp_path: Path, take: Cal
     assert done.exit_code == 2 and "at the same time; name the machines" in done.stderr
     with pytest.raises(HistorianError):
         to_trace(tmp_path / "h.sqlite")
+
+
+def test_rows_of_one_time_are_refused_and_none_is_dropped(
+    tmp_path: Path, map_file: Path, take: Callable[..., Result]
+) -> None:
+    twice = recording()
+    twice.seconds[[11, 12, 40]] = twice.seconds[[10, 10, 39]]
+    file = wide(tmp_path / "a.csv", of=twice)
+    map_file.write_text(f'duplicates = "keep"\n{MAP}')
+    done = take(file)
+    assert done.exit_code == 2 and "3 rows of 'P1' have the time of the row before" in done.stderr
+    assert not (tmp_path / "h.sqlite").exists()
+    map_file.write_text(f'duplicates = "spread"\n{MAP}')
+    assert "240 rows = 240 stored" in take(file).output

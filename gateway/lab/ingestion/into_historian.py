@@ -119,7 +119,10 @@ def imported(
 
 
 def _one_after_another(traces: Sequence[Trace]) -> Trace:
-    """A machine's traces as one. Raises ValueError where they overlap, or count from their own beginning."""
+    """A machine's traces as one.
+
+    Raises ValueError where they overlap, have two rows of one time, or count from their own beginning.
+    """
     ordered = sorted(traces, key=lambda trace: float(trace.times[0]))
     for trace in ordered:
         if trace.times[0] < SINCE_1970:
@@ -141,11 +144,11 @@ def _one_after_another(traces: Sequence[Trace]) -> Trace:
     bad = {
         name: np.concatenate([t.bad.get(name, np.zeros(t.times.size, dtype=bool)) for t in ordered]) for name in names
     }
-    twice = np.concatenate([[False], np.diff(times) <= 0])
-    if twice.any():
-        keep = ~np.concatenate([twice[1:], [False]])
-        times = times[keep]
-        signals, bad = ({n: v[keep] for n, v in signals.items()}, {n: v[keep] for n, v in bad.items()})
+    if twice := int((np.diff(times) <= 0).sum()):
+        raise ValueError(
+            f"{ordered[0].origin}: {twice} rows of {ordered[0].machine!r} have the time of the row before, and a "
+            'historian has one row a time; give duplicates = "average" or "spread" in the column map'
+        )
     return replace(ordered[0], times=times, signals=signals, bad=bad, events=())
 
 
