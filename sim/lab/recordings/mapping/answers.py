@@ -8,6 +8,8 @@ from sim.lab.recordings import TraceError, listed
 
 NONE = "none"
 """The answer that a part is played by no column."""
+BLANK = "blank"
+"""The answer that a reading is good where its quality is not written."""
 DUPLICATES = ("average", "last", "keep", "spread")
 """What a person may say of rows with the same time."""
 
@@ -17,8 +19,8 @@ class Answers:
     """What a person has decided; "" is left to what the file shows.
 
     `current` are the columns of what loads the machine; `dates` is the order of dates, day or month; `on` the words of
-    a switch or of states that mean running; `unit` are texts NAME=UNIT; `good` the words of good readings; `machine`
-    and `session` are columns; the others are the map's own keys.
+    a switch or of states that mean running; `unit` are texts NAME=UNIT; `good` the words of good readings, or BLANK;
+    `machine` and `session` are columns; the others are the map's own keys.
     """
 
     temperature: str = ""
