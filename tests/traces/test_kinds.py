@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from gateway.console import shipped
-from sim.lab.recordings import TraceError, load_map, load_traces, plain_time, sources
+from sim.lab.recordings import TraceError, load_map, load_traces, parse_map, plain_time, sources
 from tests.traces.exports import recording, wide, written
 from tests.traces.test_dialects import asked, is_the_plant, mapped
 
@@ -72,12 +72,23 @@ def test_a_quality_that_is_written_beside_few_readings_is_asked_for(tmp_path: Pa
 
 def test_readings_with_a_blank_quality_are_counted_where_they_are_refused(tmp_path: Path) -> None:
     words = ["" if at % 4 == 0 else "Bad" if at == 9 else "Good" for at in range(240)]
-    export = with_quality(
-        tmp_path / "a.csv", ["" if at % 4 == 0 else "Bad" if at == 9 else "Good" for at in range(240)]
-    )
+    export = with_quality(tmp_path / "a.csv", words)
     _, report, said = mapped(export, tmp_path / "m.toml")
     assert report.files[0].bad_cells == 3 * 61
     assert any("61 readings are not of a good quality (60 x blank, 1 x 'Bad')" in line for line in said["report"])
+
+
+@pytest.mark.parametrize("layout", ["wide", "long"])
+def test_a_quality_of_the_map_that_the_file_does_not_have_is_said(layout: str, tmp_path: Path) -> None:
+    export = with_quality(tmp_path / "a.csv", ["Bad" if at == 9 else "Good" for at in range(240)])
+    if layout == "long":
+        rows = [f"{at},Bearing temperature,{heat},Good" for at, heat in zip(PLANT.moments, PLANT.heat, strict=True)]
+        export = written(tmp_path / "a.csv", "Time,Tag,Value,Quality", rows)
+    mapped(export, tmp_path / "m.toml", "--current", "none")
+    text = (tmp_path / "m.toml").read_text(encoding="utf-8")
+    assert not load_traces(export, parse_map(text, "m.toml"))[1].warnings
+    _, report = load_traces(export, parse_map(text.replace('["Quality"]', '["Qualty"]'), "m.toml"))
+    assert len(report.warnings) == 1 and "there is no column 'Qualty'" in report.warnings[0]
 
 
 def test_a_word_of_good_readings_that_stands_nowhere_is_refused(tmp_path: Path) -> None:
