@@ -338,12 +338,14 @@ def main() -> int:
     given = parser.parse_args()
     table = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["mutmut"]["tests"]
     modules = [module for module in table if not given.only or any(word in module for word in given.only)]
+    if not modules:
+        parser.error(f"no module of [tool.mutmut.tests] has {' or '.join(given.only)} in its name")
     scores = [forked(lambda at=module: tried(at, table[at], given.sample, given.seed)) for module in modules]
     known = [score for score in scores if score is not None]
     figures = ("mutants", "drawn", "tried", "killed", "seconds")
     every = Score("all", **{name: sum(getattr(score, name) for score in known) for name in figures})
     print(*known, every, sep="\n")
-    return int(len(known) < len(modules) or every.killed < LEAST_KILLED * every.tried)
+    return int(len(known) < len(modules) or not every.tried or every.killed < LEAST_KILLED * every.tried)
 
 
 if __name__ == "__main__":

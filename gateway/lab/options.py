@@ -22,6 +22,9 @@ policy_option = click.option(
     show_default=True,
     help="An event without an edge.",
 )
+cluster_option = click.option(
+    "--cluster", "address", help="Work on the Dask cluster whose scheduler is at this address (tcp://...)."
+)
 start_option = click.option(
     "--start", type=click.Choice(["measured", "law"]), default="measured", show_default=True, help="First temperature."
 )

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     )
     from sim.artefacts.verdict_file import (
         FORECAST,
+        UNJUDGED,
         VERDICT_FILE,
         JudgedCriterion,
         ModelVerdict,

@@ -63,9 +63,17 @@ class ModelVerdict:
         """As JSON carries it, without the file's head."""
         return asdict(self)
 
+    def told(self) -> dict[str, Any]:
+        """As a command tells it: with its sentence."""
+        return {**self.plain(), "sentence": self.sentence}
+
     def text(self) -> str:
         """The file's content."""
         return json_text({"format": FORMAT, "version": VERSION, **self.plain()}, indent=1) + "\n"
+
+
+UNJUDGED = "not judged where it was made: `decanter model validate` or `skill` say what it foresees"
+"""What there is to say of a model without a verdict."""
 
 
 def word_of(criteria: Sequence[JudgedCriterion], *, told: bool) -> Word:

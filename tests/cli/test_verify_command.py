@@ -7,6 +7,7 @@ import pytest
 
 from drivers.settings import ConfigError
 from gateway.machine.model.loading import load_model
+from sim.artefacts import UNJUDGED
 from sim.artefacts.store import Force, current, forced, load, promote
 from sim.files import ArtefactError
 from sim.lab.formats.write_model import save, write_model_directory
@@ -117,7 +118,7 @@ def test_promotion_refuses_what_does_not_verify_and_keeps_the_current_version(tm
     refused(decanter("model", "promote", shelf, bad), 2, bad, "is not promoted, as it does not verify", "without bound")
     assert current(shelf) == first
     said = decanter("model", "promote", shelf, first).stdout
-    assert said == f"{first}: not judged where it was made\n{shelf}: {first} is current\n"
+    assert said == f"{first}: {UNJUDGED}\n{shelf}: {first} is current\n"
 
 
 def test_a_forced_promotion_is_recorded_with_name_and_reason(tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 """The judge of a learned model: each way to be unfit has its word, from `learn` on, and promotion obeys it."""
 
 import json
+import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -13,7 +14,7 @@ from gateway.cli.main import main
 from gateway.machine.model import load_model
 from gateway.outside.status import HealthFinding, findings, health_of, read_status
 from gateway.settings import load_plant
-from sim.artefacts import VERDICT_FILE, Force, ModelVerdict, promote, read_verdict
+from sim.artefacts import VERDICT_FILE, Force, ModelVerdict, current, promote, read_verdict, version_directory
 from sim.files import ArtefactError
 from sim.lab.formats import save, write_model_directory
 from sim.lab.judge import judge_learned
@@ -195,6 +196,21 @@ def test_an_unfit_model_is_promoted_with_a_reason_on_record_alone(tmp_path: Path
     said = CliRunner().invoke(main, forced)
     assert said.exit_code == 0 and f"{first} (ran before): fit" in said.output and f"{second}: unfit" in said.output
     promote(store, second, Force("Ada", "a trial", 2.0))
+
+
+def test_what_has_befallen_the_version_that_ran_before_is_no_obstacle_and_no_failure(tmp_path: Path) -> None:
+    store = tmp_path / "store"
+    first, second = (save(store, MODEL, created=float(at), more={VERDICT_FILE: judged().text()}) for at in range(2))
+    promote(store, first)
+    (version_directory(store, first) / VERDICT_FILE).write_text("damaged", encoding="utf-8")
+    said = CliRunner().invoke(main, ["model", "promote", str(store), second])
+    assert said.exit_code == 0 and f"{first} (ran before): its verdict cannot be read" in said.output, said.output
+    said = CliRunner().invoke(main, ["model", "promote", str(store), "--add", str(version_directory(store, first))])
+    assert said.exit_code == 2 and current(store) == second, "a damaged verdict is not taken along as none"
+    (version_directory(store, first) / VERDICT_FILE).unlink()
+    shutil.rmtree(version_directory(store, second))
+    said = CliRunner().invoke(main, ["model", "promote", str(store), first])
+    assert said.exit_code == 0 and f"{second} (ran before): its verdict cannot be read" in said.output
 
 
 def test_show_prove_check_and_health_say_what_was_judged(tmp_path: Path) -> None:

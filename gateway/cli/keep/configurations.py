@@ -178,7 +178,7 @@ def rollback(path: Path, folder: Path | None, number: int, reason: str, by: str,
                 )
             finally:
                 line.close()
-    said = {"ok": True, "number": number, "files": list(map(str, content)), "said": taken}
+    said = {"number": number, "files": list(map(str, content)), "said": taken}
     conclude(
         CommandResult(said),
         lambda _: [f"{len(content)} files are as in configuration {number}; {taken}"],

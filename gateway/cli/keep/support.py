@@ -82,7 +82,7 @@ def support(path: Path, file: Path | None, as_json: bool) -> None:
             for name, text in members.items():
                 archive.writestr(zipfile.ZipInfo(name, time.gmtime(now)[:6]), text, zipfile.ZIP_DEFLATED)
         write_durably(file, packed.getvalue(), mode=0o600)
-    data = {"ok": True, "file": str(file), "members": list(members), "bytes": len(packed.getvalue())}
+    data = {"file": str(file), "members": list(members), "bytes": len(packed.getvalue())}
     sentence = (
         f"{file}: {len(members)} files, {len(packed.getvalue()) / 1e3:.0f} kB; look through it before you send it"
     )

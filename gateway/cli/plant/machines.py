@@ -119,6 +119,5 @@ def _carry_out(edit: Edit, *, dry_run: bool, as_json: bool) -> None:
         for finding in findings:
             yield Line(finding, "yellow")
 
-    data = {"ok": True, "diff": edit.diff(), "written": not dry_run, "backup": backup and str(backup)}
-    data["findings"] = findings
+    data = {"diff": edit.diff(), "written": not dry_run, "backup": backup and str(backup), "findings": findings}
     conclude(CommandResult(data), lambda _: show(), as_json=as_json)

@@ -56,5 +56,5 @@ def reload(path: Path, dry_run: bool, socket: Path | None, as_json: bool) -> Non
         for sentence in next_start:
             yield Line(sentence, "yellow")
 
-    data = {"ok": True, "changes": changes, "applied": answer["applied"], "next_start": next_start}
+    data = {"changes": changes, "applied": answer["applied"], "next_start": next_start}
     conclude(CommandResult(data), lambda _: show(), as_json=as_json)

@@ -25,7 +25,6 @@ GROWS = (
     "or with `decanter model learn --method lsha --default-flow exponential`."
 )
 NEXT = "Read the evidence above; learn anew with more traces, or with another `decanter model learn --method`."
-UNJUDGED = "what it foresees was not judged where it was made: `decanter model validate` or `skill` say it"
 STAYS, CASES, WIDTH = 12, 4, 150
 """What the text shows of a counterexample and of a check's cases, and signs a case; --json has all of them."""
 
@@ -145,8 +144,8 @@ def prove(
         if out is not None and worst is not None:
             with writing(out):
                 out.write_text(word_text(worst[1]) + "\n", encoding="utf-8")
-    unfit = found.verdict is not None and found.verdict.word == "unfit"
-    proved = CommandResult(plain(result, found), ok=result.deployable and not unfit)
+    data = plain(result, found)
+    proved = CommandResult(data, ok=data["fitness"] != "unfit")
     conclude(proved, lambda _: _show(result, found, model, out), as_json=as_json)
 
 
@@ -168,7 +167,7 @@ def plain(result: Verification, found: FoundModel) -> dict[str, Any]:
         "model": found.name,
         # What is proven may foresee nothing: that is the verdict's, where one was kept.
         "fitness": "unfit" if not result.deployable else "not known" if found.verdict is None else found.verdict.word,
-        "verdict": None if found.verdict is None else found.verdict.plain() | {"sentence": found.verdict.sentence},
+        "verdict": None if found.verdict is None else found.verdict.told(),
         "deployable": result.deployable,
         "reasons": list(result.reasons),
         "assumptions": list(result.assumptions),
@@ -210,10 +209,8 @@ def _show(result: Verification, found: FoundModel, model: str, out: Path | None)
     # What is not decided is not proven: promotion refuses both alike.
     sentence = f"unfit: not proven: {', '.join(against)}" if against else "proven: every check that decides"
     yield Line(sentence, "red" if against else "green", bold=True)
-    if found.verdict is not None:
+    if found.verdict is not None or not against:
         yield from show_verdict(found.verdict)
-    elif not against:
-        yield UNJUDGED
     if "growth" in against and result.executable:
         yield f"next: {GROWS}"
     elif against:

@@ -31,7 +31,7 @@ from gateway.lab.fleet.places import place_words
 from gateway.lab.fleet.sources import TABLE, sources_in
 from gateway.lab.fleet.study import MODEL, RESULTS, FleetFindings, FleetRequest, study
 from gateway.lab.models.show import spread_sentence
-from gateway.lab.options import jobs_option, temperature_option
+from gateway.lab.options import cluster_option, jobs_option, temperature_option
 from sim.forecast import Z90
 from sim.lab.judge import held
 from sim.lab.learning import MachineSpread, StandsOut, spread_of
@@ -63,7 +63,7 @@ PLAIN, STRIKING, BAND = "#1f6fb4", "#b3261e", "#e4e8ec"
 @click.option("--own", is_flag=True, help="Learn a model of each machine's own too.")
 @click.option("--diagnose", "diagnosis", is_flag=True, help="Diagnose each machine against its corrected type.")
 @jobs_option
-@click.option("--cluster", "address", help="Work on the Dask cluster whose scheduler is at this address (tcp://...).")
+@cluster_option
 @seed_option
 @json_option
 def fleet(

@@ -13,7 +13,7 @@ import click
 from gateway.console import CommandResult, Part, Rows, conclude, json_option, progress
 from gateway.entry import Exit, fail, interruptible, sentences
 from gateway.lab.judging.request import JudgingRequest, judging_options
-from gateway.lab.options import policy_option, traces_option
+from gateway.lab.options import cluster_option, policy_option, traces_option
 from gateway.lab.traces.load import warned_of
 from sim.lab.formats import write_model_directory
 from sim.lab.judge import (
@@ -190,7 +190,7 @@ MOST_REASONS = 5
     "and to fit rivals to.",
 )
 @policy_option
-@click.option("--cluster", "address", help="Run on the Dask cluster whose scheduler is at this address (tcp://...).")
+@cluster_option
 @click.option("--pictures/--no-pictures", default=True, show_default=True, help="A PNG and a PDF a trace.")
 @json_option
 def validate(

@@ -10,8 +10,10 @@ from gateway.console import CommandResult, Part, conclude, json_option
 from gateway.entry import sentences
 from sim.artefacts import (
     FAMILIARITY_FILE,
+    UNJUDGED,
     VERDICT_FILE,
     Force,
+    ModelVerdict,
     forced,
     ran,
     read_familiarity,
@@ -19,6 +21,7 @@ from sim.artefacts import (
     version_directory,
 )
 from sim.artefacts import promote as promote_version
+from sim.files import ArtefactError
 from sim.lab.formats import find_model, save
 
 
@@ -46,23 +49,31 @@ def promote(
     with sentences():
         now = time.time()
         if model is not None:
-            familiar = read_familiarity(Path(model)) if Path(model).is_dir() else None
             found = find_model(model)
+            familiar = None if found.home is None else read_familiarity(found.home)
             more = {} if familiar is None else {FAMILIARITY_FILE: familiar.text()}
             more |= {} if found.verdict is None else {VERDICT_FILE: found.verdict.text()}
             version = save(store, found.runnable(), created=now, more=more)
-        chosen, before = str(version), ran(store)[-1:]
+        chosen = str(version)
+        judged = {name: _judged(store, name) for name in (*ran(store)[-1:], chosen)}
         promote_version(store, chosen, Force(str(by), reason, now) if reason is not None else None)
         force = forced(store)
-        verdicts = {name: read_verdict(version_directory(store, name)) for name in (*before, chosen)}
-    data = {"store": str(store), "current": chosen, "forced": force is not None}
     sentence = f"{store}: {chosen} is current" + (f", forced by {force.by}: {force.reason}" if force else "")
-    said = {name: "not judged where it was made" if own is None else own.sentence for name, own in verdicts.items()}
-    data["verdicts"] = said
+    verdicts = {name: own.told() if isinstance(own, ModelVerdict) else None for name, own in judged.items()}
+    data = {"store": str(store), "current": chosen, "forced": force is not None, "verdicts": verdicts}
 
     def show() -> Iterator[Part]:
-        for name, own in said.items():
-            yield f"{name}{'' if name == chosen else ' (ran before)'}: {own}"
+        for name, own in judged.items():
+            said = own.sentence if isinstance(own, ModelVerdict) else own
+            yield f"{name}{'' if name == chosen else ' (ran before)'}: {said}"
         yield sentence
 
     conclude(CommandResult(data), lambda _: show(), as_json=as_json)
+
+
+def _judged(store: Path, version: str) -> ModelVerdict | str:
+    """A version's verdict, or why there is none: what has befallen the one that ran before is no obstacle."""
+    try:
+        return read_verdict(version_directory(store, version)) or UNJUDGED
+    except ArtefactError as error:
+        return f"its verdict cannot be read: {error}"

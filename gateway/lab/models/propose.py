@@ -9,13 +9,11 @@ from gateway.settings import AlarmSection
 from gateway.store import newest_scan, stored_rows
 from sim.artefacts import (
     FINDING_FILE,
-    VERDICT_FILE,
     DiagnosisFinding,
     FoundEffect,
     current,
     is_store,
     read_finding,
-    read_verdict,
     version_directory,
     versions,
 )
@@ -100,10 +98,8 @@ def propose(store: Path, new: Model, diagnosis: Diagnosis, *, created: float) ->
         known = read_finding(version_directory(store, name))
         if known is not None and (known.diagnosed, _names(known)) == (running, _names(finding)):
             return name, False
-    # An effect is added to what the running version learned: it has been taught by the same, and judged by it.
-    judged = read_verdict(version_directory(store, running))
-    more = {} if judged is None else {VERDICT_FILE: judged.text()}
-    return save(store, new, created=created, parent=running, more=more | {FINDING_FILE: finding.text()}), True
+    # Its parameters are fitted anew and it has an effect more: nobody has judged it yet.
+    return save(store, new, created=created, parent=running, more={FINDING_FILE: finding.text()}), True
 
 
 def _names(finding: DiagnosisFinding) -> frozenset[str]:

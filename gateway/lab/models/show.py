@@ -11,7 +11,7 @@ import click
 
 from gateway.console import CommandResult, Line, Part, Rows, conclude, json_option
 from gateway.entry import sentences
-from sim.artefacts import ModelVerdict, model_hash
+from sim.artefacts import UNJUDGED, ModelVerdict, model_hash
 from sim.effects import effect_summary
 from sim.lab.formats import find_model
 from sim.sha import SHA, Model, Stay, distributions, shown_unit
@@ -54,7 +54,7 @@ def show(name: str, as_json: bool) -> None:
             yield from show_model(shown)
             yield from show_verdict(verdict)
 
-        said = {"verdict": None if verdict is None else verdict.plain() | {"sentence": verdict.sentence}}
+        said = {"verdict": None if verdict is None else verdict.told()}
         conclude(CommandResult(summary(shown) | said), lambda _: show_both(), as_json=as_json)
 
 
@@ -170,9 +170,8 @@ def show_model(shown: Model) -> Iterator[Part]:
 
 
 def show_verdict(verdict: ModelVerdict | None) -> Iterator[Part]:
-    """Print the verdict that lies beside a model, in one line; nothing of a model that has none."""
-    if verdict is not None:
-        yield Line(verdict.sentence, _COLOURS[verdict.word])
+    """The verdict that lies beside a model, in one line, or that there is none."""
+    yield UNJUDGED if verdict is None else Line(verdict.sentence, _COLOURS[verdict.word])
 
 
 _COLOURS = {"fit": "green", "limited": "yellow", "not known": "yellow", "unfit": "red"}

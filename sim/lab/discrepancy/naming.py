@@ -153,7 +153,8 @@ def step(
     special = {name for each in confirmed if each.gain >= near for name in each.entry.candidate.special}
     behind = [each for each in names[CONFIRMED:] if each.entry.name in special and each.gain >= WORTH]
     for each in behind:
-        confirmed = _slim_but_best([*confirmed, confirm(before, each)])
+        if each.entry.name not in {own.entry.name for own in confirmed}:
+            confirmed = _slim_but_best([*confirmed, confirm(before, each)])
     done = {each.entry.name for each in confirmed}
     rest = [other for other in evidence if other.entry.name not in done]
     everything = [*confirmed, *rest, *_unmeasured(before, confirmed, entries, rules.least_gain_nats)]

@@ -34,7 +34,8 @@ class FoundModel:
 
     `model` is None where artefacts describe no automaton that can be run, and `refusal` is then the sentence why.
     `artefacts` are the files read, None for a model of our own; `notes` what they said that the model does not.
-    `verdict` is that which was kept beside the model where it was learned, None where none is.
+    `home` is the directory that it lies in, None for a file by itself and for artefacts; `verdict` is that which was
+    kept there where it was learned, None where none is.
     """
 
     name: str
@@ -44,6 +45,7 @@ class FoundModel:
     notes: tuple[str, ...] = ()
     refusal: str = ""
     verdict: ModelVerdict | None = None
+    home: Path | None = None
 
     def runnable(self) -> Model:
         """The model. Raises ArtefactError with the refusal where there is none."""
@@ -81,8 +83,9 @@ def find_model(
             sets = _sets(path.parent)
             others = f"; the artefact sets in {path.parent} are {', '.join(sets)}" if sets else ""
             raise at(path, None, f"there is no model directory, store, file or set of artefacts of this name{others}")
-        verdict = read_verdict(home) if home.is_dir() else None
-        return FoundModel(model.sha.name, model.sha, model, verdict=verdict)
+        if not home.is_dir():
+            return FoundModel(model.sha.name, model.sha, model)
+        return FoundModel(model.sha.name, model.sha, model, verdict=read_verdict(home), home=home)
     # The grammars of the artefacts, of which a model of our own needs none.
     from sim.lab.formats.foreign import read_artefacts, structure, to_sha
 
