@@ -57,6 +57,14 @@ def test_a_quality_that_is_bad_throughout_is_asked_for_and_never_guessed_good(wo
     assert "most likely" not in asked(most, tmp_path / "n.toml", "--yes")
 
 
+def test_1_is_a_good_word_of_a_column_that_is_called_valid_and_of_no_other(tmp_path: Path) -> None:
+    export = with_quality(tmp_path / "a.csv", ["0" if at == 9 else "1" for at in range(240)])
+    assert "--good 1" in asked(export, tmp_path / "m.toml")
+    export.write_text(export.read_text(encoding="utf-8").replace("Quality", "Validity"), encoding="utf-8")
+    _, report, _ = mapped(export, tmp_path / "m.toml")
+    assert report.files[0].bad_cells == 3
+
+
 def test_a_quality_that_is_written_beside_few_readings_is_asked_for(tmp_path: Path) -> None:
     words = ["Bad" if at % 40 == 7 else "" for at in range(240)]
     export = with_quality(tmp_path / "a.csv", words)

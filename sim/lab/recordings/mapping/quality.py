@@ -18,6 +18,8 @@ _GOOD = re.compile(
     re.IGNORECASE,
 )
 """Words of good readings; 192 (hexadecimal C0) is OPC's."""
+_SAYS_VALID, _YES = re.compile(r"g[üu]e?ltig|valid", re.IGNORECASE), re.compile(r"1(?:\.0+)?|yes|ja|s[iì]|oui", re.I)
+"""A column that is called valid, and what is a yes there; of a quality 1 may mean anything."""
 _BAD = re.compile(
     r"(?:bad|uncertain|invalid|not|no|non|error|fault|fail|timeout|stale|unknown|schlecht|ung[üu]e?ltig|unsicher|fehler"
     r"|cattiv[oa]|incert[oa]|errore|guast[oa]|mauvaise?|incertaine?|erreur|mal[oa]|inv[aá]lid[oa]|inciert[oa])\b.*"
@@ -78,7 +80,9 @@ def quality_of(
     if not places:
         return FoundQuality()
     cells = sum((Counter(beside[place]) for place in places), Counter[str]())
-    good = [word for word in every if (word.casefold() in wanted if wanted else _GOOD.fullmatch(word))]
+    valid = {word for place in places if _SAYS_VALID.search(table.header[place]) for word in words[place]}
+    known = {word for word in every if _GOOD.fullmatch(word) or (word in valid and _YES.fullmatch(word))}
+    good = [word for word in every if (word.casefold() in wanted if wanted else word in known)]
     mostly_blank = 2 * cells[""] > cells.total()
     if not answers.good and (not good or mostly_blank):
         first, (common, _) = table.header[places[0]], every.most_common(1)[0]
