@@ -10,6 +10,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 from gateway.cli.main import main
+from gateway.machine.model import recorded_scans
 from gateway.store import HistorianError, machines, open_historian, reading, to_trace
 from sim.lab.recordings import load_map, load_traces, split_cycles
 from sim.sha import encode
@@ -79,6 +80,35 @@ def test_what_is_imported_is_read_back_as_it_was_read(
         assert machines(connection) == [("P1", ["Bearing temperature"])]
 
 
+@pytest.mark.parametrize(
+    ("every", "on_change"),
+    [(2, "false"), (9, "true"), (9, "false")],
+    ids=["every second", "switch lasts", "beyond gap"],
+)
+def test_a_reading_holds_over_rows_without_one_as_a_gateway_is_shown_the_recording(
+    tmp_path: Path, map_file: Path, take: Callable[..., Result], every: int, on_change: str
+) -> None:
+    text = MAP.replace("[alphabet]", "[alphabet]\ngap = 50.0")
+    map_file.write_text(text.replace("on_change = false", f"on_change = {on_change}"))
+    lines = wide(tmp_path / "dense.csv").read_text().splitlines()
+    rows = [line.split(",") for line in lines[1:]]
+    # Current and switch stand in every so many rows, and once the current is refused.
+    rows = [[*row[:2], *(row[2:] if at % every == 0 else ("", ""))] for at, row in enumerate(rows)]
+    rows[10 * every][2] = "no reading"
+    file = tmp_path / "a.csv"
+    file.write_text("\n".join([lines[0], *map(",".join, rows)]) + "\n")
+    assert "240 rows = 240 stored" in take(file).output
+    (trace,), report = load_traces(file, load_map(map_file))
+    back = to_trace(tmp_path / "h.sqlite", machine="P1")
+    if every == 2:
+        assert encode(back, report.alphabet) == trace.events
+    scans = recorded_scans(trace, 10.0, report.alphabet)
+    for scan, *values in zip(scans, *(back.signals[name].tolist() for name in trace.signals), strict=True):
+        shown = [np.nan if sample.value is None else sample.value for sample in scan.samples.values()]
+        assert np.array_equal(shown, values, equal_nan=True), scan
+    assert "240 rows = 0 stored (in 0 samples) + 240 there already" in take(file).output
+
+
 def test_it_is_stored_once_and_goes_on_where_the_recording_does(tmp_path: Path, take: Callable[..., Result]) -> None:
     whole = recording()
     first, all_of_it = wide(tmp_path / "a.csv", of=part(whole, slice(0, 100))), wide(tmp_path / "b.csv", of=whole)
@@ -143,3 +173,17 @@ def test_traces_of_one_machine_at_one_time_are_refused(tmp_path: Path, take: Cal
     assert done.exit_code == 2 and "at the same time; name the machines" in done.stderr
     with pytest.raises(HistorianError):
         to_trace(tmp_path / "h.sqlite")
+
+
+def test_rows_of_one_time_are_refused_and_none_is_dropped(
+    tmp_path: Path, map_file: Path, take: Callable[..., Result]
+) -> None:
+    twice = recording()
+    twice.seconds[[11, 12, 40]] = twice.seconds[[10, 10, 39]]
+    file = wide(tmp_path / "a.csv", of=twice)
+    map_file.write_text(f'duplicates = "keep"\n{MAP}')
+    done = take(file)
+    assert done.exit_code == 2 and "3 rows of 'P1' have the time of the row before" in done.stderr
+    assert not (tmp_path / "h.sqlite").exists()
+    map_file.write_text(f'duplicates = "spread"\n{MAP}')
+    assert "240 rows = 240 stored" in take(file).output

@@ -1,6 +1,7 @@
 """Kinds of exports that were once read wrong in silence, or refused for a reason that was not true."""
 
 import zipfile
+from collections.abc import Sequence
 from dataclasses import replace
 from datetime import datetime
 from itertools import pairwise
@@ -10,7 +11,7 @@ import numpy as np
 import pytest
 
 from gateway.console import shipped
-from sim.lab.recordings import TraceError, load_map, load_traces, plain_time, sources
+from sim.lab.recordings import TraceError, load_map, load_traces, parse_map, plain_time, sources
 from tests.traces.exports import recording, wide, written
 from tests.traces.test_dialects import asked, is_the_plant, mapped
 
@@ -40,6 +41,85 @@ def test_each_reading_of_a_long_file_has_its_own_quality_and_unknown_words_are_a
     (trace,), report, _ = mapped(export, tmp_path / "m.toml", "--good", "Q1")
     assert report.files[0].bad_cells == 6 and np.isnan(trace.signals["Bearing_temperature"][7::40]).all()
     assert not np.isnan(trace.signals["Motor_current"]).any()
+
+
+def with_quality(path: Path, words: Sequence[str]) -> Path:
+    lines = wide(path.with_name("plain")).read_text(encoding="utf-8").splitlines()
+    return written(path, f"{lines[0]},Quality", [f"{line},{word}" for line, word in zip(lines[1:], words, strict=True)])
+
+
+@pytest.mark.parametrize("word", ["Bad", "Uncertain", "bad_comm", "Schlecht", "0"])
+def test_a_quality_that_is_bad_throughout_is_asked_for_and_never_guessed_good(word: str, tmp_path: Path) -> None:
+    export = with_quality(tmp_path / "a.csv", [word] * 240)
+    assert f"--good {word} or --good none" in asked(export, tmp_path / "m.toml", "--yes")
+    mapped(export, tmp_path / "m.toml", "--good", "none")
+    most = with_quality(tmp_path / "b.csv", [word] * 200 + ["Q1"] * 40)
+    assert "most likely" not in asked(most, tmp_path / "n.toml", "--yes")
+
+
+def test_1_is_a_good_word_of_a_column_that_is_called_valid_and_of_no_other(tmp_path: Path) -> None:
+    export = with_quality(tmp_path / "a.csv", ["0" if at == 9 else "1" for at in range(240)])
+    assert "--good 1" in asked(export, tmp_path / "m.toml")
+    export.write_text(export.read_text(encoding="utf-8").replace("Quality", "Validity"), encoding="utf-8")
+    _, report, _ = mapped(export, tmp_path / "m.toml")
+    assert report.files[0].bad_cells == 3
+
+
+def test_a_quality_that_is_written_beside_few_readings_is_asked_for(tmp_path: Path) -> None:
+    words = ["Bad" if at % 40 == 7 else "" for at in range(240)]
+    export = with_quality(tmp_path / "a.csv", words)
+    question = asked(export, tmp_path / "m.toml")
+    assert "blank beside 234 of 240 readings" in question and "--good blank" in question
+    (trace,), report, _ = mapped(export, tmp_path / "m.toml", "--yes")
+    assert report.files[0].bad_cells == 18 and np.isnan(trace.signals["Bearing_temperature"][7::40]).all()
+    both = with_quality(tmp_path / "b.csv", [word or ("Good" if at % 3 == 0 else "") for at, word in enumerate(words)])
+    assert "most likely" not in asked(both, tmp_path / "n.toml", "--yes")
+    _, report, _ = mapped(both, tmp_path / "n.toml", "--good", "Good", "--good", "blank")
+    assert report.files[0].bad_cells == 18
+
+
+def test_readings_with_a_blank_quality_are_counted_where_they_are_refused(tmp_path: Path) -> None:
+    words = ["" if at % 4 == 0 else "Bad" if at == 9 else "Good" for at in range(240)]
+    export = with_quality(tmp_path / "a.csv", words)
+    _, report, said = mapped(export, tmp_path / "m.toml")
+    assert report.files[0].bad_cells == 3 * 61
+    assert any("61 readings are not of a good quality (60 x blank, 1 x 'Bad')" in line for line in said["report"])
+
+
+@pytest.mark.parametrize("layout", ["wide", "long"])
+def test_a_quality_of_the_map_that_the_file_does_not_have_is_said(layout: str, tmp_path: Path) -> None:
+    export = with_quality(tmp_path / "a.csv", ["Bad" if at == 9 else "Good" for at in range(240)])
+    if layout == "long":
+        rows = [f"{at},Bearing temperature,{heat},Good" for at, heat in zip(PLANT.moments, PLANT.heat, strict=True)]
+        export = written(tmp_path / "a.csv", "Time,Tag,Value,Quality", rows)
+    mapped(export, tmp_path / "m.toml", "--current", "none")
+    text = (tmp_path / "m.toml").read_text(encoding="utf-8")
+    assert not load_traces(export, parse_map(text, "m.toml"))[1].warnings
+    _, report = load_traces(export, parse_map(text.replace('["Quality"]', '["Qualty"]'), "m.toml"))
+    assert len(report.warnings) == 1 and "there is no column 'Qualty'" in report.warnings[0]
+
+
+def test_a_word_of_good_readings_that_stands_nowhere_is_refused(tmp_path: Path) -> None:
+    plain = wide(tmp_path / "a.csv")
+    assert "no column says a quality" in asked(plain, tmp_path / "m.toml", "--good", "Prima")
+    export = with_quality(tmp_path / "b.csv", ["Good"] * 240)
+    assert "the words of 'Quality' are Good" in asked(export, tmp_path / "m.toml", "--good", "Prima")
+
+
+def test_a_quality_in_a_file_of_its_own_is_asked_for(tmp_path: Path) -> None:
+    folder = tmp_path / "plant"
+    folder.mkdir()
+    columns = {
+        "Bearing temperature": PLANT.heat.tolist(),
+        "Motor current": PLANT.current.tolist(),
+        "Quality": ["Bad" if at % 40 == 7 else "Good" for at in range(240)],
+    }
+    for name, cells in columns.items():
+        rows = [f"{moment},{cell}" for moment, cell in zip(PLANT.moments, cells, strict=True)]
+        written(folder / f"{name}.csv", "Time,Value", rows)
+    question = asked(folder, tmp_path / "m.toml", "--yes")
+    assert "'Quality/Value' stands in rows without readings" in question and "--good none" in question
+    mapped(folder, tmp_path / "m.toml", "--good", "none")
 
 
 def test_each_value_with_a_clock_of_its_own_is_refused_where_these_differ(tmp_path: Path) -> None:

@@ -10,16 +10,18 @@ from typing import Any
 
 import click
 import numpy as np
+from numpy.typing import NDArray
 
 from drivers.tag import DType, Quality, Sample, Tag
 from gateway.console import CommandResult, Part, conclude, json_option, map_option, progress
 from gateway.entry import sentences
 from gateway.lab.traces.load import load_reported
 from gateway.machine import Keeper
+from gateway.machine.model import held_news
 from gateway.machine.reading import Scan
 from gateway.settings import HistorianSection
 from gateway.store import Historian, HistorianError, machines, newest_scan, open_historian, reading, to_trace
-from sim.sha import Trace
+from sim.sha import Alphabet, Mask, Trace
 
 TOGETHER = 5_000
 """Scans that are put before the disk is waited for: the queues are never full."""
@@ -31,6 +33,8 @@ STEPS_STORED = 5
 """Usual steps between rows after which a value that has not changed is stored again."""
 SAME = 1e-6
 """s between two times that are one."""
+_Seen = dict[str, tuple[NDArray[np.intp], Mask]]
+"""Of each signal, in each row, where its newest reading stands and whether it still holds."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -62,7 +66,7 @@ def import_command(paths: Sequence[str], map_name: str, path: Path, machine: str
     with sentences(), progress("importing") as report:
         traces, column_map, account = load_reported(paths, map_name)
         named = [replace(trace, machine=machine or trace.machine) for trace in traces]
-        done = imported(path, named, column_map.temperature, report)
+        done = imported(path, named, column_map.temperature, column_map.alphabet, report)
     data: dict[str, Any] = {"historian": str(path), "account": account.account()}
     data |= {"machines": [{"machine": each.machine, "rows": each.rows, "already there": each.there,
              "stored": each.stored, "samples": each.samples} for each in done]}  # fmt: skip
@@ -83,9 +87,12 @@ def imported(
     path: Path,
     traces: Sequence[Trace],
     temperature: str,
+    alphabet: Alphabet,
     report: Callable[[str, float], None] = lambda what, share: None,
 ) -> list[ImportedRows]:
     """The traces as rows of the historian at `path`, machine by machine.
+
+    Over rows that have none of its signal a reading holds as `recorded_scans` shows it, up to the alphabet's gap.
 
     Raises ValueError, before anything is stored, for rows that contradict what is there, that are before it, or that
     have no time in UTC; HistorianError where another gateway has it or it cannot be written.
@@ -94,12 +101,13 @@ def imported(
     for trace in traces:
         by_machine.setdefault(trace.machine, []).append(trace)
     recordings = {name: _one_after_another(own) for name, own in by_machine.items()}
-    there = {name: _there(path, recording) for name, recording in recordings.items()}
+    seen = {name: held_news(own, alphabet, np.arange(own.times.size), own.times) for name, own in recordings.items()}
+    there = {name: _there(path, recording, seen[name]) for name, recording in recordings.items()}
     historian = open_historian(path)
     try:
         done = []
         for name, recording in recordings.items():
-            samples = _put(historian, recording, there[name], temperature, report)
+            samples = _put(historian, recording, seen[name], there[name], temperature, report=report)
             rows = int(recording.times.size)
             stored = rows - there[name]
             done.append(ImportedRows(machine=name, rows=rows, there=there[name], stored=stored, samples=samples))
@@ -111,7 +119,10 @@ def imported(
 
 
 def _one_after_another(traces: Sequence[Trace]) -> Trace:
-    """A machine's traces as one. Raises ValueError where they overlap, or count from their own beginning."""
+    """A machine's traces as one.
+
+    Raises ValueError where they overlap, have two rows of one time, or count from their own beginning.
+    """
     ordered = sorted(traces, key=lambda trace: float(trace.times[0]))
     for trace in ordered:
         if trace.times[0] < SINCE_1970:
@@ -133,15 +144,15 @@ def _one_after_another(traces: Sequence[Trace]) -> Trace:
     bad = {
         name: np.concatenate([t.bad.get(name, np.zeros(t.times.size, dtype=bool)) for t in ordered]) for name in names
     }
-    twice = np.concatenate([[False], np.diff(times) <= 0])
-    if twice.any():
-        keep = ~np.concatenate([twice[1:], [False]])
-        times = times[keep]
-        signals, bad = ({n: v[keep] for n, v in signals.items()}, {n: v[keep] for n, v in bad.items()})
+    if twice := int((np.diff(times) <= 0).sum()):
+        raise ValueError(
+            f"{ordered[0].origin}: {twice} rows of {ordered[0].machine!r} have the time of the row before, and a "
+            'historian has one row a time; give duplicates = "average" or "spread" in the column map'
+        )
     return replace(ordered[0], times=times, signals=signals, bad=bad, events=())
 
 
-def _there(path: Path, recording: Trace) -> int:
+def _there(path: Path, recording: Trace, seen: _Seen) -> int:
     """How many of the recording's first rows the historian has. Raises ValueError where it contradicts them."""
     if not path.exists():
         return 0
@@ -163,7 +174,8 @@ def _there(path: Path, recording: Trace) -> int:
             f"other rows of {machine!r}, and the recording {count}; import recordings in the order of their times, or "
             "into a historian of their own"
         )
-    for name, values in recording.signals.items():
+    for name, (news, held) in seen.items():
+        values = np.where(held, recording.signals[name][news], np.nan)
         known = stored.signals.get(name, np.full(count, np.nan))
         unequal = np.flatnonzero(~((known == values[:count]) | (np.isnan(known) & np.isnan(values[:count]))))
         if unequal.size:
@@ -176,7 +188,13 @@ def _there(path: Path, recording: Trace) -> int:
 
 
 def _put(
-    historian: Historian, recording: Trace, first: int, temperature: str, report: Callable[[str, float], None]
+    historian: Historian,
+    recording: Trace,
+    seen: _Seen,
+    first: int,
+    temperature: str,
+    *,
+    report: Callable[[str, float], None],
 ) -> int:
     """Put the rows from `first` on; how many samples they make."""
     times = recording.times.tolist()[first:]
@@ -190,19 +208,19 @@ def _put(
     followed = historian.of(recording.machine, temperature=temperature)
     followed.put("runs", [(times[0], temperature, "", usual, interval)])
     keeper, samples = Keeper(tags, interval), 0
-    columns = [(name, values.tolist()[first:]) for name, values in recording.signals.items()]
-    faults = {name: mask.tolist()[first:] for name, mask in recording.bad.items()}
+    columns = []
+    for name, (news, held) in seen.items():
+        new = news == np.arange(news.size)
+        columns.append((name, *(each[first:].tolist() for each in (recording.signals[name], new, held))))
     for begin in range(0, len(times), TOGETHER):
         for number in range(begin, min(begin + TOGETHER, len(times))):
             time = times[number]
             read = {}
-            for name, values in columns:
-                value = values[number]
-                if isfinite(value):
-                    read[name] = Sample(name, value, Quality.GOOD, time)
-                else:
-                    fault = name in faults and faults[name][number]
-                    read[name] = Sample(name, None, Quality.BAD if fault else Quality.NO_DATA, time)
+            for name, values, new, held in columns:
+                if new[number] and isfinite(values[number]):
+                    read[name] = Sample(name, values[number], Quality.GOOD, time)
+                elif new[number] or not held[number]:
+                    read[name] = Sample(name, None, Quality.BAD if new[number] else Quality.NO_DATA, time)
             rows = keeper.rows(Scan(number, time, read, 0, 0.0))
             samples += len(rows)
             view.put("scans", [(time, 0.0, 0)])

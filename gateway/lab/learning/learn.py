@@ -138,7 +138,7 @@ def learn(
             "file": str(written[folder]),
             **summary(each.model),
             "diagnostics": each.shown,
-            "verdict": each.verdict.plain() | {"sentence": each.verdict.sentence},
+            "verdict": each.verdict.told(),
             "familiar_cycles": each.cycles,
             "machines": asdict(each.spread),
             "drivers": [{**asdict(one), "sentence": one.sentence} for one in each.drivers],

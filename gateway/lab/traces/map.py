@@ -10,7 +10,7 @@ import click
 from drivers.named_files import writing
 from gateway.console import CommandResult, Line, Part, conclude, json_option
 from gateway.entry import sentences
-from sim.lab.recordings.mapping import CHOICES, NONE, Answers, DraftedMap, Undecided, draft_map
+from sim.lab.recordings.mapping import BLANK, CHOICES, NONE, Answers, DraftedMap, Undecided, draft_map
 
 MOST_QUESTIONS = 3
 """Of one export; what is open beyond them is taken as it most likely is, and said."""
@@ -34,7 +34,11 @@ MOST_QUESTIONS = 3
 @click.option("--unit", multiple=True, help="The unit of a column that does not say it, as 'Bearing temperature=K'.")
 @click.option("--machine", default="", help=f"The column that says which machine a row is of; {NONE} for none.")
 @click.option("--session", default="", help=f"The column that says which session a row is of; {NONE} for none.")
-@click.option("--good", multiple=True, help=f"A word of the quality of good readings; {NONE}: it says nothing.")
+@click.option(
+    "--good",
+    multiple=True,
+    help=f"A word of the quality of good readings; {BLANK}: also where it is blank; {NONE}: it says nothing.",
+)
 @click.option("--stored", type=click.Choice(CHOICES["stored"]), help="How values were stored.")
 @click.option("--duplicates", type=click.Choice(CHOICES["duplicates"]), help="What becomes of rows with the same time.")
 @click.option("--clock-back", type=click.Choice(CHOICES["clock_back"]), help="What becomes of a clock that goes back.")

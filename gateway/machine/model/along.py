@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 from math import inf
 
 import numpy as np
+from numpy.typing import NDArray
 
 from drivers.tag import Quality, Sample
 from gateway.machine.model.ensemble import Ensemble
@@ -18,14 +19,35 @@ from gateway.machine.reading import Scan
 from gateway.settings import EnsembleSection, ForecastSection
 from sim.artefacts import model_hash
 from sim.forecast import DENSE, Forecast
-from sim.sha import Alphabet, Model, Trace
+from sim.sha import Alphabet, Array, Mask, Model, Trace
+
+
+def held_news(
+    trace: Trace, alphabet: Alphabet, rows: NDArray[np.intp], moments: Array
+) -> dict[str, tuple[NDArray[np.intp], Mask]]:
+    """Of each signal, at `rows` (m,) of a trace that are shown at `moments` (m,) s: (m,) the row of its newest reading,
+    good or bad, and (m,) whether that one still holds then.
+
+    Nothing is held over a step between rows longer than the alphabet's gap, nor for longer than that, unless the
+    signal's channel is only sent on change. Where there was no reading yet, nothing holds, and the row is -1.
+    """
+    places = np.arange(trace.times.size)
+    step = np.diff(trace.times, prepend=trace.times[:1])
+    begins = np.maximum.accumulate(np.where(step > alphabet.gap, places, 0))[rows]
+    lasting = {channel.signal for channel in alphabet.channels if channel.on_change}
+    found = {}
+    for name, values in trace.signals.items():
+        bad = trace.bad.get(name, np.zeros(values.shape, dtype=bool))
+        news = np.maximum.accumulate(np.where(np.isfinite(values) | bad, places, -1))[rows]
+        recent = (moments - trace.times[news] <= alphabet.gap) | (name in lasting)
+        found[name] = news, (news >= begins) & recent
+    return found
 
 
 def recorded_scans(trace: Trace, period: float, alphabet: Alphabet) -> Iterator[Scan]:
     """Scans every `period` seconds, as of a device that shows the trace: each signal's newest reading, held.
 
-    A tick without a new row brings no scan. Nothing is held over a step between rows longer than the alphabet's gap,
-    nor for longer than that, unless the signal's channel is only sent on change.
+    A tick without a new row brings no scan. What is held is by the law of `held_news`.
     """
     if not trace.times.size:
         return
@@ -34,17 +56,11 @@ def recorded_scans(trace: Trace, period: float, alphabet: Alphabet) -> Iterator[
     ticks = np.ceil((times - times[0]) / period - 1e-6)
     rows = np.flatnonzero(np.diff(ticks, append=inf) > 0)
     moments = times[0] + period * ticks[rows]
-    step = np.diff(times, prepend=times[0])
-    begins = np.maximum.accumulate(np.where(step > alphabet.gap, np.arange(times.size), 0))[rows]
-    lasting = {channel.signal for channel in alphabet.channels if channel.on_change}
     columns = []
-    for name, values in trace.signals.items():
-        places = np.arange(times.size)
-        bad = trace.bad.get(name, np.zeros(times.shape, dtype=bool))
-        news = np.maximum.accumulate(np.where(np.isfinite(values) | bad, places, -1))[rows]
-        held = (news >= begins) & ((moments - times[news] <= alphabet.gap) | (name in lasting))
-        good = held & ~bad[news]
-        columns.append((name, times[news].tolist(), values[news].tolist(), good.tolist(), held.tolist()))
+    for name, (news, held) in held_news(trace, alphabet, rows, moments).items():
+        values = trace.signals[name][news]
+        good = held & np.isfinite(values)
+        columns.append((name, times[news].tolist(), values.tolist(), good.tolist(), held.tolist()))
     for number, moment in enumerate(moments.tolist()):
         samples = {}
         for name, read_at, values, good, held in columns:

@@ -233,6 +233,11 @@ def _distrusted(name: str, values: Array, not_good: Mask) -> dict[str, Mask]:
 def _qualities(chunk: _Chunk, column_map: ColumnMap, report: FileReport) -> set[int]:
     """The places of the columns that say how good readings are, whose cells are used up by that."""
     places = _quality_places(chunk.header, column_map)
+    names = () if column_map.quality is None else column_map.quality.column
+    # Of parts each has the quality of its own tags.
+    if not (column_map.parts and places):
+        for name in (each for each in names if place_of(chunk.header, (each,)) is None):
+            report.warn(f"there is no column {name!r}, a quality by the map: no reading is refused by it")
     report.used_cells += sum(_filled(chunk.columns[place]) for place in places)
     return set(places)
 

@@ -8,6 +8,8 @@ from sim.lab.recordings import TraceError, listed
 
 NONE = "none"
 """The answer that a part is played by no column."""
+BLANK = "blank"
+"""The answer that a reading is good where its quality is not written."""
 CHOICES: Mapping[str, tuple[str, ...]] = {
     "dates": ("day", "month"),
     "stored": ("each row", "on change"),
@@ -23,8 +25,9 @@ class Answers:
     """What a person has decided; "" is left to what the file shows.
 
     `current` are the columns of what loads the machine; `dates` is the order of dates, day or month; `on` the words of
-    a switch or of states that mean running; `unit` are texts NAME=UNIT; `good` the words of good readings; `machine`
-    and `session` are columns; the others are the map's own keys. Raises TraceError for a word that is none of CHOICES.
+    a switch or of states that mean running; `unit` are texts NAME=UNIT; `good` the words of good readings, or BLANK;
+    `machine` and `session` are columns; the others are the map's own keys. Raises TraceError for a word that is none of
+    CHOICES.
     """
 
     temperature: str = ""

@@ -113,7 +113,10 @@ def draft_map(path: Path, answers: Answers, names: Mapping[str, str] | None = No
     series = [""] * times.size if long is None else [f"{row[long.name]}\n{_object(row, long)}" for row in table.rows]
     rows = rows_of(table, clock, times, local, series=series, answers=answers)
     taken = {clock.place, clock.date, rows.machine, rows.session}
-    quality = quality_of(table, taken if long is None else taken | {long.name, long.value, long.unit}, answers)
+    if long is None:
+        quality = quality_of(table, taken, answers)
+    else:
+        quality = quality_of(table, taken | {long.name, long.value, long.unit}, answers, value=long.value)
     columns, own, decimal = _columns(table, clock, long, taken | set(quality.places), apart(table, rows, times))
     columns = [replace(column, name=names.get(column.header, column.name)) for column in columns]
     columns = with_units(path, with_words(path, _named_apart(columns), own, answers), answers)

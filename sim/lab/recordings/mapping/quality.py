@@ -2,10 +2,11 @@
 
 import re
 from collections import Counter
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
-from sim.lab.recordings.mapping.answers import NONE, Answers, Undecided
+from sim.lab.recordings import TraceError, listed
+from sim.lab.recordings.mapping.answers import BLANK, NONE, Answers, Undecided
 from sim.lab.recordings.mapping.table import FoundTable
 
 _NAMED = re.compile(
@@ -17,6 +18,15 @@ _GOOD = re.compile(
     re.IGNORECASE,
 )
 """Words of good readings; 192 (hexadecimal C0) is OPC's."""
+_SAYS_VALID, _YES = re.compile(r"g[üu]e?ltig|valid", re.IGNORECASE), re.compile(r"1(?:\.0+)?|yes|ja|s[iì]|oui", re.I)
+"""A column that is called valid, and what is a yes there; of a quality 1 may mean anything."""
+_BAD = re.compile(
+    r"(?:bad|uncertain|invalid|not|no|non|error|fault|fail|timeout|stale|unknown|schlecht|ung[üu]e?ltig|unsicher|fehler"
+    r"|cattiv[oa]|incert[oa]|errore|guast[oa]|mauvaise?|incertaine?|erreur|mal[oa]|inv[aá]lid[oa]|inciert[oa])\b.*"
+    r"|bad_.*|uncertain_.*|false|(?:0x)?0+(?:\.0+)?",
+    re.IGNORECASE,
+)
+"""Words that are never taken for good ones unless a person says so."""
 _MOST_WORDS = 30
 """Words that a quality may have: more are notes or readings."""
 
@@ -30,34 +40,73 @@ class FoundQuality:
     said: str = ""
 
 
-def quality_of(table: FoundTable, taken: Collection[int | None], answers: Answers) -> FoundQuality:
-    """What the table says of its readings' quality.
+def quality_of(
+    table: FoundTable, taken: Collection[int | None], answers: Answers, *, value: int | None = None
+) -> FoundQuality:
+    """What the table says of its readings' quality; `value` is the place of the readings in a file with one a row.
 
-    Raises Undecided where no word of it is known.
+    Raises Undecided where no word of it is known, where most readings have none, and where it stands in rows without
+    readings; TraceError for a word of good readings that none of its columns has.
     """
+    if answers.good == (NONE,):
+        return FoundQuality()
     words = {
         place: Counter(filter(None, table.column(place)))
         for place, name in enumerate(table.header)
-        if place not in taken and _NAMED.search(name)
+        if place not in taken and (_NAMED.search(name) or _NAMED.search(table.titles[place]))
     }
+    named = [place for place, own in words.items() if 0 < len(own) <= _MOST_WORDS]
+    readings = [p for p in range(len(table.header)) if p not in taken and p not in named] if value is None else [value]
+    beside = {place: _beside(table, place, named, readings) for place in named}
     # One that stands in rows of its own, as in a file beside, says nothing of the others.
-    least = len(table.rows) / 2
-    places = tuple(place for place, own in words.items() if 0 < len(own) <= _MOST_WORDS and own.total() >= least)
-    every = sum((words[place] for place in places), Counter[str]())
-    if not places or answers.good == (NONE,):
-        return FoundQuality()
-    good = tuple(word for word in every if word in answers.good or (not answers.good and _GOOD.fullmatch(word)))
-    if not good and len(every) > 1:
+    places = tuple(place for place in named if any(beside[place]))
+    apart = [table.header[place] for place in named if place not in places]
+    if apart and not places:
         raise Undecided(
             table.path,
-            f"words of {table.header[places[0]]!r} that may mean a good reading",
+            f"{apart[0]!r} stands in rows without readings, so that it says of none how good it is; export it beside "
+            "the readings that it is of, or read them all as good",
             "good",
-            [*every, NONE],
-            guess=every.most_common(1)[0][0],
+            [NONE],
         )
-    bad = every.total() - sum(every[word] for word in good)
-    others = ", ".join(f"{count} x {word!r}" for word, count in every.most_common(8) if word not in good)
-    said = (
-        f"{bad} readings are not of a good quality ({others}): the map's quality refuses them" if bad and good else ""
-    )
-    return FoundQuality(places, good, said) if good else FoundQuality()
+    wanted = {word.casefold() for word in answers.good if word != BLANK}
+    every = sum((words[place] for place in places), Counter[str]())
+    if answers.good and (not places or (wanted and not wanted & {word.casefold() for word in every})):
+        of = f"the words of {table.header[places[0]]!r} are {listed(every)}" if places else "no column says a quality"
+        raise TraceError(
+            f"{table.path}: {answers.good[0]!r} was given as a word of good readings, and {of}; give one that stands "
+            "there, or leave it out"
+        )
+    if not places:
+        return FoundQuality()
+    cells = sum((Counter(beside[place]) for place in places), Counter[str]())
+    valid = {word for place in places if _SAYS_VALID.search(table.header[place]) for word in words[place]}
+    known = {word for word in every if _GOOD.fullmatch(word) or (word in valid and _YES.fullmatch(word))}
+    good = [word for word in every if (word.casefold() in wanted if wanted else word in known)]
+    mostly_blank = 2 * cells[""] > cells.total()
+    if not answers.good and (not good or mostly_blank):
+        first, (common, _) = table.header[places[0]], every.most_common(1)[0]
+        likely = (BLANK if not good else "") if mostly_blank else "" if _BAD.fullmatch(common) else common
+        blank = f" (it is blank beside {cells['']} of {cells.total()} readings)" if cells[""] else ""
+        choices = [*every, *([BLANK] if cells[""] else []), NONE]
+        raise Undecided(
+            table.path, f"words of {first!r} that may mean a good reading{blank}", "good", choices, guess=likely
+        )
+    good += [""] if BLANK in answers.good else []
+    bad = Counter({word: count for word, count in cells.items() if word not in good})
+    others = ", ".join(f"{count} x {word!r}" if word else f"{count} x blank" for word, count in bad.most_common(8))
+    said = f"{bad.total()} readings are not of a good quality ({others}): the map's quality refuses them" if bad else ""
+    if apart:
+        said += f"{'; ' if said else ''}{listed(map(repr, apart))} stand in rows without readings and are not used"
+    return FoundQuality(places, tuple(good), said)
+
+
+def _beside(table: FoundTable, place: int, named: Sequence[int], readings: Sequence[int]) -> list[str]:
+    """The cells of a quality in the rows that have one of the readings that it is of: those since the quality before.
+
+    The last one is of those after it as well.
+    """
+    before = max((each for each in named if each < place), default=-1)
+    until = place if place < max(named) else len(table.header)
+    own = [each for each in readings if before < each < until] or list(readings)
+    return [row[place] for row in table.rows if any(row[each] for each in own)]
