@@ -99,7 +99,7 @@ class Layout:
             cell = stays * runs + np.arange(runs)
             location = np.take(paths.location, cell)
             age = np.maximum(begin - np.take(paths.entered, cell), 0.0) + np.where(stays == 0, paths.age, 0.0)
-            decay, pull, variance = _coefficients(self.tracker.model.sha, location, age, dt)
+            decay, pull, variance = flows.coefficients_along(self.tracker.flows, location, age, dt)
             if self.heat is None or heat is None:
                 noise = np.sqrt(variance) * self.white[rows]
             else:
@@ -205,21 +205,6 @@ def locations(paths: Paths, first: Mask) -> Indices:
     return paths.location[np.cumsum(first, axis=0), np.arange(paths.location.shape[1])]
 
 
-def _coefficients(sha: SHA, location: Indices, age: Array, dt: Array) -> tuple[Array, Array, Array]:
-    """(decay, pull, variance) of each step; sorted by location once: a mask for each location costs twice that."""
-    # int16 has a radix sort in numpy: linear in the steps, where the wider integers' merge sort is not.
-    order = np.argsort(location.ravel().astype(np.int16), kind="stable")
-    ages, steps = age.ravel()[order], dt.ravel()[order]
-    ends = np.cumsum(np.bincount(location.ravel(), minlength=len(sha.locations)))
-    parts = np.empty((3, steps.size))
-    for place, begin, end in zip(sha.locations, [0, *ends], ends, strict=False):
-        parts[:, begin:end] = flows.coefficients(place.flow, ages[begin:end], steps[begin:end])
-    back = np.empty_like(parts)
-    back[:, order] = parts
-    decay, pull, variance = back.reshape(3, *dt.shape)
-    return decay, pull, variance
-
-
 def draw_belief(belief: Belief, runs: int, rng: np.random.Generator) -> tuple[Array, Array]:
     """`runs` draws of (X, m), each (runs,), from the belief's joint normal law."""
     # The 2 x 2 Cholesky factor, written out: X first, then m given X. Rounding may leave m's own variance below 0.
@@ -258,7 +243,7 @@ def run(sha: SHA, layout: Layout, x0: Array) -> PathRuns:
     start, end = _both_ends(layout, x0)
     bridge, fast = np.empty(end.shape), False
     for rows, steps in layout.blocks():
-        shift = np.multiply(steps.pull, steps.target, out=steps.pull)
+        shift = steps.pull * steps.target
         shift += steps.noise
         for place, row in enumerate(range(rows.start, rows.start + len(shift))):
             if steps.drawn is not None:

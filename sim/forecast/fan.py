@@ -39,7 +39,6 @@ from sim.sha import (
     Array,
     Event,
     Model,
-    compile_chain,
     draw_paths,
     flows,
     input_moments,
@@ -128,7 +127,7 @@ def forecast(
         if events is None:
             # Under a dead time the plant is already where it acts only later: paths are drawn from there.
             age = real_age(tracker.plant, belief)
-            drawn = draw_paths(compile_chain(tracker.model), known[-1][1], age=age, horizon=last, runs=runs, rng=rng)
+            drawn = draw_paths(tracker.chain, known[-1][1], age=age, horizon=last, runs=runs, rng=rng)
             paths = acting_paths(tracker.plant, belief, known, drawn)
         else:
             paths = known_paths(known, belief.age, runs)
@@ -136,9 +135,8 @@ def forecast(
     else:
         inputs = input_moments(tracker.model, belief.signals)
         if events is None:
-            chain = compile_chain(tracker.model)
-            current = chain.names.index(belief.location)
-            paths = draw_paths(chain, current, age=belief.age, horizon=last, runs=runs, rng=rng)
+            current = names.index(belief.location)
+            paths = draw_paths(tracker.chain, current, age=belief.age, horizon=last, runs=runs, rng=rng)
         else:
             stays, exact = _known_future(tracker, belief, events, horizons=ahead, levels=levels, inputs=inputs)
             paths = known_paths(stays, belief.age, runs)

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sim.sha.automaton import Flow
+from sim.sha.kinds import Indices, OfKind
 from sim.sha.trace import Array
 
 Coefficients = tuple[Array, Array, Array]
@@ -77,7 +78,7 @@ def _relaxing(params: Mapping[str, float], age: Array, dt: Array) -> Coefficient
     pull = -np.expm1(-k * dt)
     # A fit of the means asks without noise, thousands of times: the second expm1 would be half of its time.
     noise = params["noise"]
-    variance = noise**2 * -np.expm1(-2.0 * k * dt) / (2.0 * k) if noise else np.zeros_like(dt)
+    variance = noise**2 * -np.expm1(-2.0 * k * dt) / (2.0 * k) if np.any(noise) else np.zeros_like(dt)
     return 1.0 - pull, pull, variance
 
 
@@ -181,6 +182,20 @@ def coefficients(flow: Flow, age: ArrayLike, dt: ArrayLike) -> Coefficients:
     """(decay, pull, variance) of an unsaturated step, broadcast over `age` and `dt` in seconds."""
     ages, steps = np.broadcast_arrays(np.asarray(age, dtype=float), np.asarray(dt, dtype=float))
     return FLOWS[flow.kind].coefficients(flow.params, ages, steps)
+
+
+def coefficients_along(flows: tuple[OfKind, ...], location: Indices, age: Array, dt: Array) -> Coefficients:
+    """(decay, pull, variance) of unsaturated steps, each in a `location` of its own; all arrays of one shape.
+
+    `flows` are those of all locations (`kinds.by_kind`): a kind is worked out once, however many locations have it.
+    """
+    if len(flows) == 1:
+        return FLOWS[flows[0].kind].coefficients(flows[0].at(location), age, dt)
+    parts = np.empty((3, *dt.shape))
+    for each in flows:
+        rows = each.members[location]
+        parts[:, rows] = FLOWS[each.kind].coefficients(each.at(location[rows]), age[rows], dt[rows])
+    return parts[0], parts[1], parts[2]
 
 
 def mean_step(flow: Flow, x: ArrayLike, target: ArrayLike, *, age: ArrayLike, dt: ArrayLike, max_rate: float) -> Array:
