@@ -47,12 +47,13 @@ class Chain:
 class Paths:
     """J stays of N runs: `location` (J, N) indices; `entered` (J, N) seconds from now, inf beyond the horizon.
 
-    `entered[0]` is 0: the present stay, which is `age` seconds old. `cut` counts the runs that ran out of stays.
+    `entered[0]` is 0: the present stay, which is `age` seconds old, all runs' or each one's (N,). `cut` counts the runs
+    that ran out of stays.
     """
 
     location: Indices
     entered: Array
-    age: float
+    age: Array | float
     cut: int = 0
 
 
