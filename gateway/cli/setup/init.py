@@ -119,6 +119,7 @@ def init(given: SharedOptions, folder: Path, **options: Any) -> None:
         warnings.append("no heartbeat is known: a PLC that stands still would look alive; give --heartbeat TAG")
     if io_list is not None:
         warnings += [f"left out: {problem}" for problem in io_list.problems]
+        warnings += [tag.unread for tag in io_list.tags if tag.unread]
     warnings += plant_findings(folder / "plant.toml")
     following = _next(folder, trace, temperatures)
 
@@ -263,15 +264,18 @@ def _column_map(
     if strange := [tag for tag in rename.values() if tag not in known]:
         raise ConfigError([f"--rename: {strange[0]!r} is no tag of the device; it has {', '.join(known)}"])
     answers = Answers()
-    try:
-        first = asked_map(trace, answers)
-    except Undecided as open_point:
-        # Which temperature the model is to predict was said already.
-        mine = [choice for choice in open_point.choices if _tag_of(choice, known) == temperature]
-        if open_point.field != "temperature" or len(mine) != 1:
-            raise ValueError(f"{open_point}: to `decanter trace map {trace} -o {trace.stem}.toml`") from None
-        answers = answers.with_answer("temperature", mine[0])
-        first = asked_map(trace, answers)
+    while True:
+        try:
+            first = asked_map(trace, answers)
+            break
+        except Undecided as open_point:
+            # Which temperature the model is to predict was said already.
+            mine = [choice for choice in open_point.choices if _tag_of(choice, known) == temperature]
+            if open_point.field != "temperature" or len(mine) != 1 or answers.temperature:
+                raise ValueError(
+                    f"{open_point}: to `decanter trace map {trace} -o {trace.stem}.toml`, and leave --trace out here"
+                ) from None
+            answers = answers.with_answer("temperature", mine[0])
     drafted = parse_map(first.text, str(trace))
     headers = [drafted.names_of(signal)[0] for signal in drafted.signals]
     names = {header: tag for header in headers if (tag := rename.get(header) or _tag_of(header, known))}
