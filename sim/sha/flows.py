@@ -89,7 +89,7 @@ def _relaxing_saturated(params: Constants, x: Array, target: Array, *, age: Arra
     free = np.maximum(np.abs(distance) - rate / k, 0.0) / rate
     ramp = np.minimum(dt, free)
     reached = x + np.sign(distance) * rate * ramp
-    return target + (reached - target) * np.exp(-k * (dt - ramp))
+    return np.asarray(target + (reached - target) * np.exp(-k * (dt - ramp)))
 
 
 def _logarithmic(params: Constants, age: Array, dt: Array) -> Coefficients:
@@ -100,7 +100,7 @@ def _logarithmic_saturated(params: Constants, x: Array, target: Array, *, age: A
     """The drift a/(t0+u) falls with u: at the limit first, logarithmic once |a|/(t0+u) is below it."""
     start = params["t0"] + age
     ramp = np.minimum(dt, np.maximum(np.abs(target) / rate - start, 0.0))
-    return x + np.sign(target) * rate * ramp + target * np.log1p((dt - ramp) / (start + ramp))
+    return np.asarray(x + np.sign(target) * rate * ramp + target * np.log1p((dt - ramp) / (start + ramp)))
 
 
 def _transient(params: Constants, age: Array, dt: Array) -> Coefficients:

@@ -92,12 +92,12 @@ def compile_chain(model: Model) -> Chain:
         if not abs(float(chances.sum()) - 1.0) < 1e-6:
             raise ValueError(f"location {name!r}: the probabilities of the next location sum to {chances.sum()}, not 1")
         moves.append(([place[other] for other in ahead], np.cumsum(chances / chances.sum())))
-    most = max(len(ahead) for ahead, _ in moves)
+    most = max(len(into) for into, _ in moves)
     targets, cumulative = np.zeros((len(names), most), dtype=np.intp), np.full((len(names), most), np.inf)
-    for number, (ahead, sums) in enumerate(moves):
-        targets[number, : len(ahead)] = ahead
+    for number, (into, sums) in enumerate(moves):
+        targets[number, : len(into)] = into
         # The last has no end: a sum of probabilities may end just below 1, and a number drawn above it lead nowhere.
-        cumulative[number, : len(ahead) - 1] = sums[:-1]
+        cumulative[number, : len(into) - 1] = sums[:-1]
     return Chain(names, tuple(laws), by_kind(laws), np.array([law is not None for law in laws]), targets, cumulative)
 
 
