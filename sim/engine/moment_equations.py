@@ -10,10 +10,10 @@ from sim.effects import check_sha, sensor_offset, sensor_offsets
 from sim.engine.moments_augmented import DrawnMoments, MeanCourse, covariance, mean_course, start_state
 from sim.engine.plant import Plant, compile_plant
 from sim.engine.recursion import SHORT, linear_recursion
-from sim.engine.schedules import Indices, Schedule, step_coefficients
+from sim.engine.schedules import Schedule, step_coefficients
 from sim.engine.tables import Tables
 from sim.engine.terms import Segments
-from sim.sha import Array, distributions, drawn_temperature, flows, mode_parameter
+from sim.sha import Array, Indices, distributions, drawn_temperature, flows, mode_parameter
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,9 +19,9 @@ import numpy as np
 
 from sim.engine.moment_equations import AffineSteps, affine_steps, free_mean, run_flags
 from sim.engine.recursion import linear_recursion
-from sim.engine.schedules import Indices, Schedule
+from sim.engine.schedules import Schedule
 from sim.engine.simulation_augmented import augmented_plan, augmented_runs
-from sim.sha import Array, Distribution, Flow, distributions, drawn_parameter, drawn_temperature, flows
+from sim.sha import Array, Distribution, Flow, Indices, distributions, drawn_parameter, drawn_temperature, flows
 
 CHUNK = 8192
 """Runs that go through the steps together: few enough that their working rows stay in the cache."""

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from sim.engine import (
-    Indices,
     Policy,
     Prediction,
     Score,
@@ -29,7 +28,7 @@ from sim.lab.judge.compatibility import Compatibility, compatibility, dense_even
 from sim.lab.judge.metrics import error_quantiles, judge_band, mae_interval, rmse_interval
 from sim.lab.judge.results import Seen, TraceResult
 from sim.scores import crps_gaussian, log_score_gaussian
-from sim.sha import Array, Event, Model, Trace, distributions, encode, encoded, unit_of
+from sim.sha import Array, Event, Indices, Model, Trace, distributions, encode, encoded, unit_of
 
 MEMORY = 128 * 2**20
 """Bytes that the runs of one trace may take: of a longer trace a part of the readings, evenly spread, is simulated."""
