@@ -33,7 +33,6 @@ from drivers.modbus.identity import (
     object_request,
     server_id_request,
     stranger,
-    text_of_server_id,
 )
 from drivers.modbus.plan import (
     AddressBlock,
@@ -138,16 +137,19 @@ class _TagLayout:
     misplaced: tuple[tuple[Tag, str], ...]
     quarantine: Quarantine
     blocks: tuple[AddressBlock, ...]
-    paced: tuple[Tag, ...]
+    paced: tuple[TagSpan, ...]
 
 
 @dataclass(slots=True)
 class PacedTag:
-    """A tag with a period of its own: what was read last, and when it is read again (the loop's time)."""
+    """A tag with a period of its own: what was read last (None: it is being read), and when it is read again.
 
-    tag: Tag
-    sample: Sample
+    `due` is the loop's time.
+    """
+
+    span: TagSpan
     due: float
+    sample: Sample | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -283,29 +285,44 @@ class ModbusDriver:
                 self._line.rest()
         return await self._scanned(tags)
 
-    async def _in_turn(self, tags: Sequence[Tag], paced: Sequence[Tag]) -> list[Sample]:
+    async def _in_turn(self, tags: Sequence[Tag], paced: Sequence[TagSpan]) -> list[Sample]:
         """Those tags that are due now, and of the others what was read last."""
-        now = _now()
+        now, line = _now(), self._line
         # Behind another connection there may be another device, unless it says on each who it is.
-        comes_and_goes = bool(self._settings.identity) and (self._settings.close_between_scans or self._line.hangs_up)
-        if not comes_and_goes and (self._line.connection is None or self._line.connects != self._paced_over):
+        comes_and_goes = bool(self._settings.identity) and (self._settings.close_between_scans or line.hangs_up)
+        if not comes_and_goes and (line.connection is None or line.connects != self._paced_over):
             self._paced.clear()
-        self._paced_over = self._line.connects
+        self._paced_over = over = line.connects
         held = {
-            id(tag): one.sample
-            for tag in paced
-            if (one := self._paced.get(id(tag))) is not None and now < one.due - _PACE_SLACK * tag.period
+            id(span.tag): one.sample
+            for span in paced
+            if (one := self._paced.get(id(span.tag))) is not None
+            and one.sample is not None
+            and now < one.due - _PACE_SLACK * span.tag.period
         }
-        asked, writes = [tag for tag in tags if id(tag) not in held] if held else tags, self._counts["writes"]
-        read = {id(tag): sample for tag, sample in zip(asked, await self._scanned(asked, all_due=True), strict=True)}
-        for tag in paced:
-            if (sample := read.get(id(tag))) is not None:
-                # What was not read is asked for with the next scan.
-                # What was read while something was written may be older than that.
-                kept = sample.sent is not None and self._counts["writes"] == writes
-                due = now + tag.period if kept else now
-                self._paced[id(tag)] = PacedTag(tag, sample, due)
+        asked = [tag for tag in tags if id(tag) not in held] if held else tags
+        read = await self._read_anew(asked, [span for span in paced if id(span.tag) not in held])
+        if held and not comes_and_goes and line.connects != over:
+            self._paced_over = line.connects
+            read |= await self._read_anew(
+                [tag for tag in tags if id(tag) in held], [span for span in paced if id(span.tag) in held]
+            )
         return [read[id(tag)] if id(tag) in read else held[id(tag)] for tag in tags]
+
+    async def _read_anew(self, tags: Sequence[Tag], paced: Sequence[TagSpan]) -> dict[int, Sample]:
+        """Read the tags, and keep what was read of those with a period."""
+        now = _now()
+        # Who writes over one of them meanwhile takes it away, and so does who believes the device no more.
+        begun = [PacedTag(span, now) for span in paced]
+        self._paced |= {id(one.span.tag): one for one in begun}
+        read = {id(tag): sample for tag, sample in zip(tags, await self._scanned(tags, all_due=True), strict=True)}
+        for one in begun:
+            key = id(one.span.tag)
+            if self._paced.get(key) is one:
+                # What was not read is asked for with the next scan.
+                due = now + one.span.tag.period if read[key].sent is not None else now
+                self._paced[key] = PacedTag(one.span, due, read[key])
+        return read
 
     @property
     def searching(self) -> bool:
@@ -359,9 +376,16 @@ class ModbusDriver:
         try:
             await self._written(layout, values, before_sending)
         finally:
-            self._paced.clear()  # what was written is not what was read
+            self._forget(layout.block)
             if self._settings.close_between_scans:
                 self._line.rest()
+
+    def _forget(self, block: AddressBlock) -> None:
+        """What was written is not what was read."""
+        for key, one in tuple(self._paced.items()):
+            span = one.span
+            if span.area is block.area and span.start < block.stop and block.start < span.stop:
+                del self._paced[key]
 
     async def _written(
         self, layout: _WriteLayout, values: Sequence[tuple[Tag, Value]], before_sending: BeforeSending
@@ -478,7 +502,7 @@ class ModbusDriver:
                     misplaced.append((tag, str(error)))
             quarantine = self._refused.quarantine
             blocks = plan_spans(spans, self._limits, quarantine)
-            paced = tuple(tag for tag in tags if tag.period)
+            paced = tuple(span for span in spans if span.tag.period)
             layout = _TagLayout(tuple(tags), tuple(spans), tuple(misplaced), quarantine, blocks, paced)
             self._layouts[key] = layout
         return layout
@@ -731,8 +755,7 @@ class ModbusDriver:
                 try:
                     if mark.object < 0:
                         request = mark_request(mark, unit) if mark.count else server_id_request(unit)
-                        words = (await self._marked(request, urgent=urgent)).words
-                        said = mark.found(words) if mark.count else text_of_server_id(words)
+                        said = mark.found((await self._marked(request, urgent=urgent)).words)
                     else:
                         if mark.name not in heard:
                             heard |= await self._objects(mark, urgent=urgent)
@@ -786,7 +809,8 @@ class PinnedDriver(ModbusDriver):
         """
         try:
             if (unknown := await self._unproven(urgent=False)) is None:
-                samples = await super().read(tags)
+                # As `super().read` does it, over the connection of the proof.
+                samples = await self._scanned(tags)
                 # What came over a connection that was made meanwhile may be another device's, as what followed a
                 # silence.
                 if (unknown := await self._unproven(urgent=False)) is None:

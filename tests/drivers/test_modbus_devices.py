@@ -13,7 +13,7 @@ from drivers.driver import Complains
 from drivers.errors import DeviceException, DriverError, LinkDown
 from drivers.modbus.ascii import AsciiStream, ascii_frame
 from drivers.modbus.driver import PinnedDriver, open_modbus
-from drivers.modbus.identity import text_of_server_id
+from drivers.modbus.identity import pinned_marks, stranger, text_of_server_id
 from drivers.modbus.rtu import crc
 from drivers.modbus.settings import place_of, read_settings
 from drivers.tag import DType, Quality, Sample, Tag
@@ -300,6 +300,72 @@ async def test_a_tag_with_a_period_is_read_no_more_often_and_what_was_read_stand
     assert sum(start <= 1 < start + number for _, start, number in plug.device.asked) == 1
 
 
+SLOW, OTHER, FAST = (
+    Tag("slow", "holding:1", DType.INT16, period=3600.0, writable=True),
+    Tag("other", "holding:2", DType.INT16, period=3600.0, writable=True),
+    Tag("fast", "holding:3", DType.INT16, writable=True),
+)
+
+
+async def test_a_write_lets_go_of_what_it_wrote_over_and_of_nothing_else() -> None:
+    tags = [SLOW, OTHER, FAST]
+    async with plugged(Device(), tags) as (plug, driver):
+        assert [sample.value for sample in await driver.read(tags)] == [1, 2, 3]
+        plug.device.registers[1] = 10
+        await driver.write([(FAST, 30)])
+        assert [sample.value for sample in await driver.read(tags)] == [1, 2, 30], "the period stands"
+        await driver.write([(OTHER, 20)])
+        assert [sample.value for sample in await driver.read(tags)] == [1, 20, 30]
+
+
+async def test_what_is_written_while_it_is_read_is_read_again() -> None:
+    tags = [SLOW, OTHER, Tag("far", "holding:40")]
+    async with plugged(Device(), tags[:2]) as (plug, driver):
+        keep, writing = plug.device.answer, list[asyncio.Task[None]]()
+
+        def written_after_the_first_block(pdu: bytes) -> bytes | None:
+            if pdu[:3] == bytes((3, 0, 1)) and not writing:
+                writing.append(asyncio.ensure_future(driver.write([(OTHER, 20)])))
+            return keep(pdu)
+
+        plug.device.answer = written_after_the_first_block  # type: ignore[method-assign]
+        await driver.read(tags)
+        await writing[0]
+        plug.device.registers[1] = 10
+        assert [sample.value for sample in await driver.read(tags)][:2] == [1, 20], "what was not written stands"
+
+
+async def test_what_was_kept_is_asked_again_over_a_connection_that_is_made_within_a_reading() -> None:
+    async with plugged(Device()) as (plug, driver):
+        assert good(await driver.read([SLOW, FAST]))
+        other = Device(registers={number: 100 + number for number in range(64)})
+        plug.swap(other)
+        async with asyncio.timeout(60):
+            while driver.connected:
+                await asyncio.sleep(0.005)
+        assert good(await read_again(driver, [SLOW, FAST]))
+        # And where it is noticed in the middle of a reading: by a device server that goes on to the other one.
+        keep = other.answer
+
+        def gone(pdu: bytes) -> bytes | None:
+            plug.swap(Device())
+            return keep(pdu)
+
+        other.answer = gone  # type: ignore[method-assign]
+        samples = await driver.read([SLOW, FAST])
+        while not samples[1].quality.is_good:
+            samples = await driver.read([SLOW, FAST])
+        assert [sample.value for sample in samples] == [1, 3]
+
+
+async def read_again(driver: Any, tags: list[Tag]) -> list[Sample]:
+    """The first reading of which all are good."""
+    async with asyncio.timeout(60):
+        while not good(samples := await driver.read(tags)):
+            await asyncio.sleep(0.01)
+    return samples
+
+
 async def test_what_was_kept_of_another_device_is_forgotten() -> None:
     slow = Tag("slow", "holding:1", period=3600.0)
     async with plugged(Device(), identity={"holding:40-47": "SN-0001"}) as (plug, driver):
@@ -384,6 +450,32 @@ async def test_a_connection_is_left_to_others_between_two_scans() -> None:
         async with asyncio.timeout(60):
             while plug.open:
                 await asyncio.sleep(0.005)
+
+
+async def test_a_pinned_device_is_asked_who_it_is_once_a_scan_over_the_connection_that_is_read() -> None:
+    async with plugged(Device(), identity={"holding:40-47": "SN-0001"}, close_between_scans=True) as (plug, driver):
+        for count in (1, 2, 3):
+            assert good(await driver.read(TAGS))
+            async with asyncio.timeout(60):
+                while plug.open:
+                    await asyncio.sleep(0.005)
+            assert plug.connections in (count, count + 1), "the first one is made by the start"
+            assert plug.device.asked == [(3, 40, 8), (3, 0, 8)]
+            plug.device.asked.clear()
+        plug.swap(Device(serial="SN-0002"))
+        assert not any(sample.quality.is_good for sample in await driver.read(TAGS))
+        assert "another device" in driver.complaints()[0]
+
+
+async def test_what_has_a_period_is_kept_over_the_connections_of_a_pinned_device() -> None:
+    pinned = {"identity": {"holding:40-47": "SN-0001"}, "close_between_scans": True}
+    async with plugged(Device(), **pinned) as (plug, driver):
+        assert good(first := await driver.read([SLOW, FAST]))
+        plug.device.registers[3] = 30
+        second = await driver.read([SLOW, FAST])
+        assert second[0] == first[0] and second[1].value == 30
+        plug.swap(Device(serial="SN-0002"))
+        assert not any(sample.quality.is_good for sample in await driver.read([SLOW, FAST]))
 
 
 # ---------------------------------------------------------------- other frames
@@ -494,3 +586,17 @@ def test_whether_a_device_runs_is_no_part_of_who_it_is() -> None:
     running, stopped = b"\x0a\x42\xff", b"\x0a\x42\x00"
     assert text_of_server_id(running) == text_of_server_id(stopped) != text_of_server_id(b"\x0a\x43\x00")
     assert text_of_server_id(b"PLC 7\xff") == text_of_server_id(b"PLC 7\x00") == "PLC 7"
+
+
+@pytest.mark.parametrize(
+    ("said", "pinned", "same"),
+    [
+        (b"\x0a\x42\xff", "0a42ff", True), (b"\x0a\x42\x00", "0A 42 FF", True), (b"\x0a\x43\x00", "0a42ff", False),
+        (b"12FF34\xff", "12FF34", True), (b"120034\xff", "12FF34", False), (b"PLC 7\x00", "PLC 7", True),
+    ],
+)  # fmt: skip
+def test_a_server_id_is_pinned_as_it_was_written_down_while_it_ran_or_did_not(
+    said: bytes, pinned: str, same: bool
+) -> None:
+    (mark,) = pinned_marks({"server id": pinned})
+    assert (stranger(mark, mark.found(said), "here") == "") is same
