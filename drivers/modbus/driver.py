@@ -25,6 +25,7 @@ from drivers.errors import (
     WriteUnverified,
 )
 from drivers.modbus.address import Area, TagSpan, locate
+from drivers.modbus.factors import ScaledTag, in_order, scaled_sample, scaled_tag, spans_of
 from drivers.modbus.identity import (
     MOST_PARTS,
     PinnedMark,
@@ -129,7 +130,8 @@ class _TagLayout:
     """The tags of one call, located or with the reason why not, and the block plan under one quarantine.
 
     `tags` are held so that their identities, by which layouts are found again, stay theirs. `paced` are those that have
-    a period of their own.
+    a period of their own, `scaled` those that have a factor in a register; `apart` are the factors that come in another
+    reply than one of their values, each alone.
     """
 
     tags: tuple[Tag, ...]
@@ -138,6 +140,8 @@ class _TagLayout:
     quarantine: Quarantine
     blocks: tuple[AddressBlock, ...]
     paced: tuple[TagSpan, ...]
+    scaled: tuple[ScaledTag, ...] = ()
+    apart: tuple[AddressBlock, ...] = ()
 
 
 @dataclass(slots=True)
@@ -252,6 +256,9 @@ class ModbusDriver:
         # By a tag's identity, of those with a period of their own.
         self._paced: dict[int, PacedTag] = {}
         self._paced_over = 0
+        # By a tag's identity, held as long as what is known of their parts; and what factors were read last.
+        self._scaled: dict[int, ScaledTag] = {}
+        self._factors: dict[int, int] = {}
         self._counts = dict.fromkeys(("retries", "busy", "writes", "late_read_backs", "bisections"), 0)
         self._line = shared.join(settings)
         self.supervisor = shared.supervisor
@@ -337,6 +344,10 @@ class ModbusDriver:
             return await self._in_turn(tags, layout.paced)
         samples = {id(tag): self._no(tag, Quality.CONFIGURATION_ERROR, reason) for tag, reason in layout.misplaced}
         trial = self._refused.trial(layout.spans, now)
+        for block in layout.apart:
+            if (factor := id(block.spans[0].tag)) not in self._factors:
+                samples |= await self._settled(block)
+                self._note_factor(factor, samples)
         for block in layout.blocks:
             samples |= await self._settled(block)
         if trial:
@@ -344,7 +355,20 @@ class ModbusDriver:
         for span in layout.spans:
             if id(span.tag) not in samples:
                 samples[id(span.tag)] = self._no(span.tag, *self._refused.verdict(span, now))
+        for part in layout.scaled:
+            raw, factor = samples[id(part.raw)], samples[id(part.factor)]
+            samples[id(part.tag)] = scaled_sample(part, raw, factor, self._factors.get(id(part.factor)))
+        for block in layout.apart:
+            self._note_factor(id(block.spans[0].tag), samples)
         return [samples[id(tag)] for tag in tags]
+
+    def _note_factor(self, factor: int, samples: Mapping[int, Sample]) -> None:
+        """Keep a factor for the next reading; what has not been read is asked for before that."""
+        value = samples[factor].value if factor in samples else None
+        if isinstance(value, int):
+            self._factors[factor] = value
+        else:
+            self._factors.pop(factor, None)
 
     def explain(self, tags: Sequence[Tag]) -> tuple[PlanLine, ...]:
         """The block plan in sentences: what cannot be read and why, each request, the worst-case cycle time."""
@@ -493,19 +517,44 @@ class ModbusDriver:
                 self._layouts.clear()
                 self._decoded.clear()
                 self._readers.clear()
+                self._scaled.clear()
+                self._factors.clear()
             spans: list[TagSpan] = []
             misplaced: list[tuple[Tag, str]] = []
+            scaled: list[ScaledTag] = []
+            factors: dict[int, TagSpan] = {}
+            paced: list[TagSpan] = []
             for tag in tags:
                 try:
-                    spans.append(fitting(locate(tag), self._limits))
+                    if tag.scale_from:
+                        part = self._split(tag)
+                        span, factor = spans_of(part, self._limits)
+                        scaled.append(part)
+                        factors[id(part.factor)] = factor
+                    else:
+                        span = fitting(locate(tag), self._limits)
                 except AddressError as error:
                     misplaced.append((tag, str(error)))
+                    continue
+                spans.append(span)
+                if tag.period:
+                    paced.append(replace(span, tag=tag))
+            spans += factors.values()
             quarantine = self._refused.quarantine
-            blocks = plan_spans(spans, self._limits, quarantine)
-            paced = tuple(span for span in spans if span.tag.period)
-            layout = _TagLayout(tuple(tags), tuple(spans), tuple(misplaced), quarantine, blocks, paced)
+            blocks, apart = in_order(plan_spans(spans, self._limits, quarantine), scaled)
+            layout = _TagLayout(
+                tuple(tags), tuple(spans), tuple(misplaced), quarantine, blocks, tuple(paced), tuple(scaled), apart
+            )
             self._layouts[key] = layout
         return layout
+
+    def _split(self, tag: Tag) -> ScaledTag:
+        """What is read of a tag with a factor; the same parts as long as anything is known of them."""
+        if (known := self._scaled.get(id(tag))) is not None:
+            return known
+        factors = {part.factor.address: part.factor for part in self._scaled.values()}
+        part = self._scaled[id(tag)] = scaled_tag(tag, factors)
+        return part
 
     async def _settled(self, block: AddressBlock) -> dict[int, Sample]:
         """The block's samples; if the device refuses it, those of its parts."""
@@ -888,4 +937,6 @@ def _writable(tag: Tag) -> TagSpan:
         raise AddressError(f"{tag.name}: {tag.address} is read-only by protocol: write to holding or coil addresses")
     if tag.bit is not None:
         raise AddressError(f"{tag.name}: one bit of a register cannot be written without touching the other fifteen")
+    if tag.scale_from:
+        raise AddressError(f"{tag.name}: what is written has a scale of its own; take scale_from out")
     return span

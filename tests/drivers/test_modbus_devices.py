@@ -600,3 +600,79 @@ def test_a_server_id_is_pinned_as_it_was_written_down_while_it_ran_or_did_not(
 ) -> None:
     (mark,) = pinned_marks({"server id": pinned})
     assert (stranger(mark, mark.found(said), "here") == "") is same
+
+
+# ---------------------------------------------------------------- factors in registers
+
+
+def scaled(name: str, at: int, factor: int, **more: Any) -> Tag:
+    return Tag(name, f"holding:{at}", DType.INT16, scale_from=f"holding:{factor}", **more)
+
+
+@pytest.mark.parametrize(
+    ("raw", "factor", "value", "quality"),
+    [
+        (2301, 0xFFFF, 230.1, Quality.GOOD), (2301, 0, 2301, Quality.GOOD), (23, 2, 2300, Quality.GOOD),
+        (0xFFFF, 0xFFFE, -0.01, Quality.GOOD), (2301, 0x8000, None, Quality.NO_DATA),
+        (2301, 11, None, Quality.OUT_OF_RANGE), (9999, 1, 99990, Quality.OUT_OF_RANGE),
+    ],
+)  # fmt: skip
+async def test_a_value_is_scaled_by_the_register_that_its_tag_names(
+    raw: int, factor: int, value: float | None, quality: Quality
+) -> None:
+    device = Device()
+    device.registers |= {10: raw, 12: factor}
+    async with plugged(device) as (_, driver):
+        (sample,) = await driver.read([scaled("V", 10, 12, low=-100.0, high=5000.0)])
+    assert (sample.value, sample.quality) == (value, quality)
+    assert device.asked == [(3, 10, 3)], "one reply has both"
+
+
+@pytest.mark.parametrize(("at", "factor"), [(2, 40), (40, 2)], ids=["behind it", "before it"])
+async def test_a_value_and_a_factor_of_two_replies_count_where_the_factor_did_not_change(at: int, factor: int) -> None:
+    device = Device()
+    device.registers |= {at: 2301, factor: 0xFFFF}
+    tags = [scaled("V", at, factor), scaled("U", at + 1, factor)]
+    async with plugged(device) as (_, driver):
+        for _ in range(2):
+            samples = await driver.read(tags)
+            assert samples[0].value == 230.1 and good(samples)
+        keep = device.answer
+
+        def changed(pdu: bytes) -> bytes | None:
+            answered = keep(pdu)
+            if pdu[:3] == bytes((3, 0, at)):  # the device changes both when one of them has been read
+                device.registers |= {at: 23, factor: 1}
+            return answered
+
+        device.answer = changed  # type: ignore[method-assign]
+        (torn, _) = await driver.read(tags)
+        assert torn.value is None and "factor" in torn.reason
+        assert (await driver.read(tags))[0].value == 230
+
+
+async def test_two_blocks_that_have_the_factors_of_one_another_are_read() -> None:
+    device = Device()
+    device.registers |= {2: 2301, 3: 0xFFFE, 40: 50, 41: 0xFFFF}
+    async with plugged(device) as (_, driver):
+        for _ in range(2):
+            assert [s.value for s in await driver.read([scaled("A", 2, 41), scaled("B", 40, 3)])] == [230.1, 0.5]
+
+
+async def test_a_scaled_tag_may_have_a_period() -> None:
+    device = Device()
+    device.registers |= {10: 2301, 12: 0xFFFF}
+    tags = [scaled("V", 10, 12, period=3600.0), Tag("f", "holding:3")]
+    async with plugged(device) as (_, driver):
+        assert [s.value for s in await driver.read(tags)] == [230.1, 3]
+        device.registers |= {10: 1, 3: 30}
+        assert [s.value for s in await driver.read(tags)] == [230.1, 30]
+    assert sum(start <= 10 < start + number for _, start, number in device.asked) == 1
+
+
+async def test_a_factor_that_is_nowhere_is_said() -> None:
+    async with plugged(Device()) as (_, driver):
+        wrong = [scaled("V", 10, 0), Tag("W", "holding:10", scale_from="coil:3"), Tag("X", "holding:1", scale_from="x")]
+        samples = await driver.read([*wrong, Tag("B", "holding:1", DType.BOOL, scale_from="holding:3")])
+    assert samples[0].value == 10
+    assert all("scale_from" in sample.reason and sample.value is None for sample in samples[1:])
