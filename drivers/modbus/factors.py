@@ -1,4 +1,4 @@
-"""Factors that a device has in registers of their own, as SunSpec's: a value is its raw number times ten to that (pure).
+"""Factors that a device has in registers of their own, as SunSpec's: the raw number times ten to that (pure).
 
 A value and its factor that come in one reply belong together. Of two replies it is not known whether the device has
 changed the factor between them: such a value counts where the factor was the same before it and after it.
@@ -79,10 +79,11 @@ def scaled_sample(part: ScaledTag, raw: Sample, factor: Sample, before: int | No
     place = tag.scale_from
     if not factor.quality.is_good or not isinstance(factor.value, int):
         return replace(raw, value=None, quality=factor.quality, reason=f"its factor at {place}: {factor.reason}")
-    if (raw.sent, raw.time) != (factor.sent, factor.time):
-        if raw.sent is None or factor.sent is None or factor.sent < raw.sent or before != factor.value:
-            reason = f"its factor at {place} was another one while it was read, or that is not known"
-            return replace(raw, value=None, quality=Quality.NO_DATA, reason=reason)
+    together = (raw.sent, raw.time) == (factor.sent, factor.time)
+    after = raw.sent is not None and factor.sent is not None and factor.sent >= raw.sent
+    if not together and not (after and before == factor.value):
+        reason = f"its factor at {place} was another one while it was read, or that is not known"
+        return replace(raw, value=None, quality=Quality.NO_DATA, reason=reason)
     power = factor.value
     number = raw.value * 10**power if power >= 0 else raw.value / 10**-power
     value = number if tag.scale == 1.0 and tag.offset == 0.0 else number * tag.scale + tag.offset

@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 
+from drivers.device_file import DeviceFile, TagTable
 from drivers.errors import DeviceException, LinkDown, NotAsked, ReplyTimeout, WriteUnverified
 from drivers.modbus import rtu
 from drivers.modbus.driver import ModbusDriver, open_modbus
@@ -306,7 +307,7 @@ async def test_drawn_habits_together_leave_every_other_register_readable() -> No
 
 def test_the_page_of_habits_is_the_table() -> None:
     assert PAGE.read_text(encoding="utf-8") == page(), "python -m tests.rig.device_habits"
-    known = set(ModbusSettings.model_fields) | {"sentinel"}
+    known = set(ModbusSettings.model_fields) | set(TagTable.model_fields) | set(DeviceFile.model_fields)
     for row in HABITS:
         named = re.findall(r"[a-z_]{4,}", re.sub(r'"[^"]*"', "", row.setting.replace("a list", "")))
         assert set(named) <= known and set(row.needs) <= known, row.habit

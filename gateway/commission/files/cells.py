@@ -55,13 +55,17 @@ class ListRow:
 
 @dataclass(frozen=True, slots=True)
 class ListSheet:
-    """A list as it was read: which header each column was recognised by, those that were not, and the rows."""
+    """A list as it was read: which header each column was recognised by, those that were not, and the rows.
+
+    `left_out` is what of a list without columns is no row of it by its own rules.
+    """
 
     path: Path
     header_line: int
     columns: Mapping[str, str]
     ignored: tuple[str, ...]
     lines: tuple[ListRow, ...]
+    left_out: tuple[str, ...] = ()
 
     def where(self, line: ListRow, column: str = "") -> str:
         """File, line and the column's own header, to begin a sentence with."""
