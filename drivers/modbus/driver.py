@@ -345,9 +345,9 @@ class ModbusDriver:
         samples = {id(tag): self._no(tag, Quality.CONFIGURATION_ERROR, reason) for tag, reason in layout.misplaced}
         trial = self._refused.trial(layout.spans, now)
         for block in layout.apart:
-            if (factor := id(block.spans[0].tag)) not in self._factors:
+            if (key := id(block.spans[0].tag)) not in self._factors:
                 samples |= await self._settled(block)
-                self._note_factor(factor, samples)
+                self._note_factor(key, samples)
         for block in layout.blocks:
             samples |= await self._settled(block)
         if trial:

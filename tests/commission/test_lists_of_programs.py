@@ -212,6 +212,96 @@ def test_a_meter_template_of_evcc_is_read_row_by_row(tmp_path: Path) -> None:
     assert len(found.problems) == 4
 
 
+# ---------------------------------------------------------------- modpoll and ioBroker
+
+POLLS = """device,meter,7,,,
+poll,input_register,0,4,BE_LE,60
+ref,voltage,0,float32,r,V
+ref,energy,0x2,uint32,rw,kWh,0.01
+# a remark
+poll,holding_register,10,9,LE_BE
+ref,name,10,string10,r
+ref,flags,16,bool16,r
+ref,set,17,int16,w
+poll,coil,3,1,
+ref,on,3,bool,r
+poll,file,3,1,BE_BE
+ref,none,3,int16,r
+odd,line
+"""
+
+
+def test_a_configuration_of_modpoll_is_read(tmp_path: Path) -> None:
+    found = read(tmp_path, "m.csv", POLLS)
+    assert keys(found) == {
+        "voltage": {"address": "input:0", "dtype": "float32", "order": "CDAB", "unit": "V"},
+        "energy": {"address": "input:2", "dtype": "uint32", "order": "CDAB", "unit": "kWh", "scale": 0.01},
+        "name": {"address": "holding:10", "dtype": "string", "length": 10},
+        "on": {"address": "coil:3", "dtype": "bool"},
+    }
+    assert len(found.problems) == 4 and found.tags[0].taken == "unit 7"
+    two = read(tmp_path, "m.csv", POLLS + POLLS.replace("meter,7", "other,8"))
+    assert sum("give --unit" in problem for problem in two.problems) == 8 and not two.tags
+
+
+HEAD = "_address\tdeviceId\tname\tdescription\tunit\ttype\tlen\tfactor\toffset\tformula\trole\troom\tcw\tisScale\n"
+
+
+def iobroker(folder: Path, address: str, cells: str, how: Reading = _PLAIN) -> dict[str, Any] | str:
+    unit, kind, length, factor, offset, formula = cells.split("|")
+    line = f"{address}\t1\tT\t\t{unit}\t{kind}\t{length}\t{factor}\t{offset}\t{formula}\tvalue\t\tfalse\tfalse\n"
+    found = read(folder, "input-registers.tsv", HEAD + line, how)
+    return found.problems[0] if found.problems else keys(found)["T"]
+
+
+@pytest.mark.parametrize(
+    ("cells", "wanted"),
+    [
+        ("V|floatbe|2|1|0|", {"dtype": "float32", "order": "ABCD", "unit": "V"}),
+        ("V|uint16be|1|0.1|0|", {"dtype": "uint16", "scale": 0.1}),
+        ("V|uint16be|1|10|-5|", {"scale": 10.0, "offset": -5}),
+        ("|uint32sw|2|1|0|", {"dtype": "uint32", "order": "CDAB"}),
+        ("|int32le|2|1|0|", {"dtype": "int32", "order": "DCBA"}),
+        ("|uint16le|1|1|0|", {"dtype": "uint16", "order": "BADC"}),
+        ("|doublesb|4|1|0|", {"dtype": "float64", "order": "BADC"}),
+        ("|string|8|1|0|", {"dtype": "string", "length": 16}),
+        ("|int16be|1|1|0|x * 0.01", {"scale": 0.01}),
+        ("|int16be|1|1|0|x/50", {"scale": 0.02}),
+        ("|int16be|1|1|0|x * Math.pow(10, -3)", {"scale": 0.001}),
+        ("|int16be|1|1|0|x * Math.pow(10, sf['104'])", {"scale_from": "holding:104"}),
+    ],
+)
+def test_a_table_of_iobroker_is_read_by_its_own_words(cells: str, wanted: dict[str, Any], tmp_path: Path) -> None:
+    found = iobroker(tmp_path, "100", cells)
+    assert isinstance(found, dict), found
+    assert {key: found.get(key) for key in wanted} == wanted
+
+
+@pytest.mark.parametrize(
+    ("address", "cells", "said"),
+    [
+        ("100", "|int16be|1|1|0|x < 0 ? 0 : x", "is more than a factor"),
+        ("100", "|rawhex|1|1|0|", "no type that is known"),
+        ("100", "|int16be|1|0|0|", "is 0, which would make"),
+        ("100", "|int16be|1|10|0|x * 0.01", "correct one of them"),
+        ("40101", "|int16be|1|1|0|", "give --numbers decimal"),
+    ],
+)
+def test_a_row_of_iobroker_that_is_not_understood_is_refused(
+    address: str, cells: str, said: str, tmp_path: Path
+) -> None:
+    found = iobroker(tmp_path, address, cells)
+    assert isinstance(found, str) and said in found
+
+
+def test_whether_iobroker_counts_references_is_asked(tmp_path: Path) -> None:
+    cells = "|int16be|1|1|0|x * Math.pow(10, sf['40102'])"
+    plain = iobroker(tmp_path, "40101", cells, Reading(numbers="plain"))
+    assert isinstance(plain, dict) and (plain["address"], plain["scale_from"]) == ("holding:40101", "holding:40102")
+    alias = iobroker(tmp_path, "40101", cells, Reading(numbers="decimal"))
+    assert isinstance(alias, dict) and (alias["address"], alias["scale_from"]) == ("holding:100", "holding:101")
+
+
 # ---------------------------------------------------------------- SunSpec
 
 POINTS = [

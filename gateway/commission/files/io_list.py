@@ -4,8 +4,10 @@ A row is read whole or refused: what a cell says and is not understood is never 
 are possible an option asks for the one.
 """
 
+import csv
 import re
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -16,6 +18,7 @@ from drivers.tag import DType
 from gateway.commission.files.cells import ListError, ListRow, ListSheet, RowError, key_of, number_of, read_sheet
 from gateway.commission.files.io_models import ModelError, read_model
 from gateway.commission.files.io_places import SIEMENS, AddressCell, ListedPlace, Numbering, place_of
+from gateway.commission.files.io_polls import by_formula, is_iobroker, of_iobroker, read_polls
 from gateway.commission.files.io_templates import ListedUnit, TemplateError, read_yaml
 from gateway.commission.files.io_units import CountFactor, factor_of, range_of, unit_of
 from gateway.commission.files.io_words import (
@@ -90,7 +93,9 @@ def read_io_list(path: Path, how: Reading, columns: Mapping[str, str] | None = N
     """The list in `path`; `columns` (our name -> its header) wins over the guess. Raises ListError."""
     if unknown := sorted(set(columns or {}) - set(COLUMNS)):
         raise ListError(f"--column {unknown[0]}=...: there is no such column; known are {', '.join(COLUMNS)}")
-    sheet = _structured(path, how, page) or read_sheet(path, COLUMNS, ("name", "address"), given=columns, sheet=page)
+    sheet = _structured(path, how, page) or _of_units(
+        read_sheet(path, COLUMNS, ("name", "address"), given=columns, sheet=page), how
+    )
     how, numbering = _of_the_layout(sheet, how), _numbering(sheet, how)
     how = replace(how, gain=how.gain or _gain_of_the_list(sheet))
     tags: list[Listed] = []
@@ -111,7 +116,7 @@ def _structured(path: Path, how: Reading, page: str | None) -> ListSheet | None:
     """A list that is no table: a model of SunSpec, or YAML of another program; None for a table. Raises ListError."""
     kind = path.suffix.lower()
     if kind not in (".json", ".yaml", ".yml"):
-        return None
+        return _polled(path, how)
     try:
         text = contents(path).decode("utf-8-sig")
     except OSError as error:
@@ -130,6 +135,36 @@ def _structured(path: Path, how: Reading, page: str | None) -> ListSheet | None:
             "(decanter plc scan models)"
         )
     return ListSheet(path, 0, {}, (), tuple(rows), left_out=tuple(left_out))
+
+
+def _polled(path: Path, how: Reading) -> ListSheet | None:
+    """A configuration of modpoll; None for any other file."""
+    with suppress(OSError, csv.Error):
+        if (listed := read_polls(contents(path).decode("utf-8-sig", errors="replace"))) is not None:
+            return ListSheet(path, 0, {}, (), _of_one_unit(listed, how.unit))
+    return None
+
+
+_SCALES = re.compile(r"scal|factor|fattor|faktor|skalier|gain|multipl|divis|resol|risol")
+
+
+def _of_units(sheet: ListSheet, how: Reading) -> ListSheet:
+    """A table in this reader's words, and of several units the rows of the one that is meant.
+
+    Raises ListError for a column that nobody reads and that may say by how much readings are multiplied.
+    """
+    known = {"scale", "decimals", "raw_high", "formula"} & set(sheet.columns)
+    if odd := [] if known else [header for header in sheet.ignored if _SCALES.search(key_of(header))]:
+        raise ListError(
+            f"{sheet.path}: column {odd[0]!r} may say how readings are scaled, and is not understood: give --column "
+            f"scale={odd[0]!r}, or take it out"
+        )
+    headers = {key_of(text) for text in (*sheet.columns.values(), *sheet.ignored)}
+    own = is_iobroker(headers)
+    rows = [replace(row, cells=of_iobroker(row.cells)) if own else row for row in sheet.lines]
+    if "unit_id" in sheet.columns:
+        return replace(sheet, lines=_of_one_unit([ListedUnit(row, row.get("unit_id")) for row in rows], how.unit))
+    return replace(sheet, lines=tuple(rows)) if own else sheet
 
 
 def _of_one_unit(listed: Sequence[ListedUnit], unit: int | None) -> tuple[ListRow, ...]:
@@ -214,7 +249,7 @@ def _listed(row: _ListedRow, before: Sequence[Listed]) -> Listed:
         "low": scaling.low,
         "high": scaling.high,
         "sentinel": _sentinel(line) if numeric else None,
-        "scale_from": _factor_place(line, how.shift) if numeric else None,
+        "scale_from": _factor_place(row, cell) if numeric else None,
         "period": _number(line, "period"),
     }
     taken = "; ".join(note for note in (place.note, said, scaling.taken, line.get("said"), shared) if note)
@@ -243,10 +278,16 @@ def _shared_with(before: Sequence[Listed], row: _ListedRow, address: str, place:
     return shared
 
 
-def _factor_place(line: ListRow, shift: int) -> str | None:
-    """The register of its factor, which moves with the list."""
-    text = line.get("scale_from")
-    return str(parse_register(text).moved(shift)) if text else None
+def _factor_place(row: _ListedRow, cell: TypeCell) -> str | None:
+    """The register of its factor, which is written as its own address is and moves with the list."""
+    if text := row.get("scale_from"):
+        return str(parse_register(text).moved(row.how.shift))
+    _, text = by_formula(row.line)
+    if not text:
+        return None
+    table = _table(row)
+    place = place_of(AddressCell(text, "int16", row.numbering, row.how.plc, table or row.how.table, named=bool(table)))
+    return str(place.register.moved(row.how.shift))
 
 
 _WRITE_ONLY = frozenset({"w", "wo", "write", "write only", "scrittura", "solo scrittura"})
@@ -313,6 +354,11 @@ def _numbering(sheet: ListSheet, how: Reading) -> Numbering:
     if how.numbers or header & {"hex", "hexadecimal", "hexa", "esadecimale", "esa"}:
         hexadecimal = how.numbers == "hex" if how.numbers else not header & {"dec", "decimal", "decimale"}
         return Numbering(hexadecimal, first, how.numbers != "plain")
+    if is_iobroker({key_of(text) for text in (*sheet.columns.values(), *sheet.ignored)}) and not how.numbers:
+        either = (
+            "ioBroker's table does not say whether its aliases are on: give --numbers decimal (40101 is holding:100)"
+        )
+        return Numbering(either=f"{either} or --numbers plain (it is the address itself)")
     doubt = ""
     if odd := next((cell for cell in bare if not cell.isdecimal()), None):
         doubt = f"{odd!r} of this list is hexadecimal, so this number may be; give --numbers hex or --numbers decimal"
@@ -383,6 +429,10 @@ def _decided(number: float, dtype: str, low: float | None, high: float | None) -
     return best[0] if len(best) == 1 else ""
 
 
+_NAMES_OF_VALUES = re.compile(r"\s*\d+\s*=\s*[^=;,]+(?:[;,]\s*\d+\s*=\s*[^=;,]+)*[;,]?\s*")
+"""`0=Off;1=On` in a unit's cell."""
+
+
 def _scaling(row: _ListedRow, dtype: str) -> _Scaling:
     """Scale, offset and range as they are given, or from a raw range and the range in units. Raises RowError."""
     line = row.line
@@ -395,7 +445,8 @@ def _scaling(row: _ListedRow, dtype: str) -> _Scaling:
     unit_text = "" if line.get("unit") in _EMPTY else line.get("unit")
     try:
         # What another program writes there is a name alone.
-        unit, of_unit = (unit_text, None) if not unit_text or line.get("exact") else unit_of(unit_text)
+        named = _NAMES_OF_VALUES.fullmatch(unit_text)
+        unit, of_unit = (unit_text, None) if not unit_text or line.get("exact") else unit_of("" if named else unit_text)
     except ValueError as error:
         raise RowError("unit", str(error)) from None
     scale, taken = _scale(row, dtype, of_unit, (low, high))
@@ -413,7 +464,8 @@ def _scaling(row: _ListedRow, dtype: str) -> _Scaling:
     if low is not None and high is not None and not low < high:
         raise RowError("low", f"{low:g} is not below the highest value {high:g}; swap or correct them")
     low, high, said = _plausible(column, dtype, (scale, offset), (low, high))
-    taken = "; ".join(note for note in (taken, said) if note)
+    names = f"names of values: {unit_text}" if named else ""
+    taken = "; ".join(note for note in (taken, said, names) if note)
     return _Scaling(scale, offset, low=low, high=high, unit=unit or None, taken=taken)
 
 
@@ -434,6 +486,8 @@ def _scale(
     if (decimals := _whole(line, "decimals")) is not None:
         exponent = decimals if "expon" in row.header("decimals") or "espon" in row.header("decimals") else -decimals
         own = _same(own, CountFactor(10.0**exponent), "decimals")
+    if (by_hand := by_formula(line)[0]) is not None:
+        own = _same(own, CountFactor(by_hand), "formula")
     if of_unit is not None:
         own = _same(own, of_unit, "unit")
     if own is None:
@@ -442,7 +496,9 @@ def _scale(
         said = f"scale {own.number:g} from the unit" if of_unit is not None else ""
         return round(own.number, 12), said
     column = "unit" if of_unit is not None else "scale"
-    gain = _decided(own.number, dtype, *ends) or row.how.gain
+    # Of a negative one the range is upside down.
+    upright = ends if own.number > 0 else tuple(end if end is None else -end for end in reversed(ends))
+    gain = _decided(abs(own.number), dtype, *upright) or row.how.gain
     if not gain:
         raise RowError(
             column,
