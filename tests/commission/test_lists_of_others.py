@@ -331,7 +331,7 @@ def test_a_negative_gain_that_may_divide_is_asked_about(tmp_path: Path) -> None:
     assert "give --gain" in str(row(tmp_path, "Address;Type;Scale", "100;UINT16;-10"))
 
 
-@pytest.mark.parametrize("header", ["Skalierung (intern)", "Multiplikator", "Gainstufe"])
+@pytest.mark.parametrize("header", ["Skalierwert", "Multiplikator", "Gainstufe"])
 def test_a_column_that_may_scale_and_that_nobody_reads_refuses_the_list(header: str, tmp_path: Path) -> None:
     with pytest.raises(ListError, match="may say how readings are scaled"):
         read(tmp_path, f"Name;Address;{header}\nT;100;10\n")
