@@ -18,6 +18,7 @@ from drivers.errors import (
     DeviceException,
     DriverError,
     LinkDown,
+    LinkFault,
     NotAsked,
     ReplyMismatch,
     ReplyTimeout,
@@ -426,14 +427,18 @@ class ModbusDriver:
                 return
             pause = _FIRST_PAUSE_S
             while True:
+                stored: list[int] | None = None
                 try:
                     stored = await self._read_back(block)
                 except DriverError as error:
-                    raise WriteUnverified(
-                        f"the device confirmed the write, but reading back failed: {error}"
-                    ) from error
+                    # One that hangs up after its answers does so under this question too: the next connection has it.
+                    hung_up = isinstance(error, LinkDown) and error.fault is LinkFault.CLOSED
+                    if not hung_up or _now() + pause > until:
+                        raise WriteUnverified(
+                            f"the device confirmed the write, but reading back failed: {error}"
+                        ) from error
                 # A gateway's image, or a PLC that copies its table once a cycle, shows it later.
-                if words == stored or _now() + pause > until:
+                if stored is not None and (words == stored or _now() + pause > until):
                     break
                 self._counts["late_read_backs"] += 1
                 await asyncio.sleep(pause)

@@ -412,6 +412,23 @@ async def test_a_device_that_hangs_up_after_each_answer_is_read_and_a_write_is_r
         assert (16, 0, 1) in plug.device.asked
 
 
+async def test_one_that_hangs_up_under_the_question_of_reading_back_is_asked_on_the_next_connection() -> None:
+    device = Device()
+    async with plugged(device, timeout=5.0) as (plug, driver):
+        keep, cut = device.answer, list[bytes]()
+
+        def hung_up(pdu: bytes) -> bytes | None:
+            if cut or pdu[0] != 3 or (16, 0, 1) not in device.asked:
+                return keep(pdu)
+            cut.append(pdu)
+            plug.open[-1].close()
+            return None
+
+        device.answer = hung_up  # type: ignore[method-assign]
+        await driver.write([(TAGS[0], 7)])
+        assert cut and device.asked.count((16, 0, 1)) == 1 and device.asked[-1] == (3, 0, 1)
+
+
 async def test_a_write_without_an_answer_ends_the_connection_that_it_was_sent_on() -> None:
     async with plugged(Device(hangs_up=True)) as (plug, driver):
         async with asyncio.timeout(60):

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 PAGE = Path(__file__).parents[2] / "docs" / "devices.md"
-TCP, LINE = "tcp", "rtu-tcp"
+TCP, LINE, TLS, PTY = "tcp", "rtu-tcp", "tls", "rtu"
 _HABITS, _DEVICES = "tests/drivers/test_modbus_habits.py", "tests/drivers/test_modbus_devices.py"
 
 
@@ -30,7 +30,7 @@ class DeviceHabit:
     test: str = f"{_HABITS}::test_each_habit_is_read_alone"
     wire: Mapping[str, Any] = field(default_factory=dict)
     needs: Mapping[str, Any] = field(default_factory=dict)
-    over: tuple[str, ...] = (TCP, LINE)
+    over: tuple[str, ...] = (TCP, LINE, TLS, PTY)
 
 
 HABITS: tuple[DeviceHabit, ...] = (
@@ -71,7 +71,7 @@ HABITS: tuple[DeviceHabit, ...] = (
             "alejoseb/Modbus-STM32-HAL-FreeRTOS#21",
         ),
         wire={"lead": b"\0"},
-        over=(LINE,),
+        over=(LINE, PTY),
     ),
     DeviceHabit(
         habit="the adapter gives back what is sent",
@@ -81,7 +81,7 @@ HABITS: tuple[DeviceHabit, ...] = (
         test=f"{_HABITS}::test_each_habit_is_read_alone",
         wire={"echo": True},
         needs={"echo": True},
-        over=(LINE,),
+        over=(LINE, PTY),
     ),
     DeviceHabit(
         habit="says that it is busy (exceptions 5 and 6)",
@@ -148,7 +148,7 @@ HABITS: tuple[DeviceHabit, ...] = (
             "Cloud-Automation/node-modbus#121", "stephane/libmodbus#503",
         ),
         wire={"hangs_up": True},
-        over=(TCP,),
+        over=(TCP, TLS),
     ),
     DeviceHabit(
         habit="serves one client, and others need it between two scans",
