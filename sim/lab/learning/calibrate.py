@@ -6,9 +6,9 @@ from math import exp, inf, log, nan
 
 import numpy as np
 
-from sim.engine import Belief, Tracker, compiled, observe, on_event, start, with_inputs
-from sim.forecast import LEVELS, Z90, forecast, weighted
-from sim.lab.learning.outcomes import Outcomes, outcomes_of
+from sim.engine import Belief, compiled, observe, on_event, start, with_inputs
+from sim.forecast import LEVELS, Z90, fans, weighted
+from sim.lab.learning.outcomes import outcomes_of
 from sim.lab.learning.plain import PERSISTENCE
 from sim.scores import crps_quantiles
 from sim.sha import UNKNOWN, Array, Event, Model, PlainMember, Trace, plain_model
@@ -73,7 +73,7 @@ def score_forecasts(
     usable = [max(float(trace.times[-1]) - first, 0.0) for trace, first in zip(traces, since, strict=True)]
     every = max(sum(usable) / origins, 1e-9)
     stride = max(sum(trace.times.size for trace in traces) // most_rows, 1)
-    scored: list[Scored] = []
+    seen: list[tuple[Belief, dict[float, float]]] = []
     for trace, first in zip(traces, since, strict=True):
         raw = trace.drawn(tracker.model.temperature)
         outcomes = outcomes_of(trace.times, raw, tracker.model.alphabet.gap)
@@ -91,27 +91,24 @@ def score_forecasts(
             # The filter gets the raw reading, spikes included: on the plant nobody takes them out beforehand.
             belief = observe(tracker, belief, time, value)
             if time >= following and belief.seen:
-                scored += _score(tracker, belief, outcomes, rng)
+                due = {horizon: outcomes.at(time + horizon) for horizon in HORIZONS}
+                seen.append((belief, {horizon: value for horizon, value in due.items() if value is not None}))
                 following = max(following + every, time)
-    return scored
+    judged = [(belief, due) for belief, due in seen if due]
+    found = fans(tracker, [(belief, tuple(due)) for belief, due in judged], rng, runs=RUNS)
+    return [score for (belief, due), fan in zip(judged, found, strict=True) for score in _scores(belief.time, due, fan)]
 
 
-def _score(tracker: Tracker, belief: Belief, readings: Outcomes, rng: np.random.Generator) -> list[Scored]:
-    """The forecast from `belief` at every horizon whose outcome is among the `readings`."""
-    outcomes = {horizon: readings.at(belief.time + horizon) for horizon in HORIZONS}
-    horizons = [horizon for horizon, value in outcomes.items() if value is not None]
-    if not horizons:
-        return []
-    fan = forecast(tracker, belief, horizons, rng, runs=RUNS)
-    low, median, high = (fan.quantiles[LEVELS.index(level)] for level in (0.05, 0.5, 0.95))
+def _scores(time: float, due: Mapping[float, float], fan: Array) -> list[Scored]:
+    """The `fan` (L, H) of a forecast made at `time` (s) against what came true, horizon -> degC."""
+    low, median, high = (fan[LEVELS.index(level)] for level in (0.05, 0.5, 0.95))
     scored = []
-    for column, horizon in enumerate(horizons):
-        error = (outcomes[horizon] or 0.0) - median[column]
+    for column, (horizon, outcome) in enumerate(due.items()):
+        error = outcome - median[column]
         # The law need not be symmetric: an error counts in units of the half of the band on whose side it lies.
         edge = high[column] - median[column] if error >= 0 else median[column] - low[column]
         z = float(Z90 * abs(error) / max(edge, 1e-9))
-        crps = float(crps_quantiles(LEVELS, fan.quantiles[:, column], outcomes[horizon] or 0.0))
-        scored.append(Scored(horizon, belief.time + horizon, z, crps))
+        scored.append(Scored(horizon, time + horizon, z, float(crps_quantiles(LEVELS, fan[:, column], outcome))))
     return scored
 
 
