@@ -328,6 +328,7 @@ def _held_out_forecasts(
     rng = np.random.default_rng(seed)
     forecasts = HeldOutForecasts(learn_plain(traces, temperature), seed)
     for part in splits(traces):
+        forecasts.other_days = part.held is not None
         # A part of the data may teach nothing although the whole does: the other parts then judge alone.
         try:
             runs, base = _ground(part.known, alphabet, temperature)
