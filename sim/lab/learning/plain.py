@@ -1,9 +1,9 @@
 """Plain members of an ensemble: what the last minutes say by themselves, without events, inputs or targets.
 
 Persistence is a random walk from the last reading: a mean of the last ones would lag behind on a day that is livelier
-than the training. A damped trend is a walk under heat with a memory, filtered. Both are automata of one location, so that
-they are drawn and mixed like any model. A learned model carries them (`Model.plain`), since their noise is learned from
-the same traces.
+than the training. A damped trend is a walk under heat with a memory, filtered. Both are automata of one location, so
+that they are drawn and mixed like any model. A learned model carries them (`Model.plain`), since their noise is learned
+from the same traces.
 """
 
 from collections.abc import Sequence
