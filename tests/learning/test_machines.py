@@ -193,7 +193,8 @@ def test_later_times_of_the_same_recording_tell_nothing_of_another_day() -> None
     forecasts.other_days = False
     of_one_day, (unsure,) = forecasts.coverage[0], forecasts.members
     assert (of_other_days.other_days, of_one_day.other_days) == (True, False)
-    assert of_one_day.factor == pytest.approx(UNSEEN_WIDENING * of_other_days.factor)
+    assert (of_one_day.factor, of_other_days.widening) == (of_other_days.factor, of_other_days.factor)
+    assert of_one_day.widening == pytest.approx(UNSEEN_WIDENING * of_other_days.factor)
     assert unsure.calibration[60.0] == pytest.approx(UNSEEN_WIDENING * sure.calibration[60.0])
     assert sure.odds[60.0] < 1.0 < unsure.odds[60.0], "however much better the model was on its own day"
 

@@ -25,7 +25,7 @@ PLAIN_ROWS = 4_000
 """The same of a plain member: what it was worth at training is only where its weight begins."""
 PRIOR = 6.0
 """Independent forecasts at most that a plain member's odds at training count for: another machine is not this one."""
-UNSEEN_ODDS, UNSEEN_WIDENING = 6.0, 1.75
+UNSEEN_ODDS, UNSEEN_WIDENING = 10.0, 1.75
 """Where only later times of the training's own traces were held out, nobody knows how the model fits another day: the
 plain members together have these odds, and all bands are wider by this."""
 LEAST_WIDENING, MOST_WIDENING = 0.5, 5.0
@@ -37,7 +37,7 @@ class Coverage:
     """What was seen at one `horizon` (s): `forecasts`, worth so many `independent` ones (they overlap), the share
     `covered` by the 90 % band as the model gave it, the `factor` that comes of it, their mean CRPS (degC), and that of
     `persistence` at the same moments (NaN where none stood beside the model). `other_days` says whether whole traces or
-    machines were held out; else it was later times of the same ones, and the factor is wider for what they cannot tell.
+    machines were held out; else it was later times of the same ones, and `widening` is for what they cannot tell.
     """
 
     horizon: float
@@ -48,6 +48,11 @@ class Coverage:
     crps: float
     persistence: float = nan
     other_days: bool = True
+
+    @property
+    def widening(self) -> float:
+        """The factor that a model has: what was seen, and more where nothing was seen of another day."""
+        return self.factor if self.other_days else min(UNSEEN_WIDENING * self.factor, MOST_WIDENING)
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,19 +160,10 @@ class HeldOutForecasts:
     def coverage(self) -> tuple[Coverage, ...]:
         """The model's own coverage and factors, and its CRPS beside persistence's."""
         beside = _mean_crps(self.of_plain.get(PERSISTENCE, []))
-        rows = coverage_of(self.scored)
         return tuple(
-            replace(
-                row,
-                persistence=beside.get(row.horizon, nan),
-                factor=self._widened(row.factor),
-                other_days=self.other_days,
-            )
-            for row in rows
+            replace(row, persistence=beside.get(row.horizon, nan), other_days=self.other_days)
+            for row in coverage_of(self.scored)
         )
-
-    def _widened(self, factor: float) -> float:
-        return factor if self.other_days else min(UNSEEN_WIDENING * factor, MOST_WIDENING)
 
     @property
     def members(self) -> tuple[PlainMember, ...]:
@@ -192,7 +188,8 @@ class HeldOutForecasts:
                 pair = np.array([own[horizon], losses[horizon]])
                 weight = weighted(np.ones(2), pair / max(pair.min(), 1e-3), min(independent[horizon], PRIOR))
                 odds[horizon] = float(min(max(weight[1] / weight[0], least), most))
-            factors = {row.horizon: self._widened(row.factor) for row in coverage_of(scored)}
+            rows = (replace(row, other_days=self.other_days) for row in coverage_of(scored))
+            factors = {row.horizon: row.widening for row in rows}
             members.append(replace(member, calibration=factors, odds=dict(sorted(odds.items()))))
         return tuple(members)
 
