@@ -81,14 +81,16 @@ def init(given: SharedOptions, folder: Path, **options: Any) -> None:
             trace = None if answer == "none" else Path(answer)
         temperatures = _temperatures(described, options["temperatures"], asked)
         heartbeat = options["heartbeat"] or (_heartbeat(known) if device is None else None)
-        map_text, unknown = "", list[str]()
+        map_text, unknown, derived = "", list[str](), dict[str, dict[str, Any]]()
         if trace is not None:
             map_text, unknown = _column_map(trace, known, temperatures[0], options["rename"], asked)
+            derived = _derived(map_text, known)
         wanted = FirstFolder(
             folder=folder,
             files=files,
             change=FileChange(
                 tags=bindings(io_list) if io_list is not None else (),
+                derived=derived,
                 heartbeat=heartbeat,
                 plant={
                     "model.temperature": temperatures[0],
@@ -296,9 +298,19 @@ def _column_map(
             tag = "" if answer == "none" else answer
         if tag:
             names[header] = tag
-        else:
+        elif header not in drafted.derived:
             unknown.append(header)
     return asked_map(trace, answers, names).text, unknown
+
+
+def _derived(map_text: str, known: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """The signals that the map makes of others which are tags: the gateway makes them by the same law."""
+    laws = parse_map(map_text, "the trace's column map").derived
+    return {
+        name: law.model_dump(mode="json", exclude_defaults=True)
+        for name, law in laws.items()
+        if name not in known and set(law.sources) <= set(known)
+    }
 
 
 def _tag_of(header: str, tags: Sequence[str]) -> str:

@@ -88,6 +88,19 @@ def test_signals_that_are_no_tags_are_named_with_what_to_do(here: Path) -> None:
     assert not (here / "q").exists()
 
 
+def test_where_neither_export_nor_list_says_that_it_runs_both_make_it_of_the_current(here: Path) -> None:
+    lines = (here / "export.csv").read_text(encoding="utf-8").splitlines()
+    rows = [";".join(cell for place, cell in enumerate(line.split(";")) if place != 1) for line in lines]
+    (here / "export.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
+    words = ("--trace", "export.csv", "--rename", "Corrente motore [A]=Assorbimento", "--json")
+    data = only_object(decanter("init", "p", *LIST, *words).stdout)
+    assert data["warnings"] == []
+    column_map, config = load_map(here / "p" / "columns.toml"), load_config(here / "p" / "plant.toml")
+    assert column_map.derived == config.map.derived and set(column_map.derived) == {"Running"}
+    signals = {channel.signal for channel in column_map.alphabet.channels}
+    assert signals == {"Running", "Assorbimento"} and signals <= set(config.map.by_name)
+
+
 def test_files_that_are_there_stay_unless_they_are_to_be_replaced(here: Path) -> None:
     (here / "plant.toml").write_text("mine\n", encoding="utf-8")
     refused(decanter("init", *LIST), 2, "plant.toml", "--overwrite")
