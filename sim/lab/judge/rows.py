@@ -24,11 +24,12 @@ LEAST_FORECASTS = 8.0
 """Independent forecasts at a horizon below which they say nothing."""
 
 STRETCHES: Mapping[str, tuple[float, float]] = {
-    "0-30 min": (0.0, 1800.0),
-    "30-60 min": (1800.0, 3600.0),
-    "later": (3600.0, float("inf")),
+    "0-3 min": (0.0, 180.0),
+    "3-10 min": (180.0, 600.0),
+    "10-30 min": (600.0, 1800.0),
+    "later": (1800.0, float("inf")),
 }
-"""Parts of a trace by the seconds since its start: what is learned online shows from the second on."""
+"""Parts of a trace by the seconds since its start: what a method knows before it has seen this unit, and after."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
