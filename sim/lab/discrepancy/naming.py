@@ -266,7 +266,8 @@ def _evidence(screened: Screen, number: int) -> EffectEvidence:
     # A cycle with less than a fiftieth of the usual share has no vote: its sign would be chance.
     speaking = shares > 0.02 * mass / max(spread, 1.0)
     same = np.sign(parts[speaking]) == np.sign(total)
-    others = (total - parts) / np.maximum(mass - shares, 1e-300)
+    rest = mass - shares
+    others = np.where(rest > 1e-9 * mass, total - parts, 0.0) / np.maximum(rest, 1e-9 * max(mass, 1e-280))
     carried = float(np.sum(parts * others - 0.5 * shares * others**2))
     return EffectEvidence(
         entry=shape.entry,
