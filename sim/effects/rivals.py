@@ -398,7 +398,8 @@ RIVAL_KINDS = (
         refine={"at": IN_RECORD},
         widths={"at": 4 * HOUR},
         experiment="log the room's temperature for three days, with a night at rest",
-        look="what changed around the machine then: weather, heating, a door, another machine, its enclosure",
+        look="what changed around the machine then: weather, heating, a door, another machine, its enclosure, and its "
+        "cooler where it never rests",
     ),
     _cooling(
         "less-cooling",

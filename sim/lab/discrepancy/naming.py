@@ -79,7 +79,8 @@ class NamingStep:
 
     `cosines` gives, for the best entry, the cosine of each other entry's effect with its own, the model's parameters
     projected out of both. `rules` are those that it was made by and is judged by. `rivals` are the gains (nats) of what
-    has no name, also where it is left out of the evidence since it does no better than the names.
+    has no name, also where it is left out of the evidence since it does no better than the names. `tried` are all
+    entries of which a shape was looked for.
     """
 
     before: Fitted
@@ -87,6 +88,7 @@ class NamingStep:
     cosines: Mapping[str, float]
     rules: DecisionRules
     rivals: Mapping[str, float] = field(default_factory=dict)
+    tried: frozenset[str] = frozenset()
 
     @property
     def best(self) -> EffectEvidence | None:
@@ -162,7 +164,8 @@ def step(
     if order and order[0].fitted is not None:
         order = (replace(order[0], fitted=restored(order[0].fitted)), *order[1:])
     nameless = {each.entry.name: each.gain for each in everything if each.entry.rival}
-    return NamingStep(before, order, _cosines(before, order), rules, nameless)
+    tried = frozenset(each.entry.name for each in everything)
+    return NamingStep(before, order, _cosines(before, order), rules, nameless, tried)
 
 
 def _with(confirmed: Sequence[EffectEvidence], again: EffectEvidence) -> list[EffectEvidence]:
