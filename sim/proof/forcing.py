@@ -281,8 +281,8 @@ def _warmth(effect: Effect, late: LatePart, ranges: Callable[[str], Range]) -> R
     """degC: lag and delay times the least and greatest source, which is what may be to come where signals are so."""
     box = cells({role: ranges(signal) for role, signal in effect.signals.items()})
     low, high = enclosure(late.heat, effect.params, box)
-    late = lag_of(effect) + delay_of(effect)
-    return late * float(np.min(low)), late * float(np.max(high))
+    seconds = lag_of(effect) + delay_of(effect)
+    return seconds * float(np.min(low)), seconds * float(np.max(high))
 
 
 def added_ranges(one: Range, other: Range) -> Range:
