@@ -269,7 +269,7 @@ def refined(fitted: Fitted, shape: Shape, strength: float) -> Named:
     best: list[tuple[float, Shape, float]] = []
 
     def loss(point: Array) -> float:
-        trial = _at(shape, names, point, shortest)
+        trial = _at(shape, names, point, fitted.frame.record, shortest)
         column = columns_of(fitted, [trial], smooth, added)
         _, weighed, _ = projector.clean(column)
         size = float(column[:, 0] @ weighed[:, 0])
@@ -298,15 +298,17 @@ def refined(fitted: Fitted, shape: Shape, strength: float) -> Named:
     return top.named(value)
 
 
-def _at(shape: Shape, names: Sequence[str], point: Array, shortest: float) -> Shape:
+def _at(shape: Shape, names: Sequence[str], point: Array, record: Record, shortest: float) -> Shape:
     """The shape at coordinates of the search: logarithms of times, else steps of a width or of ten, within bounds.
 
-    No time is made shorter than `shortest` (s).
+    No time is made shorter than the `shortest` (s) that the record's rows show, and no moment without bounds lies outside of it.
     """
     values = {}
+    begin, end = float(record.runs.time[0]), float(record.runs.time[-1])
     for name, coordinate in zip(names, point.tolist(), strict=True):
         low, high = shape.entry.candidate.refine[name]
         low = max(low, shortest) if _is_time(name) else low
+        low, high = (low, high) if np.isfinite(high) else (begin, end)
         # A simplex may step anywhere; beyond e^20 s the exponential would overflow before the bound could hold it.
         value = (
             float(np.exp(min(coordinate, 20.0)))
