@@ -44,7 +44,7 @@ SPREADSHEET = "spreadsheet days"
 
 
 class _MapPart(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, defer_build=True)
 
 
 class TimeOfDay(_MapPart):
