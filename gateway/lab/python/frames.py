@@ -31,7 +31,16 @@ from sim.lab.discrepancy import Diagnosis
 from sim.lab.formats import FoundModel, find_model, write_model_directory
 from sim.lab.judge import ForecastSkill
 from sim.lab.learning.lsha import LshaSettings
-from sim.lab.recordings import ColumnMap, TraceError, channel_uses, listed, load_map, load_traces, parse_map
+from sim.lab.recordings import (
+    ColumnMap,
+    TraceError,
+    channel_uses,
+    listed,
+    load_map,
+    load_traces,
+    parse_map,
+    since_1970,
+)
 from sim.lab.recordings.mapping import Answers, Undecided, draft_map
 from sim.sha import Array, Model, Trace, encoded
 
@@ -46,8 +55,6 @@ _FRAME = Path("recording") / "frame.csv"
 _FROM = "the data frame"
 _CLOCKS = (pd.DatetimeIndex, pd.PeriodIndex, pd.TimedeltaIndex)
 """What an index without a name is when it is a clock."""
-_SINCE_1970 = 1e8
-"""s: a clock beyond it counts since 1970, any other since its beginning."""
 _OPTION = re.compile(r"--([a-z][a-z-]*)")
 
 
@@ -604,4 +611,4 @@ def _runnable(model: ModelLike, recording: Recording) -> Model:
 
 def _moments(seconds: Array) -> pd.DatetimeIndex | Array:
     """Times in UTC where they count since 1970, else as they are."""
-    return pd.to_datetime(seconds, unit="s", utc=True) if seconds.size and seconds[0] > _SINCE_1970 else seconds
+    return pd.to_datetime(seconds, unit="s", utc=True) if seconds.size and since_1970(float(seconds[0])) else seconds
