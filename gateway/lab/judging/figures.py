@@ -191,7 +191,7 @@ def other_methods(
 
 def lacking(trace: Trace, rows: Sequence[SkillRow], horizons: Sequence[float]) -> list[str]:
     """A sentence for the horizons (s) that no forecast along the trace has come due for."""
-    read = {row.horizon for row in rows if row.outcome == row.outcome}
+    read = {row.horizon for row in rows if row.read}
     missing = [f"{horizon:g}" for horizon in horizons if horizon not in read]
     lasts = f"{trace.times[-1] - trace.times[0]:.4g} s" if trace.times.size else "no time: it has no rows"
     return [f"{trace.name}: no forecast for {', '.join(missing)} s came due; it lasts {lasts}"] if missing else []

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from math import nan
+from math import isnan, nan
 from typing import Any, TypeVar
 
 import numpy as np
@@ -45,6 +45,11 @@ class SkillRow:
     origin: float
     outcome: float
     quantiles: Array
+
+    @property
+    def read(self) -> bool:
+        """Whether it has an outcome."""
+        return not isnan(self.outcome)
 
     @property
     def moment(self) -> tuple[str, str, float, float]:
@@ -159,7 +164,7 @@ def common(rows: Sequence[SkillRow]) -> list[SkillRow]:
     No method is judged by easier ones.
     """
     methods = {row.method for row in rows}
-    rows = [row for row in rows if row.outcome == row.outcome]
+    rows = [row for row in rows if row.read]
     there: dict[tuple[str, str, float, float], set[str]] = {}
     for row in rows:
         there.setdefault(row.moment, set()).add(row.method)

@@ -158,7 +158,7 @@ def _unread(every: Iterable[Sequence[SkillRow]], ours: Sequence[str]) -> list[st
     """A sentence for each horizon of the first of our methods with moments at which nothing was read."""
     said = []
     for rows in every:
-        read = sum(row.outcome == row.outcome for row in rows)
+        read = sum(row.read for row in rows)
         if rows[0].method in ours[:1] and read < len(rows):
             said.append(
                 f"at {rows[0].horizon:g} s {read} of {len(rows)} moments have an outcome; at the others nothing was "
