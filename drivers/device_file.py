@@ -13,6 +13,7 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, field_validator, model_validator
 
+from drivers.derived import Derived
 from drivers.driver import DRIVERS
 from drivers.settings import ConfigError, Label, Name, Section, checked, read_toml
 from drivers.tag import DType, Order, Tag
@@ -226,6 +227,11 @@ class DeviceFile(Section):
     device: DeviceTable = Field(description="a [device] table")
     tags: list[TagTable] = Field(min_length=1, description="at least one [[tags]] entry")
     writeback: BlockTable | None = Field(None, description="a [writeback] table")
+    derived: dict[Name, Derived] = Field(
+        default_factory=dict,
+        description='a [derived] table of signals that are made of tags, such as Running = { signal = "Current", '
+        "above = 0.3 }",
+    )
 
 
 _OF_A_PLANT = frozenset({"alarms", "historian", "log", "machine", "model", "scan", "temperature"})
@@ -257,6 +263,15 @@ def read_device_file(path: Path) -> DeviceFile:
         for index, row in enumerate(content.tags)
         if row.period and (why := _unpaced(row, content.device))
     ]
+    numbers = {row.name for row in content.tags if row.dtype is not DType.STRING}
+    for name, law in content.derived.items():
+        if name in names:
+            problems.append(f"derived.{name}: is the name of a tag already; give it another")
+        problems += [
+            f"derived.{name}: needs {source!r}, which is no tag of this file with a number; give a tag's name"
+            for source in law.sources
+            if source not in numbers
+        ]
     if content.writeback is not None:
         fields = [row.name for row in content.writeback.fields]
         problems += [

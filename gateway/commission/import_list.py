@@ -144,4 +144,5 @@ def import_outcome(
         return CommandResult({**data, "diff": "", "written": False, "files": [], "backups": []}, sentence)
     done = carry_out(files, wanted, template, dry_run=dry_run)
     left = [f"import: a row was left out: {problem}" for problem in io_list.problems]
+    left += [f"import: {tag.unread}" for tag in io_list.tags if tag.unread]
     return CommandResult({**data, **done, "open_points": left})

@@ -841,7 +841,7 @@ def _problems(content: _PlantFile, rows: Sequence[TemperatureSection], links: tu
     """What no single key shows: tags that the map lacks, models that are not there or do not go together, a speed for a
     real plant."""
     device = links[0].map
-    tags = {tag.name for tag in device.tags}
+    tags = set(device.by_name)
     named = [("alarms.tags", tag) for tag in content.alarms.tags]
     key = "temperature[{}].tag" if content.temperature else "model.temperature"
     named = [*((key.format(place), row.tag) for place, row in enumerate(rows)), *named]

@@ -43,6 +43,32 @@ def test_each_reading_of_a_long_file_has_its_own_quality_and_unknown_words_are_a
     assert not np.isnan(trace.signals["Motor_current"]).any()
 
 
+def two_switches(path: Path, second: Sequence[int]) -> Path:
+    """A German export with two switches that are both called running: the drive's, and the `second`."""
+    plant = zip(PLANT.moments, PLANT.heat, PLANT.current, PLANT.running, second, strict=True)
+    rows = [
+        f"{moment:%d.%m.%Y %H:%M:%S};{'EIN' if on else 'AUS'};{'EIN' if other else 'AUS'};{load};{heat}".replace(
+            ".", ","
+        )
+        for moment, heat, load, on, other in plant
+    ]
+    rows = [f"{row[:10].replace(',', '.')}{row[10:]}" for row in rows]
+    return written(path, "Zeit;Antrieb Betrieb;Pumpe Betrieb;Motorstrom [A];Lagertemperatur [°C]", rows)
+
+
+def test_of_two_switches_the_one_that_draws_the_load_is_the_machines_and_a_name_needs_no_unit(tmp_path: Path) -> None:
+    late = np.concatenate(([0] * 12, PLANT.running[:-12]))
+    export = two_switches(tmp_path / "a.csv", late.tolist())
+    (trace,), _, _ = mapped(export, tmp_path / "m.toml", "--temperature", "Lagertemperatur")
+    is_the_plant(trace, tmp_path / "m.toml")
+    assert load_map(tmp_path / "m.toml").alphabet.channels[0].signal == "Antrieb_Betrieb"
+    # Where both go with the load nothing tells them apart.
+    nearly = PLANT.running.copy()
+    nearly[-1] = 1 - nearly[-1]
+    both = two_switches(tmp_path / "b.csv", nearly.tolist())
+    assert "give --running 'Antrieb Betrieb' or --running 'Pumpe Betrieb'" in asked(both, tmp_path / "n.toml")
+
+
 def with_quality(path: Path, words: Sequence[str]) -> Path:
     lines = wide(path.with_name("plain")).read_text(encoding="utf-8").splitlines()
     return written(path, f"{lines[0]},Quality", [f"{line},{word}" for line, word in zip(lines[1:], words, strict=True)])

@@ -103,11 +103,39 @@ def read_sheet(
     for name, header in given.items():
         if key_of(header) not in known:
             raise ListError(f"{path}: no column is called {header!r} (--column {name}); line {first} has {headers}")
-    wanted = " and ".join(f"{name} ({', '.join(synonyms[name][:4])}, ...)" for name in needed)
+    # The line that has the most of what is needed is the likeliest header.
+    place, found = max(
+        ((place, _recognised(cells, synonyms, given)) for place, (_, cells) in enumerate(rows[:HEADER_WITHIN])),
+        key=lambda item: (
+            *(sum(name in item[1] for name in needed), len(item[1])),
+            *(sum(bool(cell.strip()) for cell in rows[item[0]][1]), -item[0]),
+        ),
+    )
+    number, cells = rows[place]
+    missing = [name for name in needed if name not in found]
+    wanted = " and ".join(f"{name} ({', '.join(synonyms[name][:4])}, ...)" for name in missing)
+    free = [at for at in range(len(cells)) if cells[at].strip() and at not in found.values()]
+    below = [row for _, row in rows[place + 1 :]]
+    likely = {name: at for name in missing if (at := _by_content(name, free, below)) is not None}
+    perhaps = " ".join(f"--column {name}={cells[at].strip()!r}" for name, at in likely.items())
+    headers = ", ".join(repr(cell.strip()) for cell in cells if cell.strip())
     raise ListError(
         f"{path}: no header was recognised in the first {HEADER_WITHIN} lines: the list needs a column for {wanted}; "
-        f"its line {first} has {headers}; say which is which, as --column {needed[0]}=HEADER"
+        f"its line {number} has {headers}; "
+        + (f"perhaps {perhaps}" if perhaps else f"say which is which, as --column {missing[0]}=HEADER")
     )
+
+
+def _by_content(name: str, columns: Sequence[int], rows: Sequence[Sequence[str]]) -> int | None:
+    """The column that may be `name` by its cells, no two alike: whole numbers, or texts; None for none."""
+    for at in columns:
+        cells = [row[at].strip() if at < len(row) else "" for row in rows]
+        told = {cell for cell in cells if cell}
+        numbers = sum(cell.isdecimal() for cell in told)
+        apart = len(cells) > 1 and len(told) == len(cells)
+        if apart and numbers == (len(told) if name == "address" else 0) and name in ("name", "address"):
+            return at
+    return None
 
 
 def _recognised(

@@ -61,7 +61,7 @@ class Reading:
 class Listed:
     """A tag of the list: its keys as the device file has them (None: not written there), its line, how it was taken.
 
-    `written` is its address as the list has it.
+    `written` is its address as the list has it; `unread` says what of the row may change its numbers and is not read.
     """
 
     name: str
@@ -69,6 +69,7 @@ class Listed:
     line: int
     taken: str = ""
     written: str = ""
+    unread: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,7 +160,18 @@ def _listed(row: _ListedRow, before: Sequence[Listed]) -> Listed:
         "sentinel": _sentinel(line) if numeric else None,
     }
     taken = "; ".join(note for note in (place.note, said, scaling.taken, shared) if note)
-    return Listed(name, keys, line.number, taken, line.get("address"))
+    unread = ""
+    if numeric and scaling.scale is None and _SCALE_IN_WORDS.search(remark := line.get("remark")):
+        unread = f"{row.sheet.where(line, 'remark')}: {remark!r} may say a scale, which is not read: give it a column"
+    return Listed(name, keys, line.number, taken, line.get("address"), unread)
+
+
+_SCALE_IN_WORDS = re.compile(
+    r"(?:fakt|fact|fatt|scal|skal|escala|echelle|échelle|gain|mult|divi|teil|risol|resol|auflös|resoluc)\w*\W{0,3}\d"
+    r"|(?:^|\s)(?:[x×*/÷]\s?10*(?:[.,]0*1)?|0[.,]0*1)(?:$|\W)",
+    re.IGNORECASE,
+)
+"""A scale in running text: `Faktor 0,1`, `x 0.1`, `/10`."""
 
 
 def _shared_with(before: Sequence[Listed], row: _ListedRow, address: str, place: ListedPlace) -> str:
@@ -275,8 +287,13 @@ def _gain_of_the_list(sheet: ListSheet) -> str:
 # ---------------------------------------------------------------- scale, range, unit
 
 
-_MULTIPLIERS = frozenset({"multiplier", "moltiplicatore", "factor", "fattore", "resolution", "risoluzione"})
-_DIVISORS = frozenset({"divisor", "divider", "divisore", "teiler", "divide", "inverse", "inverso", "reciprocal"})
+_MULTIPLIERS = frozenset(
+    {"multiplier", "moltiplicatore", "factor", "fattore", "resolution", "risoluzione"}
+    | {"faktor", "skalierungsfaktor", "auflosung", "facteur", "resolucion"}
+)
+_DIVISORS = frozenset(
+    {"divisor", "divider", "divisore", "teiler", "diviseur", "divide", "inverse", "inverso", "reciprocal"}
+)
 
 
 def _scale_cell(line: ListRow) -> CountFactor | None:

@@ -17,6 +17,7 @@ from pydantic import (
     model_validator,
 )
 
+from drivers.derived import Derived
 from drivers.errors import did_you_mean
 from drivers.named_files import MOST_TOML_BYTES, contents, parse_toml
 from drivers.settings import first_sentence
@@ -136,39 +137,6 @@ class SignalColumn(_MapPart):
             raise ValueError(f"{sorted(both)[0]!r} stands in both on and off; leave it in the one that it means")
         if (self.on or self.off) and not self.boolean:
             raise ValueError("on and off are words of a two-valued signal; leave out boolean = false")
-        return self
-
-
-class Derived(_MapPart):
-    """What a signal is when the file has no column for it: `signal` > `above` (< `below`), a `constant`, a `product`.
-
-    A product is `scale` times the signals that it names, in `unit`. It is known in each row with a reading of one of
-    them, the others as they were read last (not across a gap, nor over a bad reading).
-    """
-
-    signal: str | None = None
-    above: float | None = None
-    below: float | None = None
-    constant: float | None = None
-    product: tuple[str, ...] = ()
-    scale: float = 1.0
-    unit: str = ""
-
-    @property
-    def sources(self) -> tuple[str, ...]:
-        """The signals that it is made of."""
-        return self.product if self.signal is None else (self.signal,)
-
-    @model_validator(mode="after")
-    def _one_form(self) -> Self:
-        forms = (self.signal is not None, self.constant is not None, bool(self.product))
-        limits = sum(limit is not None for limit in (self.above, self.below))
-        if sum(forms) != 1 or limits != (self.signal is not None):
-            raise ValueError("give either signal and above, or constant, or product; below may stand for above")
-        if len(self.product) == 1:
-            raise ValueError("product needs two signals or more")
-        if not self.product and self.scale != 1.0:
-            raise ValueError("scale belongs to product")
         return self
 
 

@@ -348,16 +348,16 @@ def _completed(trace: Trace, column_map: ColumnMap, gap: float) -> Trace:
             signals[name] = np.full(times.size, derived.constant)
         elif not all(source in signals for source in derived.sources):
             continue
-        elif derived.signal is not None:
-            source = signals[derived.signal]
-            holds = source > derived.above if derived.above is not None else source < (derived.below or 0.0)
-            signals[name] = np.where(np.isnan(source), np.nan, holds)
+        elif derived.is_switch:
+            (source,) = (signals[name] for name in derived.sources)
+            signals[name] = np.where(np.isnan(source), np.nan, derived.value([source]))
             if derived.signal in bad:
                 bad[name] = bad[derived.signal]
         else:
+            # Known in each row with a reading of one of them; the others are as they were read last.
             read = np.any([~np.isnan(signals[source]) for source in derived.product], axis=0)
             factors = [_held(times, signals[source], bad.get(source), gap) for source in derived.product]
-            signals[name] = np.where(read, derived.scale * np.prod(factors, axis=0), np.nan)
+            signals[name] = np.where(read, derived.value(factors), np.nan)
             faults = [bad[source] for source in derived.product if source in bad]
             if faults:
                 bad[name] = np.any(faults, axis=0)

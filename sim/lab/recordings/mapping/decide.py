@@ -43,6 +43,7 @@ from sim.lab.recordings.mapping.words import (
     named_time,
     running_score,
     temperature_score,
+    unit_of,
 )
 from sim.sha import Array, Mask
 
@@ -54,6 +55,8 @@ COLDEST, HOTTEST = -80.0, 300.0
 """degC that no bearing reaches: its grease burns before, and no plant stands in such a cold."""
 _IDLE = 0.05
 """Of its most, a current below which no motor turns anything."""
+_ALONGSIDE = 0.98
+"""The share of rows in which the switch of a machine agrees with whether its load is drawn; an auxiliary's does not."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -324,7 +327,14 @@ def _switch(
         running, reasons["running"] = said[0], "as --on says"
     if running is None:
         direct = [column for column in switches if not named_standstill(column.name)]
-        running = _best(where, "running", direct, _runs, reasons)
+        running = _best(
+            where,
+            "running",
+            direct,
+            lambda column: _runs(column, load),
+            reasons,
+            settle=lambda rivals: _of_load(rivals, load),
+        )
         still = [column for column in switches if named_standstill(column.name) and column.moves]
         if running is None and len(still) == 1 and not answers.on:
             reasons["running"] = f"not {still[0].name}, by its name"
@@ -346,10 +356,24 @@ def _switch(
     return None, None
 
 
-def _runs(switch: FoundColumn) -> int:
-    """How much a switch says by its name that the machine runs; words that say it count where no name does."""
+def _runs(switch: FoundColumn, load: FoundColumn | None) -> int:
+    """How much a switch says by its name that the machine runs; where no name does, words that go with the load do."""
     said = any(cell.casefold() in RUN_WORDS for cell in set(switch.cells))
-    return running_score(switch.name) or int(said)
+    return running_score(switch.name) or int(said and (load is None or _of_load([switch], load) is not None))
+
+
+def _of_load(switches: Sequence[FoundColumn], load: FoundColumn | None) -> FoundColumn | None:
+    """The one switch that is on while the load is drawn, and off while it is not; None where several are, or none."""
+    along = list[FoundColumn]()
+    for switch in switches:
+        if load is None or switch.values.shape != load.values.shape:
+            continue
+        both = np.isfinite(switch.values) & np.isfinite(load.values)
+        drawn = np.abs(load.values[both]) > _IDLE * np.abs(load.values[both]).max(initial=0.0)
+        on = switch.values[both] == 1
+        if drawn.any() and not drawn.all() and np.mean(on == drawn) >= _ALONGSIDE:
+            along.append(switch)
+    return along[0] if len(along) == 1 else None
 
 
 def _check_load(where: object, running: FoundColumn, load: FoundColumn | None, answers: Answers) -> None:
@@ -447,10 +471,12 @@ def _named(
     """The column that an answer names. Raises TraceError for one that is not there or cannot play the part."""
     if not wanted:
         return None
-    for column in columns:
-        if wanted.casefold() in (column.header.casefold(), column.name.casefold()):
+    # With its unit or without, whole names before those.
+    for name_of in (lambda column: column.header, lambda column: column.name, lambda column: unit_of(column.header)[0]):
+        fitting = [column for column in columns if name_of(column).casefold() == wanted.casefold()]
+        if len(fitting) == 1:
             reasons[part] = f"as --{part} says"
-            return column
+            return fitting[0]
     headers = [column.header for column in columns]
     remedy = did_you_mean(wanted, headers) or f"those that can be it are {listed(map(repr, headers)) or 'none'}"
     raise TraceError(f"{where}: --{part} {wanted}: no column of that name can be it; {remedy}")
@@ -464,15 +490,22 @@ def _best(
     reasons: dict[str, str],
     *,
     what: str = "",
+    settle: Callable[[Sequence[FoundColumn]], FoundColumn | None] = lambda _: None,
 ) -> FoundColumn | None:
-    """The column with the best score for a part, by its name and unit; None where none has any."""
+    """The column with the best score for a part, by its name and unit; None where none has any.
+
+    Of several that are alike by name `settle` takes one by what they hold, or None.
+    """
     highest = max(map(score, columns), default=0)
     best = [column for column in columns if score(column) == highest] if highest > 0 else []
     if not best:
         return None
     # Columns with the same readings, as of a setpoint and its echo, are one.
     if any(not np.array_equal(a.values, b.values, equal_nan=True) for a, b in combinations(best, 2)):
-        raise Undecided(where, what or f"columns that may be the {part}", part, [column.header for column in best])
+        if (settled := settle(best)) is None:
+            raise Undecided(where, what or f"columns that may be the {part}", part, [column.header for column in best])
+        reasons[part] = "it is on while the load is drawn, and off while it is not"
+        return settled
     reasons[part] = "by its name" + (f" and its unit {best[0].unit}" if best[0].unit else "")
     return best[0]
 
