@@ -301,7 +301,7 @@ def refined(fitted: Fitted, shape: Shape, strength: float) -> Named:
 def _at(shape: Shape, names: Sequence[str], point: Array, record: Record, shortest: float) -> Shape:
     """The shape at coordinates of the search: logarithms of times, else steps of a width or of ten, within bounds.
 
-    No time is made shorter than the `shortest` (s) that the record's rows show, and no moment without bounds lies outside of it.
+    No time is made shorter than the `shortest` (s) that the record shows, no moment without bounds lies outside of it.
     """
     values = {}
     begin, end = float(record.runs.time[0]), float(record.runs.time[-1])
