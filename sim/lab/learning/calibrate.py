@@ -25,7 +25,9 @@ PLAIN_ROWS = 4_000
 """The same of a plain member: what it was worth at training is only where its weight begins."""
 PRIOR = 6.0
 """Independent forecasts at most that a plain member's odds at training count for: another machine is not this one."""
-LEAST_ODDS = 1e-3
+UNSEEN_ODDS, UNSEEN_WIDENING = 10.0, 1.75
+"""Where only later times of the training's own traces were held out, nobody knows how the model fits another day: the
+plain members together have these odds, and all bands are wider by this."""
 LEAST_WIDENING, MOST_WIDENING = 0.5, 5.0
 """Bounds of a factor: what lies outside is a model that does not fit, which a band cannot mend."""
 
@@ -34,7 +36,9 @@ LEAST_WIDENING, MOST_WIDENING = 0.5, 5.0
 class Coverage:
     """What was seen at one `horizon` (s): `forecasts`, worth so many `independent` ones (they overlap), the share
     `covered` by the 90 % band as the model gave it, the `factor` that comes of it, their mean CRPS (degC), and that of
-    `persistence` at the same moments (NaN where none stood beside the model)."""
+    `persistence` at the same moments (NaN where none stood beside the model). `other_days` says whether whole traces or
+    machines were held out; else it was later times of the same ones, and `widening` is for what they cannot tell.
+    """
 
     horizon: float
     forecasts: int
@@ -43,6 +47,12 @@ class Coverage:
     factor: float
     crps: float
     persistence: float = nan
+    other_days: bool = True
+
+    @property
+    def widening(self) -> float:
+        """The factor that a model has: what was seen, and more where nothing was seen of another day."""
+        return self.factor if self.other_days else min(UNSEEN_WIDENING * self.factor, MOST_WIDENING)
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,13 +126,16 @@ def _scores(time: float, due: Mapping[float, float], fan: Array) -> list[Scored]
 class HeldOutForecasts:
     """What models of the same kind forecast beyond what they were fitted to, and the `plain` members beside them.
 
-    `seed` draws the plain members' runs; the model's are drawn by whoever adds it.
+    `seed` draws the plain members' runs; the model's are drawn by whoever adds it. `other_days` is as in `Coverage`;
+    `machines` has that of each trace that was forecast.
     """
 
     plain: Sequence[PlainMember]
     seed: int
     scored: list[Scored] = field(default_factory=list)
     of_plain: dict[str, list[Scored]] = field(default_factory=dict)
+    other_days: bool = True
+    machines: list[str] = field(default_factory=list)
 
     def add(
         self,
@@ -134,6 +147,7 @@ class HeldOutForecasts:
         origins: int = ORIGINS,
     ) -> None:
         """Score the forecasts of a part (`score_forecasts`), the plain members' along the same traces."""
+        self.machines += [trace.machine for trace in traces]
         self.scored += score_forecasts(model, traces, since, rng, origins=origins)
         for number, member in enumerate(self.plain):
             own = np.random.default_rng((self.seed, number + 1, len(self.scored)))
@@ -146,14 +160,24 @@ class HeldOutForecasts:
     def coverage(self) -> tuple[Coverage, ...]:
         """The model's own coverage and factors, and its CRPS beside persistence's."""
         beside = _mean_crps(self.of_plain.get(PERSISTENCE, []))
-        return tuple(replace(row, persistence=beside.get(row.horizon, nan)) for row in coverage_of(self.scored))
+        return tuple(
+            replace(row, persistence=beside.get(row.horizon, nan), other_days=self.other_days)
+            for row in coverage_of(self.scored)
+        )
 
     @property
     def members(self) -> tuple[PlainMember, ...]:
         """The plain members with their factors, and with their odds against the model at each horizon.
 
-        The odds are those that a pool would have come to over as many independent forecasts, PRIOR at most.
+        The odds are those that a pool would have come to over as many independent forecasts, PRIOR at most. Forecasts
+        of one unit err together: who was better on all of n is so on the next with odds of n + 1 (Laplace's rule of
+        succession), and no odds are above that.
         """
+        kinds = len(set(self.machines))
+        most = 1.0 + (kinds if kinds > 1 else len(self.machines))
+        least = 1.0 / most
+        if not self.other_days:
+            least = most = UNSEEN_ODDS / max(len(self.plain), 1)
         independent = {row.horizon: row.independent for row in self.coverage}
         own = _mean_crps(self.scored)
         members = []
@@ -163,8 +187,9 @@ class HeldOutForecasts:
             for horizon in own.keys() & losses.keys():
                 pair = np.array([own[horizon], losses[horizon]])
                 weight = weighted(np.ones(2), pair / max(pair.min(), 1e-3), min(independent[horizon], PRIOR))
-                odds[horizon] = float(min(max(weight[1] / weight[0], LEAST_ODDS), 1.0 / LEAST_ODDS))
-            factors = {row.horizon: row.factor for row in coverage_of(scored)}
+                odds[horizon] = float(min(max(weight[1] / weight[0], least), most))
+            rows = (replace(row, other_days=self.other_days) for row in coverage_of(scored))
+            factors = {row.horizon: row.widening for row in rows}
             members.append(replace(member, calibration=factors, odds=dict(sorted(odds.items()))))
         return tuple(members)
 
