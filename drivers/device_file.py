@@ -58,7 +58,7 @@ _FIELD = "{field}"
 class DeviceTable(BaseModel):
     """`[device]`: what is not listed here is a setting of the driver, which checks it."""
 
-    model_config = ConfigDict(extra="allow", frozen=True, strict=True)
+    model_config = ConfigDict(extra="allow", frozen=True, strict=True, defer_build=True)
 
     name: Name = Field(description="a short name for the device")
     driver: str = Field(description=f"one of {', '.join(sorted(DRIVERS))}")
