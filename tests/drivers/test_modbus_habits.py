@@ -158,7 +158,7 @@ async def on_a_pty(habit: Habit) -> AsyncIterator[str]:
 @asynccontextmanager
 async def driven(habit: Habit, link: str = "", folder: Path = Path(), **settings: Any) -> AsyncIterator[ModbusDriver]:
     async with served(habit, link, folder, **settings) as given:
-        driver = open_modbus(given, clock=lambda: 0.0, write_map=TAGS)
+        driver = open_modbus(given, clock=asyncio.get_running_loop().time, write_map=TAGS)
         try:
             await driver.open()
             yield driver
