@@ -144,7 +144,9 @@ async def _replay(config: Config, recording: SiteRecording, progress: Progress) 
         try:
             await machine.driver.open()
             rules = QualityRules(config.scan.period, config.map.heartbeat, config.device.heartbeat_period)
-            async with aclosing(scans(machine.driver, config.map.tags, clock, rules, stop=stop)) as stream:
+            derived = config.map.derived
+            stream_of = scans(machine.driver, config.map.tags, clock, rules, derived=derived, stop=stop)
+            async with aclosing(stream_of) as stream:
                 async for scan in stream:
                     await machine.take(scan)
                     # The clock stands still meanwhile: a forecast is done before the next scan, on any machine.

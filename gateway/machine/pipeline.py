@@ -115,7 +115,7 @@ class Machine:
         opened = False
         try:
             now = clock.now()
-            store = self.historian = self.common.historian.of(config.machine, config.map.tags)
+            store = self.historian = self.common.historian.of(config.machine, config.map.signals)
             self.records_watch = RecordsWatch(store, self.common.supervisor, self.supervisor, log)
             # Kept only under a clock that was believed: one that jumped is not believed at the next start either.
             believed = saved_state(store, "clock", log)
@@ -182,7 +182,7 @@ class Machine:
     def _open_followed(
         self, config: Config, loaded: LoadedModel | None, members: tuple[LoadedModel, ...]
     ) -> FollowedTemperature:
-        store = self.common.historian.of(config.machine, config.map.tags, config.model.temperature)
+        store = self.common.historian.of(config.machine, config.map.signals, config.model.temperature)
         model = None
         if loaded is not None:
             model = ModelUnit(

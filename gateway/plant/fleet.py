@@ -465,6 +465,7 @@ class _Running:
                         config.map.tags,
                         clock,
                         rules,
+                        derived=config.map.derived,
                         stop=stop,
                         urgent=urgent,
                         supervisor=machine.supervisor,

@@ -236,7 +236,7 @@ class EnsembleSection(Section):
     plain: bool = Field(
         True, description="whether the model's plain members (persistence, a damped trend) take part in its forecast"
     )
-    half_life: float = Field(30.0, gt=0, description="independent forecasts after which evidence counts half")
+    half_life: float = Field(8.0, gt=0, description="independent forecasts after which evidence counts half")
     floor: float = Field(0.02, ge=0, lt=1, description="the least weight that evidence leaves a model")
 
     @field_validator("weights", mode="before")
@@ -841,7 +841,7 @@ def _problems(content: _PlantFile, rows: Sequence[TemperatureSection], links: tu
     """What no single key shows: tags that the map lacks, models that are not there or do not go together, a speed for a
     real plant."""
     device = links[0].map
-    tags = {tag.name for tag in device.tags}
+    tags = set(device.by_name)
     named = [("alarms.tags", tag) for tag in content.alarms.tags]
     key = "temperature[{}].tag" if content.temperature else "model.temperature"
     named = [*((key.format(place), row.tag) for place, row in enumerate(rows)), *named]

@@ -1,10 +1,11 @@
 """A device's register map as a file: its tags, what the driver must know, and the block that is written back."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from drivers.derived import Derived
 from drivers.device_file import ACKNOWLEDGE_BITS, REFUSALS, BlockField, read_device_file
 from drivers.driver import capabilities
 from drivers.named_files import place_of
@@ -48,7 +49,10 @@ class WritebackLayout:
 
 @dataclass(frozen=True, slots=True)
 class DeviceMap:
-    """One device: how to open its driver, its tags, the tag of its heartbeat, and the blocks written to it."""
+    """One device: how to open its driver, its tags, the tag of its heartbeat, and the blocks written to it.
+
+    `derived` are the signals that are made of tags, by their names.
+    """
 
     path: Path
     name: str
@@ -57,6 +61,12 @@ class DeviceMap:
     heartbeat: str | None
     tags: tuple[Tag, ...]
     writebacks: tuple[WritebackLayout, ...]
+    derived: Mapping[str, Derived] = field(default_factory=dict)
+
+    @property
+    def signals(self) -> tuple[Tag, ...]:
+        """What a scan gives: the tags, and what is made of them."""
+        return (*self.tags, *(law.tag(name) for name, law in self.derived.items()))
 
     @property
     def writeback(self) -> WritebackLayout | None:
@@ -77,8 +87,8 @@ class DeviceMap:
 
     @property
     def by_name(self) -> dict[str, Tag]:
-        """The tags by their names (made anew at each call)."""
-        return {tag.name: tag for tag in self.tags}
+        """The signals by their names (made anew at each call)."""
+        return {tag.name: tag for tag in self.signals}
 
     @property
     def refusals(self) -> dict[str, int]:
@@ -145,4 +155,5 @@ def load_device(path: Path) -> DeviceMap:
         heartbeat=content.device.heartbeat,
         tags=tuple(row.tag() for row in content.tags),
         writebacks=tuple(layouts),
+        derived=content.derived,
     )

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
         load,
         locked,
         number_of,
+        objection,
+        objections,
         promote,
         promotion,
         ran,

@@ -16,7 +16,7 @@ import fcntl
 import json
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -28,7 +28,7 @@ from sim.artefacts.model_directory import (
     read_model_directory,
 )
 from sim.artefacts.model_json import read_model_file
-from sim.artefacts.verdict_file import read_verdict
+from sim.artefacts.verdict_file import ModelVerdict, read_verdict
 from sim.files import at, read_text, refused, replace_durably
 from sim.sha import Model
 
@@ -82,26 +82,33 @@ def version_directory(store: Path, version: str | None = None) -> Path:
     return store / VERSIONS / name
 
 
+def objections(refuted: Sequence[str], verdict: ModelVerdict | None) -> list[str]:
+    """What speaks against running a model: what its proof refutes, and a verdict of unfit where it was learned."""
+    found = [f"it does not verify: {'; '.join(refuted)}"] if refuted else []
+    return found + ([f"it is {verdict.sentence}"] if verdict is not None and verdict.word == "unfit" else [])
+
+
+def objection(store: Path, version: str) -> tuple[bool, str]:
+    """(whether a version can be run at all, what speaks against promoting it: "" for nothing). Raises ArtefactError."""
+    # Only a promotion proves; the running gateway reads what was promoted.
+    from sim.proof import verify
+
+    verification = verify(load(store, version))
+    if not verification.executable:
+        return False, "; ".join(verification.reasons)
+    verdict = read_verdict(version_directory(store, version))
+    return True, "; and ".join(objections(verification.reasons, verdict))
+
+
 def promote(store: Path, version: str, force: Force | None = None) -> None:
     """Makes a version the current one, if its files are as they were written, its model verifies as deployable, and it
     was not judged unfit where it was learned.
 
     `force` promotes one that can be run all the same; it is recorded in the store. Raises ArtefactError.
     """
-    # Only a promotion proves; the running gateway reads what was promoted.
-    from sim.proof import verify
-
-    verification = verify(load(store, version))
-    verdict = read_verdict(version_directory(store, version))
-    why = [f"it does not verify: {'; '.join(verification.reasons)}"] if verification.reasons else []
-    why += [f"it is {verdict.sentence}"] if verdict is not None and verdict.word == "unfit" else []
-    reason = "; and ".join(why)
-    if not verification.executable:
-        raise at(
-            store / VERSIONS / version,
-            None,
-            f"is not promoted, as it cannot be run at all: {'; '.join(verification.reasons)}",
-        )
+    runs, reason = objection(store, version)
+    if not runs:
+        raise at(store / VERSIONS / version, None, f"is not promoted, as it cannot be run at all: {reason}")
     if reason and force is None:
         raise at(
             store / VERSIONS / version,

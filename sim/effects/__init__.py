@@ -32,6 +32,7 @@ from sim.effects.kinds import (
     ROLES,
     acts_in,
     dead_time,
+    delay_of,
     effect_summary,
     growing_from,
     kind_of,

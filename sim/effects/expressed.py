@@ -49,11 +49,15 @@ def expressed(heat: str) -> ExpressedLaws:
     return {"law": held_law(heat), "bound": ExpressedBound(parse(heat)), "uppaal": text_law(heat)}
 
 
-def late_part(heat: str, *, lag: str) -> LatePart:
-    """The part of a heat that comes through the lag of that name, written as one line. Raises ExpressionError."""
+def late_part(heat: str) -> LatePart:
+    """The part of a heat that comes after the `delay` and through the `lag`, as one line. Raises ExpressionError."""
     law = held_law(heat).heat_and_loss
     return LatePart(
-        lag=lag, source=lambda effect, signals: law(effect, signals)[0], heat=parse(heat), text=text_law(heat)
+        lag="lag",
+        delay="delay",
+        source=lambda effect, signals: law(effect, signals)[0],
+        heat=parse(heat),
+        text=text_law(heat),
     )
 
 

@@ -20,7 +20,11 @@ from sim.phrase import Phrase
 REFERENCE = Parameter(unit="of the signal", rescaled="stays")
 LAGS = (15.0, 30.0, 60.0, 120.0, 240.0, 480.0)
 """Lags (s) of a heat of the current that a diagnosis begins from; it searches on within `LAG_RANGE`."""
-LAG_RANGE = (2.0, 1500.0)
+LAG_RANGE = (2.0, 3600.0)
+DELAY = Parameter(unit="s", low=0.0, default=0.0, rescaled="stays")
+"""After which what comes late begins to come; without a lag there is nothing late."""
+DELAYED = ((60.0, 60.0), (150.0, 60.0), (300.0, 100.0), (600.0, 150.0), (1200.0, 240.0))
+"""(delay, lag) in s from which a diagnosis begins besides: what is on its way, in a belt, an oil line, a shaft."""
 
 
 def _knees(log: MachineLog) -> Sequence[Params]:
@@ -71,6 +75,12 @@ def _lates(log: MachineLog) -> Sequence[Params]:
     return [{**shape, "lag": lag} for shape in about_usual("current")(log) for lag in LAGS]
 
 
+def _on_the_way(log: MachineLog) -> Sequence[Params]:
+    """Late, and after a delay as well."""
+    shapes = about_usual("current")(log)
+    return [*_lates(log), *({**shape, "delay": delay, "lag": lag} for shape in shapes for delay, lag in DELAYED)]
+
+
 def _losses(log: MachineLog) -> Sequence[Params]:
     """At once, which has no lag to be refined, and late."""
     return [*about_usual("current")(log), *_lates(log)]
@@ -114,11 +124,12 @@ HEATING = (
             "gain": Parameter(unit="degC/s per squared unit of the signal", rescaled="scaled"),
             "reference": REFERENCE,
             "lag": Parameter(unit="s", low=0.0, default=0.0, rescaled="stays"),
+            "delay": DELAY,
         },
         roles=Roles(needed=(CURRENT,)),
         acts="running",
         **expressed("gain * (current ^ 2 - reference ^ 2)"),
-        late=late_part("gain * current ^ 2", lag="lag"),
+        late=late_part("gain * current ^ 2"),
         candidate=EffectCandidate(
             strength="gain",
             sign=1.0,
@@ -143,11 +154,12 @@ HEATING = (
             "gain": Parameter(unit="degC/s per unit of the signal", rescaled="scaled"),
             "reference": REFERENCE,
             "lag": Parameter(unit="s", positive=True, rescaled="stays"),
+            "delay": DELAY,
         },
         roles=Roles(needed=(CURRENT,)),
         acts="running",
         **expressed("gain * (current - reference)"),
-        late=late_part("gain * current", lag="lag"),
+        late=late_part("gain * current"),
         candidate=EffectCandidate(
             strength="gain",
             sign=1.0,
@@ -160,8 +172,8 @@ HEATING = (
                 "verzögert beides, dies nur das erste",
             ),
             look="the motor and its cables: heat that is made there and reaches the measured part later",
-            shapes=_lates,
-            refine={"lag": LAG_RANGE},
+            shapes=_on_the_way,
+            refine={"lag": LAG_RANGE, "delay": LAG_RANGE},
             special=("current-heating",),
         ),
     ),

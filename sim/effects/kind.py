@@ -149,18 +149,21 @@ class RecordedLaw:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LatePart:
-    """The part of a held heat that comes through a first-order lag, whose parameter (s) `lag` names: 0 is at once.
+    """The part of a held heat that comes after a dead time and through a first-order lag, whose parameters (s) `delay`
+    and `lag` name: a lag of 0 is at once.
 
     `source(effect, signals)` is that part (degC/s) as the law holds it where the effect acts, NaN where a signal is not
     read. To what the law holds there is added, in all locations, since it goes on after a stop,
 
-        dX/dt += D,    D = late - source,    d late/dt = (source - late) / lag
+        dX/dt += D,    D = late - source,    d late/dt = (source(t - delay) - late) / lag
 
-    with late = source at the first reading. So it follows from the signals alone (`sim.effects.late`). `heat` is the
-    source as an expression and `text` as UPPAAL's; what else the law holds does not change with the signals.
+    with late = source before and at the first reading. So it follows from the signals alone (`sim.effects.late`).
+    `heat` is the source as an expression and `text` as UPPAAL's; what else the law holds does not change with the
+    signals.
     """
 
     lag: str
+    delay: str
     source: Callable[[Effect, Signals], Array]
     heat: Expression
     text: "TextLaw"
@@ -373,8 +376,9 @@ class EffectKind:
             return "has the bound of a loss, and no parameter 'loss'"
         if isinstance(self.bound, VaryingBound) and not isinstance(self.law, VaryingLaw):
             return "has the bound of a varying law, and another law"
-        if self.late is not None and (self.late.lag not in self.parameters or not isinstance(self.law, HeldLaw)):
-            return f"has a part that comes late, which asks for a held law and a parameter {self.late.lag!r}"
+        late = self.late
+        if late is not None and not ({late.lag, late.delay} <= set(self.parameters) and isinstance(self.law, HeldLaw)):
+            return f"has a part that comes late: that asks for a held law, parameters {late.lag!r} and {late.delay!r}"
         if self.candidate is not None and self.candidate.strength not in self.parameters:
             return f"is scaled by {self.candidate.strength!r}, which is no parameter of it"
         return ""

@@ -76,6 +76,12 @@ def lag_of(effect: Effect) -> float:
     return 0.0 if late is None else parameter(effect, late.lag)
 
 
+def delay_of(effect: Effect) -> float:
+    """Seconds after which what comes late of the effect's heat begins to come; 0 without such a part."""
+    late = kind_of(effect).late
+    return 0.0 if late is None else parameter(effect, late.delay)
+
+
 def acts_in(effect: Effect, location: str) -> bool:
     """True where the effect acts in the location of that name."""
     return not effect.locations or location in effect.locations

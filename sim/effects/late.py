@@ -1,11 +1,12 @@
 """The law of a heat that comes late (`kind.LatePart`), written once: a diagnosis and all engines take it from here.
 
-Its deviation D from what is held at once falls as exp(-t / lag) and jumps where the source does:
+Its deviation D from what is held at once jumps where the source does, stays for the delay, and then fades with the lag:
 
-    D(t + dt) = D(t) exp(-dt / lag),    D after a reading = D before it - (source after - source before)
+    D after a reading = D before it - (source after - source before)
+    what a jump at t leaves of itself at t + u is all of it for u < delay, then exp(-(u - delay) / lag) of it
 
-so that D is known from the signals alone. Before the first reading nothing is known and D is 0, and so it is after it:
-the source counts as if it had been there for ever.
+so that D is known from the signals alone: the sum of the jumps that still wait, and a deviation that fades. Before the
+first reading nothing is known and D is 0, and so it is after it: the source counts as if it had been there for ever.
 """
 
 import numpy as np
@@ -33,11 +34,11 @@ def late_jumps(before: Array, after: Array) -> Array:
 
 
 def late_kept(effect: Effect, seconds: Array) -> Array:
-    """The share of D that is left after so many seconds."""
+    """The share that is left of what fades after so many seconds."""
     return np.asarray(np.exp(-np.asarray(seconds) / lag_of(effect)))
 
 
 def late_mean(effect: Effect, seconds: Array) -> Array:
-    """The mean of D over so many seconds, as a share of D at their start; 1 over none."""
+    """The mean of what fades over so many seconds, as a share of what it is at their start; 1 over none."""
     part = np.asarray(seconds) / lag_of(effect)
     return np.where(part > 0, -np.expm1(-part) / np.where(part > 0, part, 1.0), 1.0)

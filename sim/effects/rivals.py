@@ -167,6 +167,11 @@ def _less_cooling(effect: Effect, view: RecordView) -> tuple[Array, Array]:
     return loss * p["sink"], loss
 
 
+def _sinks(log: MachineLog) -> Sequence[float]:
+    """degC that a cooling may draw to: what is read at rest. A machine that never rests was never as cold as that."""
+    return (log.cold,) if not log.running.all() else (log.cold, log.cold - float(np.ptp(log.smooth)))
+
+
 def _cooling_words(p: Params) -> str:
     way = "less" if p["loss"] >= 0 else "more"
     while_ = "while the machine runs, " if p["turning"] else ""
@@ -197,7 +202,8 @@ PARAMETERS: Mapping[str, Parameter] = {
     **dict.fromkeys(("both", "turning"), CHOICE),
 }
 """What a rival's parameters are, by their names."""
-ANY_TIME = (-1e12, 1e12)
+IN_RECORD = (-np.inf, np.inf)
+"""Bounds of a moment that is looked for: the record's own ends."""
 
 
 def _rival(
@@ -252,10 +258,11 @@ def _cooling(name: str, meaning: str, shapes: Callable[[MachineLog], Sequence[Pa
         _cooling_words,
         parameters=("loss", "sink", "at", "over", "turning"),
         shapes=lambda log: [
-            {**shape, "sink": log.cold, "turning": turning} for shape in shapes(log) for turning in (0.0, 1.0)
+            {**shape, "sink": sink, "turning": turning}
+            for shape, sink, turning in product(shapes(log), _sinks(log), (0.0, 1.0))
         ],
         acts="anywhere",
-        refine={"at": ANY_TIME},
+        refine={"at": IN_RECORD},
         widths={"at": 4 * HOUR},
         experiment="clean the cooler or open the air's way, and compare the same load before and after",
         look="what carries heat away: cooler, fan, filter, flow of oil and water, dirt on the housing",
@@ -277,7 +284,7 @@ def _event(
         _fading_words,
         parameters=("gain", "tau", *moments),
         shapes=shapes,
-        refine={"tau": (0.5 * HOUR, 60 * HOUR), **dict.fromkeys(moments, ANY_TIME)},
+        refine={"tau": (0.5 * HOUR, 60 * HOUR), **dict.fromkeys(moments, IN_RECORD)},
         widths=dict.fromkeys(moments, 4 * HOUR),
         burden=len(moments) * BURDEN,
         special=special,
@@ -374,7 +381,7 @@ RIVAL_KINDS = (
         sign=0.0,
         acts="anywhere",
         shapes=lambda log: [{"at": at, "turning": turning} for at in _moments(log) for turning in (0.0, 1.0)],
-        refine={"at": ANY_TIME},
+        refine={"at": IN_RECORD},
         widths={"at": 4 * HOUR},
         experiment="look up what was changed then, and undo it for a day",
         look="what was changed at the machine then: a bearing, a belt, a setting, the load's kind",
@@ -388,10 +395,11 @@ RIVAL_KINDS = (
         sign=0.0,
         acts="anywhere",
         shapes=lambda log: [{"at": at} for at in _moments(log)],
-        refine={"at": ANY_TIME},
+        refine={"at": IN_RECORD},
         widths={"at": 4 * HOUR},
         experiment="log the room's temperature for three days, with a night at rest",
-        look="what changed around the machine then: weather, heating, a door, another machine, its enclosure",
+        look="what changed around the machine then: weather, heating, a door, another machine, its enclosure, and its "
+        "cooler where it never rests",
     ),
     _cooling(
         "less-cooling",

@@ -113,9 +113,15 @@ def advance(model: Model | Tracker, belief: Belief, time: float) -> Belief:
     # acts now, before a reading of that instant.
     while belief.hidden is not None and belief.hidden.pending and belief.hidden.pending[0].due <= time:
         first, *rest = belief.hidden.pending
-        belief = replace(belief, hidden=replace(belief.hidden, pending=tuple(rest)))
+        # What waits heats until it is due.
         belief = state_estimate.predicted(tracker.plant, belief, max(first.due, belief.time))
-        belief = _entered(tracker, belief, first.symbol) if first.symbol else _held(tracker, belief, first.signals)
+        belief = replace(belief, hidden=replace(belief.hidden or Hidden((), ()), pending=tuple(rest)))
+        if first.symbol:
+            belief = _entered(tracker, belief, first.symbol)
+        elif first.signals:
+            belief = _held(tracker, belief, first.signals)
+        else:
+            belief = state_estimate.begun_to_fade(belief, first.jumps)
     return state_estimate.predicted(tracker.plant, belief, time)
 
 
@@ -246,7 +252,11 @@ def _held(tracker: Tracker, belief: Belief, news: Mapping[str, float]) -> Belief
     moved = replace(belief, signals=held, offset=tracker.modes[belief.location].offset(held))
     if tracker.plant is None or not tracker.plant.late:
         return moved
-    return replace(moved, hidden=state_estimate.holding(tracker.plant, belief, held))
+    hidden, waiting = state_estimate.holding(tracker.plant, belief, held)
+    moved = replace(moved, hidden=hidden)
+    for each in waiting:
+        moved = _delayed(moved, each)
+    return moved
 
 
 def _delayed(belief: Belief, delayed: Delayed) -> Belief:

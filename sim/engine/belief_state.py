@@ -20,11 +20,15 @@ class Innovation:
 
 @dataclass(frozen=True, slots=True)
 class Delayed:
-    """What a dead time holds back until `due` (absolute s): an event's symbol, or new values of `signals`."""
+    """What a dead time holds back until `due` (absolute s): an event's symbol, or new values of `signals`.
+
+    Or `jumps` (degC/s) of what comes late after a delay of its own, by effect: from then on they fade.
+    """
 
     due: float
     symbol: str = ""
     signals: Mapping[str, float] = field(default_factory=dict)
+    jumps: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,8 +37,8 @@ class Hidden:
 
     `mean` (d + 1) and `covariance` (d + 1, d + 1) are those of the d states and of m, `opened` says whether the mean's
     thermostat is open, `since` has for each start-up effect the time of its event (None before any), `pending` what a
-    dead time holds back, in the order in which it is due. `late` has for each effect with a part that comes late its
-    deviation (degC/s; `sim.effects.late`).
+    dead time holds back, in the order in which it is due. `late` has for each effect with a part that comes late what
+    fades of its deviation (degC/s; `sim.effects.late`).
     """
 
     mean: tuple[float, ...]
@@ -104,7 +108,7 @@ def belief_of(saved: Mapping[str, Any]) -> Belief:
             covariance=tuple(tuple(row) for row in hidden["covariance"]),
             opened=hidden["opened"],
             since=tuple(hidden["since"]),
-            pending=tuple(Delayed(**item) for item in hidden["pending"]),
+            pending=tuple(Delayed(**{**item, "jumps": tuple(item.get("jumps", ()))}) for item in hidden["pending"]),
             late=tuple(hidden.get("late", ())),  # a belief saved before there were any has none
         )
     return Belief(

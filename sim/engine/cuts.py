@@ -29,7 +29,7 @@ _WARM = 100.0 - ABSOLUTE_ZERO
 
 
 def _faded() -> Array:
-    ages, age = list[float](), _LATE
+    ages, age = [0.0], _LATE
     while age < SETTLED:
         ages.append(age)
         age += _LATE * exp(age / _SLOWER)
@@ -37,7 +37,7 @@ def _faded() -> Array:
 
 
 _FADED = _faded()
-"""The ages, in lags, at which what comes late is cut after a change."""
+"""The ages, in lags, at which what comes late is cut from where it begins to fade."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +45,7 @@ class Stays:
     """S stays one after the other: begin, end and entry in absolute s, location; each (S,).
 
     `starts` has for each start-up effect the ascending times of its event, `changed` for each late one those (absolute
-    s) at which its source changes.
+    s) at which a change of its source begins to fade.
     """
 
     begins: Array

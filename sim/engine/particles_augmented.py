@@ -13,7 +13,7 @@ from math import inf
 
 import numpy as np
 
-from sim.effects import dead_time, late_jumps, late_kept, late_source, sensor_offsets
+from sim.effects import dead_time, delay_of, late_jumps, late_kept, late_source, sensor_offsets
 from sim.engine.belief_state import Belief, Hidden
 from sim.engine.kernel import move
 from sim.engine.particles import PathRuns, bridges, draw_states, drawn_temperatures, merge
@@ -97,6 +97,7 @@ def augmented_path_runs(
         known = np.full((1, shape[1]), -inf if last is None else last - belief.time)
         started = np.maximum.accumulate(np.vstack([known, times]), axis=0)
         since.append((begin - started[stay, columns]).reshape(-1))
+    fading, waiting = _late(plant, belief, signals, begin, dt)
     segments = Segments(
         location=location.reshape(-1),
         time=(belief.time + begin).reshape(-1),
@@ -105,7 +106,8 @@ def augmented_path_runs(
         offset=offset.reshape(-1),
         signals={name: column.reshape(-1) for name, column in signals.items()},
         since=tuple(since),
-        late=tuple(column.reshape(-1) for column in _late(plant, belief, signals, dt)),
+        late=tuple(column.reshape(-1) for column in fading),
+        waiting=waiting.reshape(-1),
     )
     drawn = drawn_temperatures(tracker, paths, first, rng)
     about = np.full(dt.size, float(s[:, 0].mean())) if plant.radiation is not None else None
@@ -161,23 +163,46 @@ def _signals(
     return values
 
 
-def _late(plant: Plant, belief: Belief, signals: Mapping[str, Array], dt: Array) -> list[Array]:
-    """(S, N) what comes late of each such effect at each step's start: as the belief has it, then along the signals."""
-    known = belief.hidden.late if belief.hidden is not None else ()
-    columns = []
-    for effect, deviation in zip(plant.late, known, strict=True):
+def _late(
+    plant: Plant, belief: Belief, signals: Mapping[str, Array], begin: Array, dt: Array
+) -> tuple[list[Array], Array]:
+    """What comes late: (S, N) what fades of each such effect at each step's start, as the belief has it and then along
+    the signals, and (S, N) what of all of them waits, its mean over the step."""
+    hidden = belief.hidden or Hidden((), ())
+    columns, waiting = list[Array](), np.zeros(dt.shape)
+    for number, (effect, deviation) in enumerate(zip(plant.late, hidden.late, strict=True)):
         now = {name: np.array(belief.signals.get(name, np.nan)) for name in effect.signals.values()}
-        source, kept = late_source(effect, signals), late_kept(effect, dt)
+        source, kept, delay = late_source(effect, signals), late_kept(effect, dt), delay_of(effect)
         jumps = late_jumps(
             np.vstack([np.broadcast_to(late_source(effect, now), source[:1].shape), source[:-1]]), source
         )
+        if delay > 0:
+            jumped, known = np.cumsum(jumps, axis=0), [each for each in hidden.pending if each.jumps]
+            due = _mean_before(jumped, begin, dt, delay)
+            for each in known:
+                since = np.clip(begin + dt - (each.due - belief.time), 0.0, dt)
+                due += each.jumps[number] * since / np.where(dt > 0, dt, 1.0)
+            for row in range(dt.shape[0]):  # steps of no length are as the one before
+                due[row] = np.where(dt[row] > 0, due[row], due[row - 1] if row else 0.0)
+            waiting += jumped + sum(each.jumps[number] for each in known) - due
+            jumps = np.diff(due, axis=0, prepend=np.zeros((1, dt.shape[1])))
         column = np.empty(dt.shape)
         at: Array = np.full(dt.shape[1], deviation)
         for row in range(dt.shape[0]):
             column[row] = at = at + jumps[row]
             at = at * kept[row]
         columns.append(column)
-    return columns
+    return columns, waiting
+
+
+def _mean_before(column: Array, begin: Array, dt: Array, delay: float) -> Array:
+    """(S, N) the mean over each step of what a column held `delay` s before, 0 before the first step."""
+    ends = np.vstack([begin[:1], begin + dt])
+    whole = np.vstack([np.zeros((1, dt.shape[1])), np.cumsum(column * dt, axis=0)])
+    earlier = np.column_stack(
+        [np.interp(clock - delay, clock, total) for clock, total in zip(ends.T, whole.T, strict=True)]
+    )
+    return np.diff(earlier, axis=0) / np.where(dt > 0, dt, 1.0)
 
 
 def _meets(sha: SHA, event: str) -> Mask:

@@ -6,11 +6,12 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from sim.effects import (
     check_effects,
     dead_time,
+    delay_of,
     in_sensor_scale,
     late_jumps,
     late_kept,
@@ -22,12 +23,24 @@ from sim.engine.cuts import Stays, cuts
 from sim.engine.plant import compile_plant
 from sim.engine.recursion import SHORT, linear_recursion
 from sim.engine.terms import Segments
-from sim.sha import SHA, UNKNOWN, Array, Coefficients, Effect, Event, Mask, Model, Trace, flows, transitions
+from sim.sha import (
+    SHA,
+    UNKNOWN,
+    Array,
+    Coefficients,
+    Effect,
+    Event,
+    Indices,
+    Mask,
+    Model,
+    Trace,
+    by_kind,
+    flows,
+    transitions,
+)
 
 Policy = Literal["reject", "ignore", "resync"]
 """What an event without an edge does: ValueError; nothing; a jump to where its symbol leads most often."""
-
-Indices = NDArray[np.intp]
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,7 +139,7 @@ def schedule(
     )
     held = _readings(sha, walk.location, later)
     late = tuple(_Late.of(effect, later.times, held) for effect in plant.late)
-    changed = tuple(each.changed for each in late)
+    changed = tuple(each.due for each in late)
     stays = Stays(
         walk.begins, np.append(walk.begins[1:], end), walk.entered, walk.location, starts=starts, changed=changed
     )
@@ -142,13 +155,16 @@ def since_last(times: Array, starts: Array) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class _Late:
-    """What comes late along readings: its `deviation` (degC/s) after each change of its source, `changed` (s) when.
+    """What comes late along readings: its source has `jumped` (degC/s) by each of its changes, at `changed` (s), and
+    what is `due` (s) then fades: `deviation` (degC/s) is that after each.
 
-    The deviation begins with a row of 0, from before any change.
+    Jumps and deviation begin with a row of 0, from before any change.
     """
 
     effect: Effect
     changed: Array
+    due: Array
+    jumped: Array
     deviation: Array
 
     @classmethod
@@ -160,12 +176,18 @@ class _Late:
         changed = clock[1:][rows]
         kept = late_kept(effect, np.diff(changed, prepend=changed[:1]))
         deviation = linear_recursion(kept, jumps[rows], 0.0, loop=rows.size <= SHORT)
-        return cls(effect, changed, np.append(0.0, deviation))
+        jumped = np.append(0.0, np.cumsum(jumps[rows]))
+        return cls(effect, changed, changed + delay_of(effect), jumped, np.append(0.0, deviation))
 
-    def at(self, times: Array) -> Array:
-        """D at each of the times, after the readings of that instant."""
-        row = np.searchsorted(self.changed, times, side="right")
-        return self.deviation[row] * late_kept(self.effect, times - np.append(-np.inf, self.changed)[row])
+    def fading_at(self, times: Array) -> Array:
+        """What fades at each of the times, after the readings of that instant."""
+        row = np.searchsorted(self.due, times, side="right")
+        return self.deviation[row] * late_kept(self.effect, times - np.append(-np.inf, self.due)[row])
+
+    def waiting_at(self, times: Array) -> Array:
+        """What has jumped and does not fade yet at each of the times."""
+        known, due = (np.searchsorted(clock, times, side="right") for clock in (self.changed, self.due))
+        return self.jumped[known] - self.jumped[due]
 
 
 def _steps(
@@ -223,7 +245,8 @@ def _steps(
         offset=steps.offset,
         signals={name: np.append(column, np.nan)[row] for name, column in held.items()},
         since=tuple(since_last(begin, times_of_event) for times_of_event in starts),
-        late=tuple(each.at(begin) for each in late),
+        late=tuple(each.fading_at(begin) for each in late),
+        waiting=sum((each.waiting_at(begin) for each in late), np.zeros(begin.size)),
     )
     return replace(steps, segments=segments)
 
@@ -231,13 +254,8 @@ def _steps(
 def step_coefficients(steps: Schedule) -> Coefficients:
     """(decay, pull, variance) of every step without saturation, each (n,). Raises ValueError where effects act."""
     refuse(steps.sha, "a calculation with the flows' closed forms")
-    parts = tuple(np.empty(steps.dt.size) for _ in range(3))
-    for index in np.unique(steps.location):
-        rows = steps.location == index
-        flow = steps.sha.locations[index].flow
-        for part, value in zip(parts, flows.coefficients(flow, steps.age[rows], steps.dt[rows]), strict=True):
-            part[rows] = value
-    return parts[0], parts[1], parts[2]
+    of_kind = by_kind([location.flow for location in steps.sha.locations])
+    return flows.coefficients_along(of_kind, steps.location, steps.age, steps.dt)
 
 
 def resync_targets(sha: SHA) -> dict[str, str]:

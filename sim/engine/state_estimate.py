@@ -11,8 +11,8 @@ from math import floor, inf, log2
 
 import numpy as np
 
-from sim.effects import late_jumps, late_kept, late_source, sensor_offset, signals_of
-from sim.engine.belief_state import Belief, Hidden
+from sim.effects import delay_of, late_jumps, late_kept, late_source, sensor_offset, signals_of
+from sim.engine.belief_state import Belief, Delayed, Hidden
 from sim.engine.cuts import Stays, cuts
 from sim.engine.moments_augmented import DrawnMoments, mean_course, start_covariance, start_state
 from sim.engine.plant import Plant
@@ -106,6 +106,7 @@ def predicted(plant: Plant, belief: Belief, time: float) -> Belief:
             deviation * late_kept(effect, begins - belief.time)
             for effect, deviation in zip(plant.late, hidden.late, strict=True)
         ),
+        waiting=np.full(n, sum(jump for each in hidden.pending for jump in each.jumps)),
     )
     nothing, never = np.zeros(n), np.zeros(n, dtype=np.bool_)
     last = never.copy()
@@ -255,16 +256,26 @@ def since_event(plant: Plant, belief: Belief, symbol: str) -> Hidden:
     return replace(hidden, since=since)
 
 
-def holding(plant: Plant, belief: Belief, signals: Mapping[str, float]) -> Hidden:
-    """The hidden states when `signals` hold from now on: what comes late jumps with its source."""
+def holding(plant: Plant, belief: Belief, signals: Mapping[str, float]) -> tuple[Hidden, tuple[Delayed, ...]]:
+    """The hidden states when `signals` hold from now on, and what waits: what comes late jumps with its source."""
     hidden, _, _ = _states(belief)
     names = dict.fromkeys(name for effect in plant.late for name in effect.signals.values())
     before, after = ({name: np.array(each.get(name, np.nan)) for name in names} for each in (belief.signals, signals))
-    late = tuple(
-        deviation + float(late_jumps(late_source(effect, before), late_source(effect, after)))
-        for effect, deviation in zip(plant.late, hidden.late, strict=True)
+    jumps = np.array([late_jumps(late_source(each, before), late_source(each, after)) for each in plant.late])
+    delays = np.array([delay_of(effect) for effect in plant.late])
+    late = np.array(hidden.late) + np.where(delays > 0, 0.0, jumps)
+    waiting = (
+        Delayed(belief.time + delay, jumps=tuple(np.where(delays == delay, jumps, 0.0).tolist()))
+        for delay in sorted({*delays[(delays > 0) & (jumps != 0)].tolist()})
     )
-    return replace(hidden, late=late)
+    return replace(hidden, late=tuple(late.tolist())), tuple(waiting)
+
+
+def begun_to_fade(belief: Belief, jumps: tuple[float, ...]) -> Belief:
+    """The belief when jumps of what comes late have waited for their delay."""
+    hidden, _, _ = _states(belief)
+    late = tuple(deviation + jump for deviation, jump in zip(hidden.late, jumps, strict=True))
+    return replace(belief, hidden=replace(hidden, late=late))
 
 
 def _states(belief: Belief) -> tuple[Hidden, Array, Array]:

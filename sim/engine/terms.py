@@ -27,7 +27,8 @@ class Segments:
     `time` (absolute s) and `age` (s since the location was entered) are those at the start, `dt` the length in s,
     `offset` what the flow's inputs add to its target (degC). `signals` are the values that effects read, NaN before the
     first reading; `since` has for each start-up effect the seconds since its event at the start, inf before any, `late`
-    for each late one its deviation D (degC/s) there (`sim.effects.late`).
+    for each late one what fades of its deviation (degC/s) there, and `waiting` what of all of them does not yet
+    (`sim.effects.late`).
     """
 
     location: Indices
@@ -38,6 +39,7 @@ class Segments:
     signals: Mapping[str, Array]
     since: tuple[Array, ...]
     late: tuple[Array, ...]
+    waiting: Array
 
     def rows(self, rows: slice | Indices | Mask) -> "Segments":
         """Some of the segments."""
@@ -50,6 +52,7 @@ class Segments:
             signals={name: column[rows] for name, column in self.signals.items()},
             since=tuple(column[rows] for column in self.since),
             late=tuple(column[rows] for column in self.late),
+            waiting=self.waiting[rows],
         )
 
 
@@ -81,6 +84,7 @@ def terms(plant: Plant, segments: Segments) -> Terms:
         active = acting.mask[place] & np.isfinite(gained) & np.isfinite(lost)
         loss = loss + np.where(active, lost, 0.0)
         heat = heat + np.where(active, gained, 0.0)
+    heat = heat + segments.waiting
     if not (plant.fading or plant.startups or plant.wears or plant.late):
         return Terms(loss, heat[:, None], plant.drive[place][:, None])
     # Each column is a Gauss point; the parabola through the three is found by one small inverse, made once.

@@ -24,6 +24,7 @@ from sim.effects import (
     VaryingBound,
     acts_in,
     cells,
+    delay_of,
     enclosure,
     kind_of,
     lag_of,
@@ -65,7 +66,7 @@ class Forcing:
     `signals` are the values that give the least and the greatest drift, as far as constant ones can. `around` (degC) is
     the range of what is radiated to.
 
-    `coming` (degC) is what may be on its way of all that comes late, lag times late, wherever the machine was before,
+    `coming` (degC) is what may be on its way of all that comes late, wherever the machine was before,
     and `settled` the same where the signals have been as they may be here for ever.
     """
 
@@ -189,9 +190,10 @@ def forcing_of(
 def drift_of(flow: Flow, m: Range, forcing: Forcing, *, up: bool, housing: float | None) -> DriftBound:
     """The greatest (`up`) or the least drift in Y = X + what is to come, for a mode parameter within `m`.
 
-    With d late/dt = (source - late) / lag the sum Y = X + lag late moves as X would if all came at once: what is late
-    has no rate of its own in it, and never adds up. Y is X itself where nothing comes late. `housing` (degC) is the
-    highest or lowest Y that there may be; None leaves it out.
+    With d late/dt = (source(t - delay) - late) / lag the sum Y of X, lag late and the integral of the source over the
+    last `delay` moves as X would if all came at once: what is late has no rate of its own in it, and never adds up. Y
+    is X itself where nothing comes late. `housing` (degC) is the highest or lowest Y that there may be; None leaves it
+    out.
     """
     side = int(up)
     parts = [_alone(flow, m, forcing.heat, side), *(both[side] for both in forcing.written)]
@@ -276,10 +278,11 @@ def _refuse_late(sha: SHA, effect: Effect) -> None:
 
 
 def _warmth(effect: Effect, late: LatePart, ranges: Callable[[str], Range]) -> Range:
-    """degC: the lag times the least and the greatest source, which is what may be to come where signals are so."""
+    """degC: lag and delay times the least and greatest source, which is what may be to come where signals are so."""
     box = cells({role: ranges(signal) for role, signal in effect.signals.items()})
     low, high = enclosure(late.heat, effect.params, box)
-    return lag_of(effect) * float(np.min(low)), lag_of(effect) * float(np.max(high))
+    seconds = lag_of(effect) + delay_of(effect)
+    return seconds * float(np.min(low)), seconds * float(np.max(high))
 
 
 def added_ranges(one: Range, other: Range) -> Range:

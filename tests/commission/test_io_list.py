@@ -1,4 +1,4 @@
-"""I/O lists: columns by their headers, Italian or English; numbers with a comma; a sentence for each bad row."""
+"""I/O lists: columns by their headers, in five languages; numbers with a comma; a sentence for each bad row."""
 
 from pathlib import Path
 
@@ -45,7 +45,7 @@ def test_an_italian_list_gives_its_tags_whatever_its_encoding(tmp_path: Path, en
     }  # fmt: skip
     assert keys(found, "Temperatura")["unit"] == "degC"
     assert keys(found, "Livello")["address"] == "holding:109"
-    assert found.sheet.ignored == ("Descrizione",)
+    assert found.sheet.columns["remark"] == "Descrizione" and not found.sheet.ignored
 
 
 def test_an_english_list_with_commas_and_functions_is_read_too(tmp_path: Path) -> None:
@@ -119,6 +119,57 @@ def test_a_flag_without_its_bit_in_a_register_of_flags_is_refused(tmp_path: Path
 def test_a_bare_4_is_a_function_only_in_a_column_of_functions(tmp_path: Path) -> None:
     found = listed(tmp_path, "Tag;Area;Address\nA;4;100\n")
     assert "line 2, 'Area'" in found.problems[0] and "holding, input" in found.problems[0]
+
+
+@pytest.mark.parametrize(
+    ("header", "flag", "real"),
+    [
+        ("Bezeichnung;Register;Funktion;Datentyp;Wortfolge;Einheit;Skalierung", "Eingang (FC2)", "FC4"),
+        (
+            "Variable;Registeradresse;Registertyp;Typ;Wortreihenfolge;Einheit;Faktor",
+            "Digitaleingang",
+            "Eingangsregister",
+        ),
+        ("Nom;Adresse;Fonction;Type de donnée;Ordre des mots;Unité;Facteur", "Lire (FC2)", "Registre d'entrée"),
+        (
+            "Nombre;Dirección;Función;Tipo de dato;Orden de palabras;Unidad;Escala",
+            "Entrada (FC2)",
+            "Registro de entrada",
+        ),
+    ],
+)
+def test_a_list_in_german_french_or_spanish_is_read_as_an_italian_one(
+    tmp_path: Path, header: str, flag: str, real: str
+) -> None:
+    found = listed(tmp_path, f"{header}\nM;3;{flag};BOOL;;;\nT;10;{real};REAL;CDAB;°C;0,1\n")
+    assert not found.problems and not found.sheet.ignored
+    assert keys(found, "M")["address"] == "discrete:3"
+    temperature = keys(found, "T")
+    assert [temperature[key] for key in ("address", "dtype", "order", "unit", "scale")] == [
+        *("input:10", "float32", "CDAB", "degC", 0.1),
+    ]
+
+
+@pytest.mark.parametrize("remark", ["Faktor 0,1", "fattore: 0.1", "in °C, x 0.1", "/10", "scale=10", "Auflösung 0,1 K"])
+def test_a_scale_in_running_text_is_said_to_be_unread(tmp_path: Path, remark: str) -> None:
+    found = listed(tmp_path, f"Tag;Address;Type;Scale;Note\nT;40001;INT;;{remark}\nU;40002;INT;0,1;{remark}\n")
+    assert repr(remark) in found.tags[0].unread and "line 2, 'Note'" in found.tags[0].unread
+    assert not found.tags[1].unread and not found.problems
+
+
+@pytest.mark.parametrize("remark", ["", "Lager 2 links", "Temperatur in 10 m Tiefe", "Motor 1/2", "Pumpe x", "M10"])
+def test_a_remark_without_a_scale_is_a_remark(tmp_path: Path, remark: str) -> None:
+    assert not listed(tmp_path, f"Tag;Address;Type;Note\nT;40001;INT;{remark}\n").tags[0].unread
+
+
+def test_what_columns_hold_is_proposed_where_no_word_says_it(tmp_path: Path) -> None:
+    with pytest.raises(ListError) as error:
+        listed(tmp_path, "Plan 3;;\nKennung;Ort;Art\nTT101;100;REAL\nTT102;102;REAL\n")
+    assert "line 2 has 'Kennung', 'Ort', 'Art'" in str(error.value)
+    assert str(error.value).endswith("perhaps --column name='Kennung' --column address='Ort'")
+    with pytest.raises(ListError) as error:
+        listed(tmp_path, "Tag;Ort\nTT101;100\nTT102;102\n")
+    assert "for address" in str(error.value) and "for name" not in str(error.value)
 
 
 @pytest.mark.parametrize(

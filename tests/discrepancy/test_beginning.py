@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from sim.effects import moment_words
 from sim.engine import linear_recursion
-from sim.lab.discrepancy import beginning_sentence
+from sim.lab.discrepancy import GapBeginning, beginning_sentence
 from sim.lab.discrepancy.beginning import beginning
 from sim.lab.discrepancy.fitting import Fitted, fit, frame_of, on, record_of
 from sim.lab.discrepancy.held_out import HeldOutRun, let_run
 from sim.lab.discrepancy.rules import RULES
-from sim.lab.discrepancy.story import shown_time
 from sim.lab.discrepancy.workflow import diagnose
 from sim.sha import Array
 from tests.discrepancy.plants import model, plant
@@ -90,7 +90,7 @@ def test_what_fails_in_two_steps_begins_with_the_first(run_on: HeldOutRun) -> No
     assert found is not None and found.then is not None
     assert abs(found.time - starts[first]) <= found.stretch and abs(found.then[0] - starts[second]) <= found.stretch
     assert found.moves == pytest.approx(2.0, abs=0.4) and found.then[1] == pytest.approx(4.0, abs=0.4)
-    assert f"from {shown_time(found.then[0])} on {found.then[1]:.2g} °C warmer" in beginning_sentence(found, "°C")
+    assert f"from {moment_words(found.then[0])} on {found.then[1]:.2g} °C warmer" in beginning_sentence(found, "°C")
 
 
 def test_a_jump_stands_out_of_an_error_that_wanders_as_the_run_goes_on(run_on: HeldOutRun) -> None:
@@ -140,7 +140,7 @@ def test_a_heat_that_begins_half_way_is_dated_whatever_name_was_tried_for_it() -
     assert low - trace.times[0] <= BEGINS <= high - trace.times[0]
     assert (found.began.before, found.began.after) == (6, 9)
     assert beginning_sentence(found.began, "°C") in found.sentence
-    assert found.reasons[0].startswith(f"from {shown_time(found.began.time)} on") and found.verdict == "unexplained"
+    assert found.reasons[0].startswith(f"from {moment_words(found.began.time)} on") and found.verdict == "unexplained"
     assert not any("there is no gap" in reason for reason in found.reasons), found.reasons
     # The picture shows it by itself.
     heat = found.missing_heat
@@ -148,3 +148,11 @@ def test_a_heat_that_begins_half_way_is_dated_whatever_name_was_tried_for_it() -
     late = heat.times - trace.times[0] > BEGINS
     more = np.mean(heat.mean[heat.running & late]) - np.mean(heat.mean[heat.running & ~late])
     assert abs(more - 8.0) < 1.5
+
+
+def test_a_beginning_on_a_clock_without_dates_has_none() -> None:
+    began = GapBeginning(
+        time=22020.0, interval=(19820.0, 24220.0), before=10, after=40, moves=12.0, running=True, p=1e-4, stretch=2195.0
+    )
+    said = beginning_sentence(began, "°C")
+    assert "the stretch of 6.1 h on the traces' clock" in said and "1970" not in said

@@ -81,6 +81,16 @@ def test_of_effects_that_these_rows_cannot_show_it_is_said() -> None:
     assert "600 s" in said["dead-time"]
 
 
+def test_what_does_no_better_than_its_special_case_was_looked_for() -> None:
+    trace = plant(3, days=2, period=60.0)
+    record = record_of(model(), [trace], ("Assorbimento",))
+    base = fit(on(frame_of(record), record), rounds=1, iterations=3)
+    entries = [entry(name) for name in ("late-current-heating", "current-heating")]
+    made = step(base, entries, {"current": "Assorbimento"}, rules=RULES)
+    assert "late-current-heating" not in {each.entry.name for each in made.evidence}
+    assert too_short(entries, NamingResult(base, base, ((made, "adds nothing"),))) == {}
+
+
 def with_strength(named: NamingStep, times: float) -> NamingStep:
     """The step whose best effect has so many times its strength."""
     best = named.best

@@ -109,3 +109,8 @@ def test_a_cause_outside_of_the_catalogue_makes_none_of_these_likelier_than_its_
         against = names_evidence(held, before, ceiling(named, seed), RULES)
         none[known] = posterior({name: 40.0}, against, RULES).none_of_these
     assert none["inside"] < 0.1 < PRIOR_NONE < none["outside"]
+
+
+def test_without_a_margin_names_still_have_a_confidence() -> None:
+    found = posterior(GAINS, CLEAR, replace(RULES, margin_nats=0.0))
+    assert sum(found.shares.values()) + found.none_of_these == pytest.approx(1.0)

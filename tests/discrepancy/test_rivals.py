@@ -1,9 +1,11 @@
 """What has no name is held beside the names, so that none is given in its place."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from sim.artefacts.model_json import model_text, parse_model
 from sim.engine.moment_equations import moments
@@ -13,18 +15,19 @@ from sim.engine.simulation import simulate
 from sim.lab.discrepancy import naming
 from sim.lab.discrepancy.augment import augmented
 from sim.lab.discrepancy.diagnosis import Diagnosis
-from sim.lab.discrepancy.fitting import frame_of, heat_and_loss, on, record_of
+from sim.lab.discrepancy.fitting import frame_of, heat_and_loss, on, record_of, rivals
 from sim.lab.discrepancy.fitting.candidates import catalogue, entry_of
 from sim.lab.discrepancy.fitting.effects import deviation
 from sim.lab.discrepancy.fitting.free_run_fit import fit
 from sim.lab.discrepancy.fitting.named import Named, effect_of
-from sim.lab.discrepancy.naming import begins, likeness, step, without_idle
+from sim.lab.discrepancy.naming import ONE_CHAIN, begins, likeness, step, without_idle
 from sim.lab.discrepancy.rules import RULES
+from sim.lab.discrepancy.screen import refined, screen
 from sim.lab.discrepancy.workflow import diagnose
 from sim.proof.verification import verify
 from sim.sha.automaton import Effect, Flow
 from sim.sha.events import encode
-from sim.sha.trace import Trace
+from sim.sha.trace import Array, Trace
 from tests.discrepancy.plants import ALPHABET, PERIOD, model, plant, random_model, simulated
 
 CURRENT = {"current": "Assorbimento"}
@@ -130,6 +133,55 @@ def test_the_heat_of_a_winding_is_named_with_its_lag() -> None:
     assert verify(made).deployable
     before, after = (errors(open_loop(each, trace), trace, "T").at_samples.rmse for each in (model(), made))
     assert after < 0.2 * before
+
+
+def on_its_way(delay: float, lag: float, period: float) -> Callable[[Array, Array, Array], tuple[Array, Array]]:
+    """What `plant` takes: heat of the current alone that comes so late; starts, stops and losses come at once."""
+
+    def heat(times: Array, on: Array, current: Array) -> tuple[Array, Array]:
+        coming, keep = np.interp(times - delay, times, on * current, left=0.0), np.exp(-period / lag)
+        return 4e-5 * lfilter([1.0 - keep], [1.0, -keep], coming), np.zeros(times.size)
+
+    return heat
+
+
+@pytest.mark.parametrize("seed", range(1, 7))
+def test_heat_of_the_current_that_is_on_its_way_for_minutes_looks_like_what_it_is(seed: int) -> None:
+    delay, lag = np.exp(np.random.default_rng(seed).uniform(np.log(30.0), np.log(1800.0), 2)).tolist()
+    trace = plant(seed, days=2, period=60.0, more=on_its_way(delay, lag, 60.0))
+    record = record_of(model(), [trace], ("Assorbimento",))
+    base = fit(on(frame_of(record), record), rounds=1, iterations=3)
+    chain = [entry_of(name) for name in ("late-current-heating", "dead-time", "sensor-lag", "current-heating")]
+    clocks = [entry for entry in rivals() if entry.name in ("heat-by-the-clock", "heat-in-a-shift")]
+    screened, _ = screen(base, [*chain, *clocks], CURRENT)
+    best = screened.best()
+    number = best["late-current-heating"]
+    assert next(iter(best)) in ONE_CHAIN and screened.gain[number] > RULES.least_gain_nats
+    found = refined(base, screened.shapes[number], 1e-5).params
+    late = found.get("delay", 0.0) + found["lag"]
+    assert late == pytest.approx(delay + lag, rel=0.3, abs=60.0)  # a row is not known better than to its length
+
+
+def test_heat_that_comes_after_half_an_hour_is_named_and_executed() -> None:
+    trace = plant(4, days=2, period=60.0, more=on_its_way(1500.0, 100.0, 60.0))
+    found = diagnose(model(), [trace], seed=0, most=1)
+    (params,) = named(found.diagnosis).values()
+    assert params["delay"] == pytest.approx(1500.0, rel=0.1)
+    assert found.fitted is not None
+    made = parse_model(model_text(augmented(found.fitted, readings=[trace])))
+    before, after = (errors(open_loop(each, trace), trace, "T").at_samples.rmse for each in (model(), made))
+    assert after < 0.2 * before and verify(made).deployable
+
+
+def test_a_moment_that_is_looked_for_lies_in_the_record() -> None:
+    trace = plant(3, days=2, period=60.0)
+    record = record_of(model(), [trace], ())
+    base = fit(on(frame_of(record), record), rounds=1, iterations=3)
+    begin, end = record.runs.time[0], record.runs.time[-1]
+    less = [entry for entry in rivals() if entry.name == "less-and-less-cooling"]
+    screened, _ = screen(base, less, {})
+    for shape in screened.shapes:
+        assert begin <= refined(base, shape, 1e-5).params["at"] <= end
 
 
 def heated(lag: float, kind: str = "quadratic-current-heating", gain: float = 2e-7) -> Trace:

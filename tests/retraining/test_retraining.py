@@ -28,7 +28,18 @@ from gateway.lab.retraining.training_record import read_record
 from gateway.machine.reading import Scan
 from gateway.machine.records import Keeper
 from gateway.store import open_historian
-from sim.artefacts import current, load, promote, read_familiarity, version_directory, versions
+from sim.artefacts import (
+    VERDICT_FILE,
+    JudgedCriterion,
+    ModelVerdict,
+    current,
+    load,
+    objections,
+    promote,
+    read_familiarity,
+    version_directory,
+    versions,
+)
 from sim.lab.formats import save
 from sim.lab.judge.comparison import NEW, PRESENT, compared, verdict_on
 from sim.lab.learning.semi_markov import sojourns
@@ -42,6 +53,7 @@ CYCLES, RUN, REST, STEP = 16, 900.0, 300.0, 10.0
 SHORT_DAY = 2 * (RUN + REST)
 """s: days so short that the plant's cycles last longer than a trial."""
 HOT = 60.0
+_UPSIDE_DOWN = JudgedCriterion(criterion="switch", kept=False, sentence="MarciaDecanter is upside down")
 
 
 def heated(target: float) -> Model:
@@ -457,6 +469,8 @@ def test_a_model_is_proposed_only_where_it_is_better_and_worse_nowhere() -> None
         "not proposed: it is worse than the present model at 300 s on the standard set",
     )
     assert not verdict_on(better, ("it grows without bound",), "new cycles")[0]
+    unfit = ModelVerdict(word="unfit", criteria=(_UPSIDE_DOWN,))
+    assert verdict_on(better, objections((), unfit), "new cycles") == (False, f"not proposed: it is {unfit.sentence}")
     few = compared("new cycles", _scores(0.7, cycles=4), seed=0)
     proposed, sentence = verdict_on(few, (), "new cycles")
     assert not proposed and sentence.endswith("4 cycles could not show more")
@@ -569,6 +583,27 @@ def test_a_day_that_is_much_better_in_all_its_cycles_promotes_nothing(
     )
     assert found.cycles == CYCLES and found.days == 1 and not found.promoted
     assert "not told apart" in found.sentence
+
+
+def test_what_was_judged_unfit_is_better_on_every_day_and_still_not_promoted_by_a_timer(
+    store: Path, historian: Path, library: CycleLibrary, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def judge(trace: Trace, *_: Any, **__: Any) -> list[dict[str, Any]]:
+        row = {"trace": f"{trace.times[0]:.0f}", "horizon": 60.0, "coverage": 0.9}
+        return [row | {"method": name, "crps": crps} for name, crps in ((PRESENT, 1.0), (NEW, 0.7))]
+
+    monkeypatch.setattr(shadow, "scores_along", judge)
+    monkeypatch.setattr(shadow, "DAY", SHORT_DAY)
+    monkeypatch.setattr(shadow, "TRIAL_DAYS", 6)
+    unfit = ModelVerdict(word="unfit", criteria=(_UPSIDE_DOWN,))
+    candidate = save(store, heated(HOT), created=BEGIN - 0.5, more={VERDICT_FILE: unfit.text()})
+    running = current(store)
+    found = shadow.side_by_side(
+        store, historian, library, machine="decanter", version=candidate, promotes=True, seed=0, report=silent
+    )
+    assert not found.promoted and current(store) == running
+    assert f"is better than {running}" in found.sentence
+    assert f"{candidate} is not promoted, as it is {unfit.sentence}" in found.sentence
 
 
 def test_a_trial_has_cycles_from_all_over_a_day_and_none_of_the_one_at_hand(

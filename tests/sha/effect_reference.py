@@ -83,14 +83,17 @@ def reference(sha: SHA, events: Sequence[Event], outputs: Array, inputs: Trace, 
         return step.params["size"] if step is not None and t >= step.params["at"] else 0.0
 
     delayed = [(event.time + delay, event.symbol) for event in events]
+    late = next((e for e in sha.effects if "lag" in e.params), None)
+    on_the_way = late.params.get("delay", 0.0) if late is not None else 0.0
     marks = {outputs[0], outputs[-1], *outputs, *(t for t, _ in delayed), *(inputs.times + delay)}
+    marks |= {*(inputs.times + delay + on_the_way)}
     if "wear-drift" in by:
         marks.add(by["wear-drift"].params["since"])
     clock = sorted(t for t in marks if outputs[0] <= t <= outputs[-1])
     moves = {(edge.source, edge.symbol): edge.target for edge in sha.edges}
     known = sha.by_name
     state = np.full(3 + order, x0 - offset(outputs[0]))
-    late = next((e for e in sha.effects if "lag" in e.params), None)
+    first = nan
     before = dict.fromkeys(inputs.signals, nan)
     here, entered, started, opened, read = sha.initial, clock[0], -inf, False, []
     pending = list(delayed)
@@ -104,17 +107,23 @@ def reference(sha: SHA, events: Sequence[Event], outputs: Array, inputs: Trace, 
         read += [state[-1 if lag else 0] + offset(begin)] * int(np.sum(outputs == begin))
         if late is not None and not isfinite(before[late.signals["current"]]):
             # At its first reading the heat is what it is late behind; before, a state that nothing reads.
-            state[1] = np.nan_to_num(SOURCES[late.kind](late, 0.0, 0.0, 0.0, signals))
-        before = signals
+            first = SOURCES[late.kind](late, 0.0, 0.0, 0.0, signals)
+            state[1] = np.nan_to_num(first)
+        before, coming = signals, first
+        earlier = int(np.searchsorted(inputs.times + delay + on_the_way, begin, side="right")) - 1
+        if late is not None and earlier >= 0:
+            ago = {name: float(column[earlier]) for name, column in inputs.signals.items()}
+            coming = SOURCES[late.kind](late, 0.0, 0.0, 0.0, ago)
+            coming = coming if isfinite(coming) else first
         if end > begin:
-            place = (sha, known[here], signals, entered, started)
+            place = (sha, known[here], signals, entered, started, coming)
             state, opened = _piece(place, state, begin, end, opened)
     return np.array(read)
 
 
 def _piece(place: tuple, state: Array, begin: float, end: float, opened: bool) -> tuple[Array, bool]:
     """One piece without event or changed input, cut where the thermostat switches."""
-    sha, location, signals, entered, started = place
+    sha, location, signals, entered, started, coming = place
     by = {e.kind: e for e in sha.effects}
     thermostat, lag, housing = by.get("thermostatic-cooling"), by.get("sensor-lag"), by.get("housing-thermal-mass")
     there = [e for e in sha.effects if not e.locations or location.name in e.locations]
@@ -134,7 +143,7 @@ def _piece(place: tuple, state: Array, begin: float, end: float, opened: bool) -
             dx -= thermostat.params["loss"] * (x - thermostat.params["sink"])
         dh = warmed = 0.0
         if isfinite(source):
-            warmed = (source - warm) / late.params["lag"]
+            warmed = (coming - warm) / late.params["lag"]
             dx += warm - source
         if housing is not None:
             dh = (x - h) / housing.params["tau"]
@@ -180,6 +189,14 @@ EFFECTS: dict[str, tuple[Effect, ...]] = {
     "late-current-heating": (
         Effect("late-current-heating", {"gain": 4e-4, "reference": 80.0, "lag": 60.0}, {"current": "I"}, ("on",)),
     ),
+    "late heat on the way": (
+        Effect(
+            "late-current-heating",
+            {"gain": 4e-4, "reference": 80.0, "lag": 40.0, "delay": 130.0},
+            {"current": "I"},
+            ("on",),
+        ),
+    ),
     "current-saturation": (Effect("current-saturation", {"gain": 4e-4, "knee": 100.0}, {"current": "I"}),),
     "torque-friction": (
         Effect("torque-friction", {"gain": 1e-3, "reference": 20.0, "power": 1.4}, {"torque": "M"}, ("on",)),
@@ -223,6 +240,7 @@ LATE: dict[str, tuple[Effect, ...]] = {
         Effect("quadratic-current-heating", {"gain": 4e-6, "reference": 80.0, "lag": 70.0}, {"current": "I"}, ("on",)),
     ),
 }
+LATE["late heat on the way, dead time"] = (*EFFECTS["late heat on the way"], *EFFECTS["dead-time"])
 LATE["late heat, housing, lag, dead time"] = (
     *LATE["late heat"],
     *EFFECTS["housing-thermal-mass"],

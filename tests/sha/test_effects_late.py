@@ -26,10 +26,9 @@ EVENTS = [Event(100.0, "W_ON"), Event(3103.3, "W_OFF")]
 OUTPUTS = np.arange(0.0, 6000.0, 50.0)
 
 
-def late(lag: float) -> Effect:
-    return Effect(
-        "quadratic-current-heating", {"gain": GAIN, "reference": REFERENCE, "lag": lag}, {"current": "I"}, ("on",)
-    )
+def late(lag: float, delay: float = 0.0) -> Effect:
+    params = {"gain": GAIN, "reference": REFERENCE, "lag": lag, "delay": delay}
+    return Effect("quadratic-current-heating", params, {"current": "I"}, ("on",))
 
 
 def sha(*effects: Effect, k: float = 1 / 1500, spread: float = 0.0) -> SHA:
@@ -109,8 +108,9 @@ def test_what_was_not_read_makes_no_jump() -> None:
     assert late_jumps(np.array([np.nan, 1.0, 1.0]), np.array([1.0, 3.0, np.nan])).tolist() == [0.0, -2.0, 0.0]
 
 
-def test_the_filter_at_every_second_is_the_schedule_and_outlives_a_restart() -> None:
-    tracker, inputs = compile_model(model(late(60.0))), current()
+@pytest.mark.parametrize("delay", [0.0, 400.0])
+def test_the_filter_at_every_second_is_the_schedule_and_outlives_a_restart(delay: float) -> None:
+    tracker, inputs = compile_model(model(late(60.0, delay))), current()
     clock = np.arange(0.0, 4000.0)
     expected = moments(schedule(tracker.model, EVENTS, clock, inputs=inputs), 20.0).mean
     belief, found = start(tracker, 0.0, 20.0), []
@@ -141,8 +141,9 @@ def test_a_belief_that_was_saved_before_there_were_late_heats_is_read() -> None:
     assert belief_of(saved).hidden is not None
 
 
-def test_a_forecast_has_what_goes_on_after_the_stop() -> None:
-    tracker = compile_model(model(late(120.0)))
+@pytest.mark.parametrize("delay", [0.0, 150.0])
+def test_a_forecast_has_what_goes_on_after_the_stop(delay: float) -> None:
+    tracker = compile_model(model(late(120.0, delay)))
     belief = start(tracker, 0.0, 20.0, {"I": 0.0})
     belief = with_inputs(tracker, on_event(tracker, belief, Event(0.0, "W_ON")), 0.0, {"I": 300.0})
     belief = on_event(tracker, advance(tracker, belief, 1000.0), Event(1000.0, "W_OFF"))
@@ -151,7 +152,7 @@ def test_a_forecast_has_what_goes_on_after_the_stop() -> None:
     fan = forecast(tracker, belief, horizons, np.random.default_rng(0), events=(), runs=4000, levels=(0.25, 0.5, 0.75))
     expected = [advance(tracker, belief, 1000.0 + ahead).x for ahead in horizons]
     assert np.abs(fan.quantiles[1] - expected).max() < 0.02
-    settled = replace(belief, hidden=replace(belief.hidden, late=(0.0,)))  # type: ignore[type-var]
+    settled = replace(belief, hidden=replace(belief.hidden, late=(0.0,), pending=()))  # type: ignore[type-var]
     assert expected[0] - advance(tracker, settled, 1060.0).x > 5.0
 
 

@@ -81,14 +81,16 @@ def init(given: SharedOptions, folder: Path, **options: Any) -> None:
             trace = None if answer == "none" else Path(answer)
         temperatures = _temperatures(described, options["temperatures"], asked)
         heartbeat = options["heartbeat"] or (_heartbeat(known) if device is None else None)
-        map_text, unknown = "", list[str]()
+        map_text, unknown, derived = "", list[str](), dict[str, dict[str, Any]]()
         if trace is not None:
             map_text, unknown = _column_map(trace, known, temperatures[0], options["rename"], asked)
+            derived = _derived(map_text, known)
         wanted = FirstFolder(
             folder=folder,
             files=files,
             change=FileChange(
                 tags=bindings(io_list) if io_list is not None else (),
+                derived=derived,
                 heartbeat=heartbeat,
                 plant={
                     "model.temperature": temperatures[0],
@@ -119,6 +121,7 @@ def init(given: SharedOptions, folder: Path, **options: Any) -> None:
         warnings.append("no heartbeat is known: a PLC that stands still would look alive; give --heartbeat TAG")
     if io_list is not None:
         warnings += [f"left out: {problem}" for problem in io_list.problems]
+        warnings += [tag.unread for tag in io_list.tags if tag.unread]
     warnings += plant_findings(folder / "plant.toml")
     following = _next(folder, trace, temperatures)
 
@@ -263,15 +266,18 @@ def _column_map(
     if strange := [tag for tag in rename.values() if tag not in known]:
         raise ConfigError([f"--rename: {strange[0]!r} is no tag of the device; it has {', '.join(known)}"])
     answers = Answers()
-    try:
-        first = asked_map(trace, answers)
-    except Undecided as open_point:
-        # Which temperature the model is to predict was said already.
-        mine = [choice for choice in open_point.choices if _tag_of(choice, known) == temperature]
-        if open_point.field != "temperature" or len(mine) != 1:
-            raise ValueError(f"{open_point}: to `decanter trace map {trace} -o {trace.stem}.toml`") from None
-        answers = answers.with_answer("temperature", mine[0])
-        first = asked_map(trace, answers)
+    while True:
+        try:
+            first = asked_map(trace, answers)
+            break
+        except Undecided as open_point:
+            # Which temperature the model is to predict was said already.
+            mine = [choice for choice in open_point.choices if _tag_of(choice, known) == temperature]
+            if open_point.field != "temperature" or len(mine) != 1 or answers.temperature:
+                raise ValueError(
+                    f"{open_point}: to `decanter trace map {trace} -o {trace.stem}.toml`, and leave --trace out here"
+                ) from None
+            answers = answers.with_answer("temperature", mine[0])
     drafted = parse_map(first.text, str(trace))
     headers = [drafted.names_of(signal)[0] for signal in drafted.signals]
     names = {header: tag for header in headers if (tag := rename.get(header) or _tag_of(header, known))}
@@ -292,9 +298,19 @@ def _column_map(
             tag = "" if answer == "none" else answer
         if tag:
             names[header] = tag
-        else:
+        elif header not in drafted.derived:
             unknown.append(header)
     return asked_map(trace, answers, names).text, unknown
+
+
+def _derived(map_text: str, known: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """The signals that the map makes of others which are tags: the gateway makes them by the same law."""
+    laws = parse_map(map_text, "the trace's column map").derived
+    return {
+        name: law.model_dump(mode="json", exclude_defaults=True)
+        for name, law in laws.items()
+        if name not in known and set(law.sources) <= set(known)
+    }
 
 
 def _tag_of(header: str, tags: Sequence[str]) -> str:

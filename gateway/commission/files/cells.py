@@ -55,13 +55,17 @@ class ListRow:
 
 @dataclass(frozen=True, slots=True)
 class ListSheet:
-    """A list as it was read: which header each column was recognised by, those that were not, and the rows."""
+    """A list as it was read: which header each column was recognised by, those that were not, and the rows.
+
+    `left_out` is what of a list without columns is no row of it by its own rules.
+    """
 
     path: Path
     header_line: int
     columns: Mapping[str, str]
     ignored: tuple[str, ...]
     lines: tuple[ListRow, ...]
+    left_out: tuple[str, ...] = ()
 
     def where(self, line: ListRow, column: str = "") -> str:
         """File, line and the column's own header, to begin a sentence with."""
@@ -103,11 +107,39 @@ def read_sheet(
     for name, header in given.items():
         if key_of(header) not in known:
             raise ListError(f"{path}: no column is called {header!r} (--column {name}); line {first} has {headers}")
-    wanted = " and ".join(f"{name} ({', '.join(synonyms[name][:4])}, ...)" for name in needed)
+    # The line that has the most of what is needed is the likeliest header.
+    place, found = max(
+        ((place, _recognised(cells, synonyms, given)) for place, (_, cells) in enumerate(rows[:HEADER_WITHIN])),
+        key=lambda item: (
+            *(sum(name in item[1] for name in needed), len(item[1])),
+            *(sum(bool(cell.strip()) for cell in rows[item[0]][1]), -item[0]),
+        ),
+    )
+    number, cells = rows[place]
+    missing = [name for name in needed if name not in found]
+    wanted = " and ".join(f"{name} ({', '.join(synonyms[name][:4])}, ...)" for name in missing)
+    free = [at for at in range(len(cells)) if cells[at].strip() and at not in found.values()]
+    below = [row for _, row in rows[place + 1 :]]
+    likely = {name: at for name in missing if (at := _by_content(name, free, below)) is not None}
+    perhaps = " ".join(f"--column {name}={cells[at].strip()!r}" for name, at in likely.items())
+    headers = ", ".join(repr(cell.strip()) for cell in cells if cell.strip())
     raise ListError(
         f"{path}: no header was recognised in the first {HEADER_WITHIN} lines: the list needs a column for {wanted}; "
-        f"its line {first} has {headers}; say which is which, as --column {needed[0]}=HEADER"
+        f"its line {number} has {headers}; "
+        + (f"perhaps {perhaps}" if perhaps else f"say which is which, as --column {missing[0]}=HEADER")
     )
+
+
+def _by_content(name: str, columns: Sequence[int], rows: Sequence[Sequence[str]]) -> int | None:
+    """The column that may be `name` by its cells, no two alike: whole numbers, or texts; None for none."""
+    for at in columns:
+        cells = [row[at].strip() if at < len(row) else "" for row in rows]
+        told = {cell for cell in cells if cell}
+        numbers = sum(cell.isdecimal() for cell in told)
+        apart = len(cells) > 1 and len(told) == len(cells)
+        if apart and numbers == (len(told) if name == "address" else 0) and name in ("name", "address"):
+            return at
+    return None
 
 
 def _recognised(
@@ -131,11 +163,18 @@ def _recognised(
                 at
                 for word in words
                 for at, key in enumerate(keys)
-                if at not in taken.values() and key and (key == word if exactly else f" {word} " in f" {key} ")
+                if at not in taken.values() and key and _says(key, word, exactly=exactly)
             )
             if (place := next(places, None)) is not None:
                 taken[name] = place
     return dict(sorted(taken.items(), key=lambda item: item[1]))
+
+
+def _says(key: str, word: str, *, exactly: bool) -> bool:
+    """Whether a header is a synonym, written as one word or several, or has it within."""
+    if exactly:
+        return key.replace(" ", "") == word.replace(" ", "")
+    return f" {word} " in f" {key} "
 
 
 def key_of(text: str) -> str:
@@ -210,10 +249,13 @@ def _xlsx_rows(path: Path, data: bytes, sheet: str | None) -> Iterator[tuple[int
         page = book[sheet] if sheet is not None else book.worksheets[0]
         # What the sheet says of its own size is not looked at: it would be believed, a row being filled up to it.
         page.reset_dimensions()
-        filled = 0
+        filled = lines = 0
         for number, row in enumerate(page.iter_rows(values_only=True), start=1):
-            filled += len(row)
-            if number > MOST_ROWS or filled > MOST_CELLS:
+            # A sheet that was formatted to its end has a million rows of nothing.
+            if row.count(None) == len(row):
+                continue
+            filled, lines = filled + len(row), lines + 1
+            if lines > MOST_ROWS or filled > MOST_CELLS:
                 raise ListError(f"{path}: goes on beyond line {number}; a list has {MOST_ROWS} lines at most")
             # As it would be typed: XLSX knows no whole numbers, and 40101.0 is no address.
             cells = [

@@ -14,6 +14,7 @@ from gateway.commission.files.device_file import (
     fields_that_fit,
     further_block,
     set_block,
+    set_derived,
     set_device,
     set_tag,
 )
@@ -51,13 +52,14 @@ class BlockPlace:
 
 @dataclass(frozen=True, slots=True)
 class FileChange:
-    """Everything that one `bind` or `import` changes."""
+    """Everything that one `bind`, `import` or `init` changes; `derived` are signals that are made of tags."""
 
     tags: Sequence[Binding] = ()
     block: BlockPlace | None = None
     heartbeat: str | None = None
     device: Mapping[str, Any] = field(default_factory=dict)
     plant: Mapping[str, Any] = field(default_factory=dict)
+    derived: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
 
 def put_block(document: tomlkit.TOMLDocument, block: BlockPlace, template: Path) -> None:
@@ -105,6 +107,8 @@ def carry_out(files: Files, wanted: FileChange, template: Path, *, dry_run: bool
             place = lies if tag.place else {key: lies[key] for key in lies if key in tag.keys}
             rest = {key: value for key, value in tag.keys.items() if key not in lies}
             set_tag(document, tag.name, {**place, **rest})
+        for name, law in wanted.derived.items():
+            set_derived(document, name, law)
         if wanted.block is not None:
             put_block(document, wanted.block, template)
 

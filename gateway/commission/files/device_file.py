@@ -76,6 +76,15 @@ def set_tag(document: tomlkit.TOMLDocument, name: str, keys: Mapping[str, Any]) 
     tags.append(table)
 
 
+def set_derived(document: tomlkit.TOMLDocument, name: str, law: Mapping[str, Any]) -> None:
+    """Put a signal that is made of tags into [derived]."""
+    if "derived" not in document:
+        document["derived"] = tomlkit.table()
+    inline = tomlkit.inline_table()
+    inline.update(law)
+    put(document["derived"], name, inline)
+
+
 def _fill(table: Table, keys: Mapping[str, Any]) -> None:
     for key, value in keys.items():
         if isinstance(value, Mapping):

@@ -1,4 +1,4 @@
-"""The words of I/O lists: how columns, types, orders and tables are called in Italian and English ones.
+"""The words of I/O lists in Italian, English, German, French and Spanish: columns, types, orders and tables.
 
 Every word of a cell is understood or the row is refused: a word that is dropped may have said the order.
 """
@@ -11,58 +11,101 @@ COLUMNS: Mapping[str, tuple[str, ...]] = {
     "name": (
         *("tag", "tag name", "tagname", "nome tag", "nome", "name", "sigla", "variabile", "variable", "segnale"),
         *("signal", "simbolo", "symbol", "nome variabile", "nome segnale", "etichetta", "item", "punto", "point"),
+        *("variablenname", "signalname", "messstelle", "datenpunkt", "kennzeichen", "nom", "nom de variable"),
+        *("nom du signal", "repere", "mnemonique", "nombre", "nombre de variable", "senal", "simbolo", "bezeichnung"),
+        *("designation",),
     ),
     "address": (
         *("indirizzo", "address", "indirizzo modbus", "modbus address", "registro", "register", "addr", "ind"),
         *("indirizzo plc", "plc address", "modbus register", "registro modbus", "offset modbus", "nodeid", "object"),
         *("oggetto", "index", "indice"),
+        *("adresse", "modbus adresse", "registeradresse", "registernummer", "adresse modbus", "registre"),
+        *("direccion", "direccion modbus"),
     ),
     "table": (
         *("area", "tabella", "table", "tipo registro", "register type", "tipo di registro", "memory area"),
         *("area di memoria", "funzione", "function", "function code", "codice funzione", "object type"),
+        *("registertyp", "registerart", "speicherbereich", "funktion", "funktionscode", "type de registre"),
+        *("zone memoire", "fonction", "code fonction", "tabla", "funcion", "codigo de funcion"),
     ),
     "dtype": (
         *("tipo dato", "tipo di dato", "data type", "datatype", "tipo", "type", "formato", "format", "dtype"),
         *("tipo variabile", "variable type"),
+        *("datentyp", "typ", "datenformat", "type de donnee", "type de donnees", "tipo de dato", "tipo de datos"),
+        *("formato de dato",),
     ),
     "order": (
         *("ordine", "order", "byte order", "word order", "ordine word", "ordine parole", "ordine byte", "endianness"),
         *("swap", "byte word order"),
+        *("wortfolge", "wortreihenfolge", "bytefolge", "byte reihenfolge", "bytereihenfolge", "ordre"),
+        *("ordre des mots", "ordre des octets", "orden", "orden de palabras", "orden de bytes"),
     ),
-    "bit": ("bit", "n bit", "numero bit", "bit number", "posizione bit"),
+    "bit": (
+        *("bit", "n bit", "numero bit", "bit number", "posizione bit"),
+        *("bitnummer", "bit nr", "numero de bit"),
+    ),
     "count": (
         *("quantity", "qty", "registers", "number of registers", "no of registers", "n registers", "register count"),
         *("words", "word count", "numero registri", "numero di registri", "n registri", "no of words", "num registers"),
+        *("anzahl register", "registeranzahl", "anzahl", "nombre de registres", "nb registres"),
+        *("numero de registros", "cantidad de registros", "cantidad"),
     ),
-    "length": ("lunghezza", "length", "len", "byte", "bytes", "caratteri"),
+    "length": (
+        *("lunghezza", "length", "len", "byte", "bytes", "caratteri"),
+        *("lange", "longueur", "longitud"),
+    ),
     "scale": (
         *("scala", "scale", "fattore", "factor", "fattore di scala", "scale factor", "scaling", "moltiplicatore"),
         *("multiplier", "gain", "guadagno", "risoluzione", "resolution", "k", "coefficiente", "ratio"),
         *("divisor", "divider", "divisore", "divide by", "teiler"),
+        *("skalierung", "faktor", "skalierungsfaktor", "auflosung", "echelle", "facteur", "facteur d echelle"),
+        *("escala", "factor de escala", "diviseur", "resolucion"),
     ),
     "decimals": (
         *("decimals", "decimal places", "decimali", "cifre decimali", "number of decimals", "decimal digits"),
         *("exponent", "esponente", "scale exponent"),
+        *("nachkommastellen", "dezimalstellen", "decimales"),
     ),
-    "range": ("range", "campo", "intervallo", "value range", "wertebereich", "span", "campo di valori", "limits"),
-    "offset": ("offset", "scostamento", "zero"),
+    "range": (
+        *("range", "campo", "intervallo", "value range", "wertebereich", "span", "campo di valori", "limits"),
+        *("messbereich", "plage", "plage de valeurs", "rango", "intervalo"),
+    ),
+    "offset": (
+        *("offset", "scostamento", "zero"),
+        *("versatz", "nullpunkt", "decalage", "desplazamiento"),
+    ),
     "unit": (
         *("unita", "unita di misura", "unita misura", "um", "u m", "unit", "units", "ing unit", "eng unit"),
         *("engineering unit", "engineering units", "eu", "udm", "u d m", "misura"),
+        *("einheit", "physikalische einheit", "unite", "unidad", "unidad de medida"),
     ),
+    "formula": ("formula", "formel", "espressione", "expression"),
+    "unit_id": ("deviceid", "device id", "slave", "slave id", "slave address", "unit id", "modbus id", "slaveid"),
     "negate": ("negate value", "negate"),
     "raw_low": ("raw min", "min raw", "grezzo min", "min grezzo", "raw low", "inizio scala raw", "count min"),
     "raw_high": ("raw max", "max raw", "grezzo max", "max grezzo", "raw high", "fondo scala raw", "count max"),
     "low": (
         *("min", "minimo", "minimum", "low", "eng min", "min eng", "min ing", "ing min", "inizio scala"),
         *("range min", "limite inferiore", "eu min", "lo"),
+        *("min wert", "minwert", "untergrenze", "mini", "valeur min", "valor minimo"),
     ),
     "high": (
         *("max", "massimo", "maximum", "high", "eng max", "max eng", "max ing", "ing max", "fondo scala"),
         *("range max", "limite superiore", "eu max", "hi"),
+        *("max wert", "maxwert", "obergrenze", "maxi", "maximo", "valeur max", "valor maximo"),
     ),
-    "sentinel": ("sentinella", "sentinel", "non disponibile", "not available", "valore guasto", "fault value", "na"),
-    "access": ("accesso", "access", "r w", "rw", "lettura scrittura", "read write", "permessi", "direzione"),
+    "sentinel": (
+        *("sentinella", "sentinel", "non disponibile", "not available", "valore guasto", "fault value", "na"),
+        *("fehlerwert", "ersatzwert", "valeur de defaut", "valor de fallo"),
+    ),
+    "access": (
+        *("accesso", "access", "r w", "rw", "lettura scrittura", "read write", "permessi", "direzione"),
+        *("zugriff", "lesen schreiben", "acces", "lecture ecriture", "acceso", "lectura escritura"),
+    ),
+    "remark": (
+        *("descrizione", "commento", "note", "notes", "description", "comment", "remark", "remarks", "bemerkung"),
+        *("beschreibung", "kommentar", "commentaire", "remarque", "descripcion", "comentario", "observaciones"),
+    ),
 }
 """Column -> the headers by which it is recognised, as `cells.key_of` writes them; the first that fits wins."""
 
@@ -97,6 +140,15 @@ _TYPES: Mapping[str, str] = {
     **dict.fromkeys(("usint", "uint8", "u8", "byte", "uint 8"), "uint8"),
     **dict.fromkeys(("bcd", "bcd16", "bcd 16"), "bcd16"),
     **dict.fromkeys(("bcd32", "dbcd", "lbcd", "bcd 32"), "bcd32"),
+    **dict.fromkeys(("booleen", "logique", "binar", "digital ein", "logica"), "bool"),
+    **dict.fromkeys(("ganzzahl", "entier", "entero"), "int16"),
+    **dict.fromkeys(("wort", "mot", "palabra"), "uint16"),
+    **dict.fromkeys(("doppelwort", "double mot", "doble palabra"), "uint32"),
+    **dict.fromkeys(("doppelganzzahl", "double entier", "entier double", "doble entero", "entero doble"), "int32"),
+    **dict.fromkeys(
+        ("gleitkomma", "gleitkommazahl", "fliesskomma", "reel", "flottant", "virgule flottante", "coma flotante"),
+        "float32",
+    ),
 }
 KNOWN_TYPES = "BOOL, INT, UINT, WORD, DINT, UDINT, DWORD, LINT, ULINT, REAL, LREAL, BYTE, BCD, STRING[n]"
 
@@ -133,13 +185,23 @@ TABLES: Mapping[str, str] = {
     **dict.fromkeys(("coil", "coils", "0x", "01", "1", "fc1", "fc01", "fc 1", "fc 01", "bobina", "bobine"), "coil"),
     **dict.fromkeys(("discrete", "discrete input", "discrete inputs", "1x", "02", "2", "fc2", "fc02"), "discrete"),
     **dict.fromkeys(("ingresso digitale", "ingressi digitali", "fc 2", "fc 02"), "discrete"),
+    **dict.fromkeys(
+        ("halteregister", "registre de maintien", "registro de retencion", "registros de retencion"), "holding"
+    ),
+    **dict.fromkeys(("eingangsregister", "registre d entree", "registro de entrada", "registros de entrada"), "input"),
+    **dict.fromkeys(("spule", "spulen", "bobines", "bobinas"), "coil"),
+    **dict.fromkeys(
+        ("digitaleingang", "digitaler eingang", "diskreter eingang", "entree discrete", "entree tor"), "discrete"
+    ),
+    **dict.fromkeys(("entrees discretes", "entrada discreta", "entradas discretas", "entrada digital"), "discrete"),
 }
 """Register table, by its name, by the digit of references with an x, or by the function code that reads it."""
 _READ_BY = {1: "coil", 2: "discrete", 3: "holding", 4: "input"}
 _WRITTEN_BY = frozenset({5, 6, 10, 15, 16, 22, 23})
 """Functions that write; 10 is 16 in hexadecimal."""
 _FUNCTION_WORDS = re.compile(
-    r"\b(?:fc|fn|f|function|functions|funzione|code|read|write|r|w|and|e|or|holding|input|h)\b"
+    r"\b(?:fc|fn|f|function|functions|funzione|code|read|write|r|w|and|e|or|holding|input|h"
+    r"|funktion|eingang|eingange|ausgang|lesen|schreiben|und|fonction|lire|ecrire|entree|et|funcion|leer|escribir|entrada|y)\b"
 )
 
 
@@ -160,6 +222,10 @@ _FLAGS: Mapping[str, bool] = {
     **dict.fromkeys(("attiva", "run", "running", "x"), True),
     **dict.fromkeys(("0", "false", "falso", "off", "spento", "spenta", "no", "arresto", "fermo"), False),
     **dict.fromkeys(("ferma", "inattivo", "inattiva", "stop", "stopped"), False),
+    **dict.fromkeys(
+        ("ein", "an", "ja", "wahr", "lauft", "marche", "oui", "vrai", "marcha", "encendido", "verdadero"), True
+    ),
+    **dict.fromkeys(("aus", "nein", "falsch", "steht", "arret", "non", "faux", "apagado", "parado"), False),
 }
 
 
@@ -186,8 +252,15 @@ _COUNTED = re.compile(r"(\d) (?:registers?|words?|regs?|registri)")
 """`2 registers` in a type's cell."""
 
 
+_SUFFIXED = re.compile(r"(u?int(?:8|16|32|64)|float|double)(be|le|sw|sb)")
+_SUFFIXES = {"be": "ABCD", "le": "DCBA", "sw": "CDAB", "sb": "BADC"}
+"""`uint32sw` and its like in ioBroker's tables: big and little endian, swapped words, swapped bytes."""
+
+
 def type_cell(key: str) -> TypeCell:
     """A type's cell, as `cells.key_of` writes it."""
+    if match := _SUFFIXED.fullmatch(key):
+        return TypeCell("float64" if match[1] == "double" else _TYPES[match[1]], order=_SUFFIXES[match[2]])
     for start in (key, key.replace("32bit", "32 bit").replace("16bit", "16 bit").replace("64bit", "64 bit")):
         if found := type_of(start):
             return TypeCell(found[0], found[1], wide=start not in _WIDTHLESS)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
@@ -156,12 +157,25 @@ def learn(
         yield read.account()
         for folder, each in taught.items():
             yield from _shown(each, folder)
+        several = len(taught) > 1
+        kept = [
+            f"--keep {shlex.quote(f'{_model_key(each.model, several)}={folder}')}"
+            for folder, each in taught.items()
+            if each.verdict.word != "unfit"
+        ]
+        if kept:
+            yield f"next, in the plant's folder: decanter plc bind {' '.join(kept)}"
 
     conclude(CommandResult(data), lambda _: show(), as_json=as_json)
 
 
 def _part_of(report: Progress, number: int, count: int, temperature: str, what: str, share: float) -> None:
     report(f"{temperature}: {what}" if count > 1 else what, (number + share) / count)
+
+
+def _model_key(model: Model, several: bool) -> str:
+    """What a plant file calls the model of a temperature, of `several` or of the only one."""
+    return f"temperature.{model.temperature}.model" if several else "model.path"
 
 
 def _shown(taught: TaughtModel, out: Path) -> Iterator[Part]:

@@ -29,7 +29,7 @@ ACROSS, UP = "load", "temperature"
 class Retraining:
     """What a retraining came to: the new model beside the `present` version, and whether it is `proposed` and why.
 
-    `version` is what it was saved as ("": it was not). `refusals` say why it does not verify, `left` what a diagnosis
+    `version` is what it was saved as ("": it was not). `refusals` say what speaks against it, `left` what a diagnosis
     of it says. `classes` are its errors by expected class, `regions` and `ratings` count cycles; `training` and
     `held_out` are how many of them it was learned from and judged by, `rows` the training's scans.
     """
@@ -75,7 +75,7 @@ class Retraining:
         for each in self.comparisons:
             shares = ", ".join(f"{name} {each.coverage[name]:.0%}" for name in (NEW, PRESENT))
             lines.append(f"{each.subject}, {each.horizon:g} s: the 90 % band held {shares}")
-        lines.append("verified" if not self.refusals else f"DOES NOT VERIFY: {'; '.join(self.refusals)}")
+        lines.append("verified" if not self.refusals else f"REFUSED: {'; and '.join(self.refusals)}")
         if self.left:
             lines.append(f"what is left, on the cycles held out: {self.left}")
         lines.append("cycles: " + ", ".join(f"{count} {rating}" for rating, count in self.ratings.items()))

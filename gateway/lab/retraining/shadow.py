@@ -30,7 +30,7 @@ from gateway.lab.retraining.cutting import CycleSource, Progress, and_after, cut
 from gateway.lab.retraining.cycle_library import CycleLibrary, CycleRow, opened_library
 from gateway.lab.retraining.training_record import created_of, read_record
 from gateway.store import machines, newest_scan, reading
-from sim.artefacts import current, load, promote, ran, read_familiarity, version_directory, versions
+from sim.artefacts import current, load, objection, promote, ran, read_familiarity, version_directory, versions
 from sim.lab.judge import HorizonComparison, compared
 from sim.sha import Trace, encoded, shown_unit
 
@@ -157,8 +157,14 @@ def side_by_side(
     else:
         sentence = f"{judged} and {stood} are not told apart"
     if promoted:
-        promote(store, promoted)
-        sentence += f"; {promoted} is promoted{' again' if roll_back else ''}"
+        # A person may force what was judged unfit where it was learned; a timer may not.
+        _, reason = objection(store, promoted)
+        if reason:
+            sentence += f"; {promoted} is not promoted, as {reason}"
+            promoted = ""
+        else:
+            promote(store, promoted)
+            sentence += f"; {promoted} is promoted{' again' if roll_back else ''}"
     return SideBySide(
         runs=promoted or running,
         judged=judged,

@@ -42,8 +42,10 @@ from sim.artefacts import (
     listed,
     load,
     model_hash,
+    objections,
     read_familiarity,
     read_model,
+    read_verdict,
     version_directory,
     versions,
 )
@@ -258,7 +260,7 @@ def retrain(
     comparisons = [each for subject, rows in scores.items() for each in compared(subject, rows, seed=request.seed)]
 
     report("verifying", 0.8)
-    refusals = verify(new).reasons
+    refusals = objections(verify(new).reasons, read_verdict(folder / "model"))
     propose, sentence = verdict_on(comparisons, refusals, FRESH, unjudged)
     left = library.step(study, "diagnosed")
     if left is None:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from math import floor
 from typing import Any
 
+from drivers.derived import Derived, with_derived
 from drivers.driver import Driver, Streams
 from drivers.supervision import Supervisor
 from drivers.tag import Sample, Tag
@@ -47,11 +48,14 @@ async def scans(
     clock: Clock,
     rules: QualityRules,
     *,
+    derived: Mapping[str, Derived] | None = None,
     stop: asyncio.Event | None = None,
     urgent: Urgent | None = None,
     supervisor: Supervisor | None = None,
 ) -> AsyncGenerator[Scan, None]:
     """Scan after scan until `stop` is set; the next one is never begun before it is asked for.
+
+    Each has the tags, and the signals that are `derived` from them.
 
     Ticks lie at start + n * period. When reading or the consumer took longer than a period, the ticks that passed are
     skipped and the next scan begins on the next tick, so that one scan is in flight and nothing accumulates.
@@ -76,6 +80,7 @@ async def scans(
                 # device's messages may bear a clock of their own, and time must not go back for the model.
                 last = max(last, min(newest, sent))
                 age, samples = judge(age, tags, read, sent, rules)
+                samples = with_derived(samples, derived or {}, last)
                 with stream.pausing():
                     yield Scan(number, last, samples, 0, 0.0, early=True)
                 number += 1
@@ -85,6 +90,7 @@ async def scans(
                 stream.restart_from(read)  # what was read holds all that was streamed up to now
             last = now = clock.now()
             age, samples = judge(age, tags, read, now, rules)
+            samples = with_derived(samples, derived or {}, now)
             # Only before the first scan, and only of a program that runs (a count other than 0).
             unproven = rules.heartbeat is not None and bool(age.beat) and age.beat_changed is None
             if number or not unproven or now - begin >= STALE_PERIODS * rules.beat_period:

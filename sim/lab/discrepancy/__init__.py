@@ -28,6 +28,5 @@ from sim.lab.discrepancy.story import (
     floor_sentence,
     held_out_count,
     held_out_sentence,
-    shown_time,
 )
 from sim.lab.discrepancy.workflow import DiagnosisOutcome, diagnose

@@ -319,7 +319,7 @@ def untested(
 
 def too_short(entries: Sequence[CatalogueEntry], path: NamingResult) -> dict[str, str]:
     """The effects over some time of which no shape was looked for though their signals are there, with the reason."""
-    tried = {each.entry.name for each in path.steps[0][0].evidence}
+    tried = path.steps[0][0].tried
     shortest = shortest_visible(path.base.frame.record)
     timed = [entry for entry in entries if any(name in TIMES for name in entry.kind.parameters)]
     reason = f"is looked for up to less than {shortest:.3g} s only, and nothing shorter is visible in these rows"

@@ -201,12 +201,18 @@ def _told(
 
 
 def _sharpened(fitted: Fitted, scored: _ScoredForms, chosen: Sequence[int]) -> list[LawForm]:
-    """Those of the chosen forms that are rivals', with their dates and times where the gain is greatest."""
-    sharper = []
+    """Those of the chosen forms that are rivals', with their dates and times where the gain is greatest.
+
+    A date that is driven to an end of the record is none.
+    """
+    sharper, clock = [], fitted.frame.record.runs.time
+    ends = {float(clock[0]), float(clock[-1])}
     for number in (each for each in chosen if scored.forms[each].shapes):
         (shape,) = scored.forms[number].shapes
         if shape.entry.candidate.refine:
             params = refined(fitted, shape, float(scored.strength[number])).params
+            if any(params[name] in ends and params[name] != value for name, value in shape.params.items()):
+                continue
             shape = Shape(shape.entry, shape.signals, {name: params[name] for name in shape.params})
             sharper.append(of_shapes((shape,)))
     return sharper

@@ -79,7 +79,8 @@ class NamingStep:
 
     `cosines` gives, for the best entry, the cosine of each other entry's effect with its own, the model's parameters
     projected out of both. `rules` are those that it was made by and is judged by. `rivals` are the gains (nats) of what
-    has no name, also where it is left out of the evidence since it does no better than the names.
+    has no name, also where it is left out of the evidence since it does no better than the names. `tried` are all
+    entries of which a shape was looked for.
     """
 
     before: Fitted
@@ -87,6 +88,7 @@ class NamingStep:
     cosines: Mapping[str, float]
     rules: DecisionRules
     rivals: Mapping[str, float] = field(default_factory=dict)
+    tried: frozenset[str] = frozenset()
 
     @property
     def best(self) -> EffectEvidence | None:
@@ -162,7 +164,8 @@ def step(
     if order and order[0].fitted is not None:
         order = (replace(order[0], fitted=restored(order[0].fitted)), *order[1:])
     nameless = {each.entry.name: each.gain for each in everything if each.entry.rival}
-    return NamingStep(before, order, _cosines(before, order), rules, nameless)
+    tried = frozenset(each.entry.name for each in everything)
+    return NamingStep(before, order, _cosines(before, order), rules, nameless, tried)
 
 
 def _with(confirmed: Sequence[EffectEvidence], again: EffectEvidence) -> list[EffectEvidence]:
@@ -266,7 +269,8 @@ def _evidence(screened: Screen, number: int) -> EffectEvidence:
     # A cycle with less than a fiftieth of the usual share has no vote: its sign would be chance.
     speaking = shares > 0.02 * mass / max(spread, 1.0)
     same = np.sign(parts[speaking]) == np.sign(total)
-    others = (total - parts) / np.maximum(mass - shares, 1e-300)
+    rest = mass - shares
+    others = np.where(rest > 1e-9 * mass, total - parts, 0.0) / np.maximum(rest, 1e-9 * max(mass, 1e-280))
     carried = float(np.sum(parts * others - 0.5 * shares * others**2))
     return EffectEvidence(
         entry=shape.entry,

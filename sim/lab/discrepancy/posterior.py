@@ -121,7 +121,7 @@ def posterior(gains: Mapping[str, float], evidence: NamesEvidence, rules: Decisi
     """
     top = max(gains.values())
     # No shape is quite the plant's: what one name may win over its twin by is worth no more than a margin.
-    scale = max(1.0, rules.margin_share * top / rules.margin_nats)
+    scale = max(1.0, rules.margin_share * top / max(rules.margin_nats, 1.0))
     fitted = np.exp((np.array(list(gains.values())) - top) / scale)
     nothing = float(np.exp(min(rules.least_gain_nats - np.log(NULL_ODDS) - top, 0.0)))
     none = none_odds(evidence) * float(fitted.sum()) + nothing

@@ -1,10 +1,10 @@
 """A diagnosis told: its sentence, its places without a cause, and the courses that the pictures show."""
 
 from collections.abc import Sequence
-from datetime import UTC, datetime
 
 import numpy as np
 
+from sim.effects import moment_words
 from sim.lab.discrepancy.advice import shown_move, told_places
 from sim.lab.discrepancy.diagnosis import (
     AbsorbedLaw,
@@ -143,12 +143,12 @@ def none_words(share: float | None) -> str:
 
 def beginning_sentence(began: GapBeginning, unit: str) -> str:
     """Since when the machine is warmer or cooler than before, and how sure the date is; `unit` as people read it."""
-    low, moment, high = (shown_time(time) for time in (began.interval[0], began.time, began.interval[1]))
+    low, moment, high = (moment_words(time) for time in (began.interval[0], began.time, began.interval[1]))
     how = "while it runs" if began.running else "at rest"
     what, count = "cycle", "cycles"
     if began.stretch:
         what, count = "stretch", f"stretches of {shown_span(began.stretch)}"
-    more = "" if began.then is None else f", and from {shown_time(began.then[0])} on {_warmer(began.then[1], unit)}"
+    more = "" if began.then is None else f", and from {moment_words(began.then[0])} on {_warmer(began.then[1], unit)}"
     like = f", most like {began.acts}" if began.acts else ""
     return (
         f"It begins with the {what} of {moment} (between {low} and {high}): since then the machine is "
@@ -161,9 +161,9 @@ def beginning_reason(began: GapBeginning, unit: str) -> str:
     """Why a beginning is a gap, whatever the held-out cycles say; `unit` as people read it."""
     how, size = "while the machine runs" if began.running else "at rest", f"{abs(began.moves):.2g} {unit}"
     if began.acts:
-        since = f"{began.acts} from {shown_time(began.time)} on"
+        since = f"{began.acts} from {moment_words(began.time)} on"
         return f"{since} explains more than anything that acts all along (p = {began.p:.1g})"
-    return f"from {shown_time(began.time)} on the free run errs by {size} more {how} (p = {began.p:.1g})"
+    return f"from {moment_words(began.time)} on the free run errs by {size} more {how} (p = {began.p:.1g})"
 
 
 def _warmer(moves: float, unit: str) -> str:
@@ -224,11 +224,6 @@ def removed_sentence(held: HeldOutProof, effects: Sequence[NamedEffect]) -> str:
 
 def _count(number: int, what: str) -> str:
     return f"{number} {what}{'' if number == 1 else 's'}"
-
-
-def shown_time(time: float) -> str:
-    """A time (s UTC) as people read it, to the minute."""
-    return datetime.fromtimestamp(time, UTC).strftime("%Y-%m-%d %H:%M UTC")
 
 
 def course_of(base: Fitted, after: Fitted, before_trial: HeldOutRun, after_trial: HeldOutRun) -> DiagnosisCourse:

@@ -132,11 +132,11 @@ def verdict_on(
 ) -> tuple[bool, str]:
     """(whether the new model is to be proposed, the sentence why or why not).
 
-    It must be better somewhere on `subject`, which it has not seen, worse nowhere, and verified (no `refusals`); and no
-    trace that it must not be worse on may be `unjudged`.
+    It must be better somewhere on `subject`, which it has not seen, and worse nowhere; nothing may speak against it by
+    itself (`refusals`), and no trace that it must not be worse on may be `unjudged`.
     """
     if refusals:
-        return False, f"not proposed: it does not verify: {'; '.join(refusals)}"
+        return False, f"not proposed: {'; and '.join(refusals)}"
     worse = [f"at {each.horizon:g} s on the {each.subject}" for each in comparisons if each.refuses]
     if worse:
         return False, f"not proposed: it is worse than the present model {', '.join(worse)}"

@@ -17,10 +17,12 @@ from pydantic import (
     model_validator,
 )
 
+from drivers.derived import Derived
 from drivers.errors import did_you_mean
 from drivers.named_files import MOST_TOML_BYTES, contents, parse_toml
 from drivers.settings import first_sentence
 from sim.lab.recordings.alphabet_table import DECANTER_AUTO, alphabet_from_table
+from sim.lab.recordings.clock_counts import COUNTS
 from sim.lab.recordings.load_report import TraceError
 from sim.sha import Alphabet
 
@@ -31,15 +33,6 @@ def _listed(value: object) -> object:
 
 Names = Annotated[tuple[str, ...], BeforeValidator(_listed)]
 """One name or several: the first that the file has is taken."""
-
-
-SECONDS = {
-    "seconds": 1.0, "milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9,
-    "minutes": 1 / 60, "hours": 1 / 3600, "days": 1 / 86400,
-}  # fmt: skip
-"""Formats of a clock that counts, and how many of their units a second has."""
-SPREADSHEET = "spreadsheet days"
-"""The format of a spreadsheet's times: days, and parts of one, since 1899-12-30, in local time."""
 
 
 class _MapPart(BaseModel):
@@ -59,9 +52,8 @@ class TimeOfDay(_MapPart):
 class ClockColumns(_MapPart):
     """One `column`, in one of the `formats`, or a `time_of_day` that rolls over at midnight.
 
-    Formats, tried in order: `seconds`, `milliseconds`, `microseconds`, `nanoseconds`, `minutes`, `hours`, `days`
-    (elapsed or since 1970), `spreadsheet days`, `ISO8601`,
-    or a strptime pattern (months in any of the exporters' languages).
+    Formats, tried in order: a count of COUNTS, `ISO8601`, or a strptime pattern (months in any of the exporters'
+    languages).
     Where the day stands in a column `date` of its own, its cell, a blank and that of `column` are what the formats
     read. A time without an offset is read in `timezone`. A time of day becomes seconds since midnight of the first
     row's day.
@@ -92,10 +84,8 @@ class ClockColumns(_MapPart):
     @classmethod
     def _formats_are_known(cls, formats: tuple[str, ...]) -> tuple[str, ...]:
         for format_ in formats:
-            if format_ not in (*SECONDS, SPREADSHEET, "ISO8601") and "%" not in format_:
-                known = (
-                    f"{', '.join(map(repr, [*SECONDS, SPREADSHEET]))}, 'ISO8601' or a pattern like '%d/%m/%Y %H:%M:%S'"
-                )
+            if format_ not in (*COUNTS, "ISO8601") and "%" not in format_:
+                known = f"{', '.join(map(repr, COUNTS))}, 'ISO8601' or a pattern like '%d/%m/%Y %H:%M:%S'"
                 raise ValueError(f"{format_!r} is no format; give {known}")
         return formats
 
@@ -147,39 +137,6 @@ class SignalColumn(_MapPart):
             raise ValueError(f"{sorted(both)[0]!r} stands in both on and off; leave it in the one that it means")
         if (self.on or self.off) and not self.boolean:
             raise ValueError("on and off are words of a two-valued signal; leave out boolean = false")
-        return self
-
-
-class Derived(_MapPart):
-    """What a signal is when the file has no column for it: `signal` > `above` (< `below`), a `constant`, a `product`.
-
-    A product is `scale` times the signals that it names, in `unit`. It is known in each row with a reading of one of
-    them, the others as they were read last (not across a gap, nor over a bad reading).
-    """
-
-    signal: str | None = None
-    above: float | None = None
-    below: float | None = None
-    constant: float | None = None
-    product: tuple[str, ...] = ()
-    scale: float = 1.0
-    unit: str = ""
-
-    @property
-    def sources(self) -> tuple[str, ...]:
-        """The signals that it is made of."""
-        return self.product if self.signal is None else (self.signal,)
-
-    @model_validator(mode="after")
-    def _one_form(self) -> Self:
-        forms = (self.signal is not None, self.constant is not None, bool(self.product))
-        limits = sum(limit is not None for limit in (self.above, self.below))
-        if sum(forms) != 1 or limits != (self.signal is not None):
-            raise ValueError("give either signal and above, or constant, or product; below may stand for above")
-        if len(self.product) == 1:
-            raise ValueError("product needs two signals or more")
-        if not self.product and self.scale != 1.0:
-            raise ValueError("scale belongs to product")
         return self
 
 

@@ -12,7 +12,17 @@ from sim.lab.recordings.auto_thresholds import with_gap, with_thresholds
 from sim.lab.recordings.clock import longest_rising, spread_evenly, unroll_midnight
 from sim.lab.recordings.column_map import ByColumn, ColumnMap
 from sim.lab.recordings.load_report import FileReport, LoadReport, TraceError
-from sim.lab.recordings.readings import FileReadings, Rows, Series, Whose, joined, read_file, refuse_rows, select
+from sim.lab.recordings.readings import (
+    FileReadings,
+    Rows,
+    Series,
+    Whose,
+    joined,
+    judged,
+    read_file,
+    refuse_rows,
+    select,
+)
 from sim.lab.recordings.sources import UNPACKING, is_recording, stem_of
 from sim.sha import Alphabet, Array, Mask, Trace, encode, holds_roughly
 
@@ -160,9 +170,9 @@ def _load_group(files: Sequence[FileReport], column_map: ColumnMap) -> list[Trac
     if not parts:
         raise TraceError(files[0].error, None)
     used = [file for file in files if not file.error]
-    return [trace for own in parts.values() for trace in _traces_of(joined(own), column_map, files, used)] or _nothing(
-        used[0].path, column_map.temperature
-    )
+    return [
+        trace for own in parts.values() for trace in _traces_of(judged(joined(own), files), column_map, files, used)
+    ] or _nothing(used[0].path, column_map.temperature)
 
 
 def _nothing(path: Path, name: str) -> list[Trace]:
@@ -338,16 +348,16 @@ def _completed(trace: Trace, column_map: ColumnMap, gap: float) -> Trace:
             signals[name] = np.full(times.size, derived.constant)
         elif not all(source in signals for source in derived.sources):
             continue
-        elif derived.signal is not None:
-            source = signals[derived.signal]
-            holds = source > derived.above if derived.above is not None else source < (derived.below or 0.0)
-            signals[name] = np.where(np.isnan(source), np.nan, holds)
+        elif derived.is_switch:
+            (source,) = (signals[name] for name in derived.sources)
+            signals[name] = np.where(np.isnan(source), np.nan, derived.value([source]))
             if derived.signal in bad:
                 bad[name] = bad[derived.signal]
         else:
+            # Known in each row with a reading of one of them; the others are as they were read last.
             read = np.any([~np.isnan(signals[source]) for source in derived.product], axis=0)
             factors = [_held(times, signals[source], bad.get(source), gap) for source in derived.product]
-            signals[name] = np.where(read, derived.scale * np.prod(factors, axis=0), np.nan)
+            signals[name] = np.where(read, derived.value(factors), np.nan)
             faults = [bad[source] for source in derived.product if source in bad]
             if faults:
                 bad[name] = np.any(faults, axis=0)

@@ -11,7 +11,7 @@ from sim.effects import EffectRefusal, Structural, TextLaw, acts_in, kind_of, la
 from sim.engine import Plant, compile_plant
 from sim.lab.uppaal.document import Arrow, number
 from sim.lab.uppaal.players import array
-from sim.lab.uppaal.replay import Clocks
+from sim.lab.uppaal.replay import Clocks, signals_before
 from sim.lab.uppaal.words import FreshNames
 from sim.sha import SHA, Effect
 
@@ -223,11 +223,13 @@ class _LineCollector:
         if part is None:
             raise unknown("the UPPAAL export", effect.kind, part)
         clock, lag = self.names.fresh("late"), self.constant("LAG", lag_of(effect))
-        source = f"({part.text.term(self, effect).removeprefix(' + ')})"
+        source, coming = (
+            f"({part.text.term(self, each).removeprefix(' + ')})" for each in (effect, signals_before(effect))
+        )
         known = " * ".join(dict.fromkeys(self.inputs[signal][1] for signal in effect.signals.values()))
         self.declared += ["// The heat of the signals that comes late, in degC/s.", _hybrid(clock)]
         # Before its signals are read it waits where their first reading will find it.
-        self.rates.append(f"{clock}' == {known} * ({source} - {clock}) / {lag}")
+        self.rates.append(f"{clock}' == {known} * ({coming} - {clock}) / {lag}")
         self.opening.append(f"{clock} = {number(begin)}")
         return f" + {known} * ({clock} - {source})"
 

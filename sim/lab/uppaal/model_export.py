@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from drivers.errors import OneLineError
-from sim.effects import check_sha, in_sensor_scale, signals_of
+from sim.effects import check_sha, in_sensor_scale
 from sim.engine import Policy, Start, open_loop
 from sim.files import refused, replace_durably
 from sim.lab.uppaal.document import ExportedQuery, System, comment_text, number, xml_text
@@ -18,7 +18,7 @@ from sim.lab.uppaal.layout import in_a_row, on_a_circle
 from sim.lab.uppaal.machine import Beginning, Move, machine, variables
 from sim.lab.uppaal.players import event_arrays, input_declarations, input_player, player, structure
 from sim.lab.uppaal.queries import compatibility, default_questions, query_file, questions_of
-from sim.lab.uppaal.replay import ReplayedTrace, replay_of
+from sim.lab.uppaal.replay import ReplayedTrace, replay_of, replayed_signals
 from sim.lab.uppaal.rules import check_rules
 from sim.lab.uppaal.words import FreshNames, spelled
 from sim.sha import SHA, UNKNOWN, Model, Trace, alphabet_symbols, distributions, transitions
@@ -119,8 +119,7 @@ def base_name(model: str, trace: str) -> str:
 def _main(model: Model, replay: ReplayedTrace, tick: int, questions: tuple[ExportedQuery, ...]) -> Document:
     sha = model.sha
     names = FreshNames(location.name for location in sha.locations)
-    driving = {driver.signal for location in sha.locations for driver in location.flow.inputs}
-    known = variables(names, sorted(driving | {*signals_of(sha)}))
+    known = variables(names, replayed_signals(sha))
     channels = _channels(model, replay.symbols, names)
     moves = [*_edges(sha, channels), *((source, channels[symbol], target) for source, symbol, target in replay.added)]
     law = replay.x0

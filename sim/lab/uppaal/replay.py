@@ -6,7 +6,7 @@ from math import ceil
 
 import numpy as np
 
-from sim.effects import dead_time, late_source, signals_of
+from sim.effects import dead_time, delay_of, late_source, signals_of
 from sim.engine import Policy, Start, compile_plant, open_loop_schedule, resync_targets, start_law
 from sim.sha import SHA, UNKNOWN, Array, Distribution, Effect, Event, Model, Trace, transitions
 
@@ -98,7 +98,7 @@ def replay_of(model: Model, trace: Trace, policy: Policy = "resync", start: Star
     since = () if steps.segments is None else tuple(float(column[0]) for column in steps.segments.since)
     coming = () if steps.segments is None else tuple(float(column[0]) for column in steps.segments.late)
     readings, late = _readings(model, delayed, begin, end), compile_plant(model.sha).late if coming else ()
-    lates = tuple(_late_at(effect, now, readings) for effect, now in zip(late, coming, strict=True))
+    lates = tuple(_late_at(signals_before(effect), now, readings) for effect, now in zip(late, coming, strict=True))
     return ReplayedTrace(
         trace=trace.name,
         location=model.sha.locations[int(steps.location[0])].name,
@@ -115,6 +115,37 @@ def replay_of(model: Model, trace: Trace, policy: Policy = "resync", start: Star
         all_symbols=tuple(event.symbol for event in trace.events),
         accepted=accepted,
     )
+
+
+def signals_before(effect: Effect) -> Effect:
+    """The effect on signals that are as its own were its delay before: further inputs, which `InputReadings` has."""
+    delay = delay_of(effect)
+    if not delay:
+        return effect
+    return replace(effect, signals={role: f"{name} {delay:g} s before" for role, name in effect.signals.items()})
+
+
+def replayed_signals(sha: SHA) -> list[str]:
+    """The signals that a replay has, those of before among them."""
+    driving = {driver.signal for location in sha.locations for driver in location.flow.inputs}
+    before = {name for effect in sha.effects for name in signals_before(effect).signals.values()}
+    return sorted(driving | {*signals_of(sha)} | before)
+
+
+def _with_before(sha: SHA, trace: Trace) -> Trace:
+    """The trace with the signals of before, which until their delay is over are as they were first read."""
+    for effect in (each for each in sha.effects if delay_of(each)):
+        clock = np.union1d(trace.times, trace.times + delay_of(effect))
+        row = np.searchsorted(trace.times, clock, side="right") - 1
+        before = np.searchsorted(trace.times + delay_of(effect), clock, side="right") - 1
+        signals = {name: column[row] for name, column in trace.signals.items()}
+        for name, its in zip(effect.signals.values(), signals_before(effect).signals.values(), strict=True):
+            if name in trace.signals:
+                column = trace.signals[name]
+                first = int(np.argmax(np.isfinite(column)))
+                signals[its] = np.where(row < first, np.nan, column[np.maximum(before, first)])
+        trace = replace(trace, times=clock, signals=signals)
+    return trace
 
 
 def _late_at(effect: Effect, deviation: float, readings: InputReadings) -> float:
@@ -152,9 +183,8 @@ def _moves(
 
 def _readings(model: Model, trace: Trace, begin: float, end: float) -> InputReadings:
     """The rows in which a reading of a driving signal changed, from `begin` on."""
-    driving = {driver.signal for location in model.sha.locations for driver in location.flow.inputs}
-    signals = sorted(driving | {*signals_of(model.sha)})
-    present = [signal for signal in signals if signal in trace.signals]
+    trace = _with_before(model.sha, trace)
+    present = [signal for signal in replayed_signals(model.sha) if signal in trace.signals]
     rows = np.flatnonzero((trace.times > begin) & (trace.times < end))
     held: dict[str, Array] = {}
     first: dict[str, float] = {}

@@ -64,7 +64,6 @@ def test_a_list_and_an_address_become_a_folder_that_runs(here: Path) -> None:
     assert len((here / "p" / "README.md").read_text(encoding="utf-8").splitlines()) <= 12
     for line in ("decanter plc check", "decanter run", "--map columns.toml --out models/first"):
         assert line in done.stdout
-    assert decanter("plc", "check", "--offline", "--config", "p/plant.toml").exit_code == 0
 
 
 @pytest.mark.parametrize("device", ["decanter_plc", "decanter_canopen", "decanter_can", "given/unknown_plc.toml"])
@@ -87,6 +86,19 @@ def test_signals_that_are_no_tags_are_named_with_what_to_do(here: Path) -> None:
     assert all("--rename" in each for each in data["warnings"])
     refused(decanter("init", "q", *LIST, "--trace", "export.csv", "--rename", "Stato marcia=Nobody"), 2, "Nobody")
     assert not (here / "q").exists()
+
+
+def test_where_neither_export_nor_list_says_that_it_runs_both_make_it_of_the_current(here: Path) -> None:
+    lines = (here / "export.csv").read_text(encoding="utf-8").splitlines()
+    rows = [";".join(cell for place, cell in enumerate(line.split(";")) if place != 1) for line in lines]
+    (here / "export.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
+    words = ("--trace", "export.csv", "--rename", "Corrente motore [A]=Assorbimento", "--json")
+    data = only_object(decanter("init", "p", *LIST, *words).stdout)
+    assert data["warnings"] == []
+    column_map, config = load_map(here / "p" / "columns.toml"), load_config(here / "p" / "plant.toml")
+    assert column_map.derived == config.map.derived and set(column_map.derived) == {"Running"}
+    signals = {channel.signal for channel in column_map.alphabet.channels}
+    assert signals == {"Running", "Assorbimento"} and signals <= set(config.map.by_name)
 
 
 def test_files_that_are_there_stay_unless_they_are_to_be_replaced(here: Path) -> None:

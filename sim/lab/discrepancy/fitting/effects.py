@@ -17,6 +17,7 @@ from sim.effects import (
     Structural,
     VaryingLaw,
     acts_in,
+    delay_of,
     in_scale_of_x,
     is_gradual,
     kind_of,
@@ -149,9 +150,29 @@ def _late(record: Record, effect: Effect, signals: Mapping[str, Array]) -> Array
     uncut = record.uncut
     source = late_source(effect, {name: _known_from_there(record, column) for name, column in signals.items()})
     jumps = late_jumps(np.concatenate([source[:1], source[:-1]]), source)
+    jumps = np.where(uncut.first, 0.0, jumps)
+    waiting = np.zeros(len(uncut))
+    if delay_of(effect) > 0:
+        jumped = linear_recursion(np.where(uncut.first, 0.0, 1.0), jumps, 0.0)
+        due = _mean_before(record, jumped, delay_of(effect))
+        waiting, jumps = jumped - due, np.where(uncut.first, 0.0, np.diff(due, prepend=0.0))
     kept = np.concatenate([[0.0], late_kept(effect, uncut.dt[:-1])])
-    begins = linear_recursion(np.where(uncut.first, 0.0, kept), np.where(uncut.first, 0.0, jumps), 0.0)
-    return np.asarray((begins * late_mean(effect, uncut.dt))[record.kept])
+    begins = linear_recursion(np.where(uncut.first, 0.0, kept), jumps, 0.0)
+    return np.asarray((begins * late_mean(effect, uncut.dt) + waiting)[record.kept])
+
+
+def _mean_before(record: Record, column: Array, delay: float) -> Array:
+    """(N,) the mean over each step of what a column (N,) held over the steps was `delay` s before; 0 before a trace."""
+    uncut = record.uncut
+    out = np.zeros(column.size)
+    for begin, end in pairwise([*np.flatnonzero(uncut.first).tolist(), column.size]):
+        part = slice(begin, end)
+        ends, lengths = uncut.time[part], np.maximum(uncut.dt[part], 1e-9)
+        whole = np.cumsum(column[part] * lengths)
+        clock, total = np.append(ends[0] - lengths[0], ends), np.append(0.0, whole)
+        earlier = np.interp(clock - delay, clock, total)
+        out[part] = np.diff(earlier) / lengths
+    return out
 
 
 def _known_from_there(record: Record, column: Array) -> Array:

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from drivers.named_files import writing
+from sim.effects import moment_words
 from sim.lab.discrepancy import (
     Diagnosis,
     DiagnosisCourse,
@@ -23,7 +24,6 @@ from sim.lab.discrepancy import (
     HeldOutProof,
     MissingHeat,
     heat_map,
-    shown_time,
 )
 from sim.lab.pictures import blank_figure
 from sim.sha import DEGREES, Array, shown_unit
@@ -154,7 +154,7 @@ def draw_missing_heat(axis: Axes, heat: MissingHeat, began: GapBeginning | None,
     if began is not None:
         first, moment, last = _days(np.array([began.interval[0], began.time, began.interval[1]])).tolist()
         axis.axvspan(first, last, color=BEGINS, alpha=0.15, linewidth=0)
-        axis.axvline(moment, color=BEGINS, linewidth=1.6, label=f"begins {shown_time(began.time)} (95 % interval)")
+        axis.axvline(moment, color=BEGINS, linewidth=1.6, label=f"begins {moment_words(began.time)} (95 % interval)")
     least, most = np.nanquantile(low, OUTLIER), np.nanquantile(high, 1.0 - OUTLIER)
     room = 0.06 * max(float(most - least), 1e-9)
     axis.set_ylim(min(float(least), 0.0) - room, max(float(most), 0.0) + room)

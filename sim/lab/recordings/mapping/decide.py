@@ -10,6 +10,7 @@ import numpy as np
 from drivers.errors import did_you_mean
 from sim.lab.recordings import (
     KEPT,
+    RUN_WORDS,
     ClockColumns,
     TraceError,
     booleans,
@@ -18,6 +19,7 @@ from sim.lab.recordings import (
     listed,
     numbers,
     read_clock,
+    since_1970,
     unroll_midnight,
 )
 from sim.lab.recordings.mapping.answers import NONE, Answers, Undecided
@@ -41,6 +43,7 @@ from sim.lab.recordings.mapping.words import (
     named_time,
     running_score,
     temperature_score,
+    unit_of,
 )
 from sim.sha import Array, Mask
 
@@ -48,10 +51,12 @@ _REST_IN_KELVIN = (240.0, 330.0)
 """Where a temperature that nobody calls kelvin rests if it is; no bearing rests at 240 degC."""
 _HOTTEST_REST = 150.0
 """degC above which no bearing stands still."""
-_HOTTEST = 300.0
-"""degC that no bearing reaches: its grease burns before."""
+COLDEST, HOTTEST = -80.0, 300.0
+"""degC that no bearing reaches: its grease burns before, and no plant stands in such a cold."""
 _IDLE = 0.05
 """Of its most, a current below which no motor turns anything."""
+_ALONGSIDE = 0.98
+"""The share of rows in which the switch of a machine agrees with whether its load is drawn; an auxiliary's does not."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,14 +115,15 @@ def clock_of(table: FoundTable, answers: Answers) -> FoundClock:
         times = found[place][0].times
         still = bool(np.all(times[np.isfinite(times)] == times[np.isfinite(times)][0]))
         counted = found[place][0].order == "year" and found[place][0].formats[0].endswith(_COUNTS) and not still
-        counted &= not times[np.isfinite(times)][0] > 1e9
+        counted &= not since_1970(float(times[np.isfinite(times)][0]))
         return 4 * named_time(table.header[place]) + 2 * (not counted) - 8 * still
 
     best = max(map(score, found))
     rivals = [place for place in found if score(place) == best]
-    first = found[rivals[0]][0].times
     # Columns that tell the same instants, in another zone or another form, are no rivals: steps are compared.
-    same = [p for p in rivals if np.allclose(np.diff(found[p][0].times), np.diff(first), atol=1.0, equal_nan=True)]
+    shown = min(found[place][0].times.size for place in rivals)
+    steps = {place: np.diff(found[place][0].times[:shown]) for place in rivals}
+    same = [p for p in rivals if np.allclose(steps[p], steps[rivals[0]], atol=1.0, equal_nan=True)]
     if len(same) < len(rivals) and not answers.time:
         raise Undecided(table.path, "columns that may be the clock", "time", [table.header[place] for place in rivals])
     _check_one_column(table, found[rivals[0]][0])
@@ -321,7 +327,14 @@ def _switch(
         running, reasons["running"] = said[0], "as --on says"
     if running is None:
         direct = [column for column in switches if not named_standstill(column.name)]
-        running = _best(where, "running", direct, lambda column: running_score(column.name), reasons)
+        running = _best(
+            where,
+            "running",
+            direct,
+            lambda column: _runs(column, load),
+            reasons,
+            settle=lambda rivals: _of_load(rivals, load),
+        )
         still = [column for column in switches if named_standstill(column.name) and column.moves]
         if running is None and len(still) == 1 and not answers.on:
             reasons["running"] = f"not {still[0].name}, by its name"
@@ -341,6 +354,26 @@ def _switch(
             guess=candidates[0].header if len(candidates) == 1 else "",
         )
     return None, None
+
+
+def _runs(switch: FoundColumn, load: FoundColumn | None) -> int:
+    """How much a switch says by its name that the machine runs; where no name does, words that go with the load do."""
+    said = any(cell.casefold() in RUN_WORDS for cell in set(switch.cells))
+    return running_score(switch.name) or int(said and (load is None or _of_load([switch], load) is not None))
+
+
+def _of_load(switches: Sequence[FoundColumn], load: FoundColumn | None) -> FoundColumn | None:
+    """The one switch that is on while the load is drawn, and off while it is not; None where several are, or none."""
+    along = list[FoundColumn]()
+    for switch in switches:
+        if load is None or switch.values.shape != load.values.shape:
+            continue
+        both = np.isfinite(switch.values) & np.isfinite(load.values)
+        drawn = np.abs(load.values[both]) > _IDLE * np.abs(load.values[both]).max(initial=0.0)
+        on = switch.values[both] == 1
+        if drawn.any() and not drawn.all() and np.mean(on == drawn) >= _ALONGSIDE:
+            along.append(switch)
+    return along[0] if len(along) == 1 else None
 
 
 def _check_load(where: object, running: FoundColumn, load: FoundColumn | None, answers: Answers) -> None:
@@ -400,7 +433,7 @@ def check_temperature(
     whole = bool(np.all(finite % 1 == 0))
     kelvin = _REST_IN_KELVIN[0] < low < _REST_IN_KELVIN[1]
     # Whole numbers that no bearing reaches are tenths, whatever unit the header names.
-    tenths = whole and (low > _HOTTEST_REST or high > _HOTTEST)
+    tenths = whole and (low > _HOTTEST_REST or high > HOTTEST)
     if (low > _HOTTEST_REST and not temperature.unit) or tenths:
         likely = "K" if kelvin and not whole else "0.1 degC" if whole else ""
         choices = [*(["K"] if kelvin else []), *(["0.1 degC"] if whole else []), "degC"]
@@ -438,10 +471,12 @@ def _named(
     """The column that an answer names. Raises TraceError for one that is not there or cannot play the part."""
     if not wanted:
         return None
-    for column in columns:
-        if wanted.casefold() in (column.header.casefold(), column.name.casefold()):
+    # With its unit or without, whole names before those.
+    for name_of in (lambda column: column.header, lambda column: column.name, lambda column: unit_of(column.header)[0]):
+        fitting = [column for column in columns if name_of(column).casefold() == wanted.casefold()]
+        if len(fitting) == 1:
             reasons[part] = f"as --{part} says"
-            return column
+            return fitting[0]
     headers = [column.header for column in columns]
     remedy = did_you_mean(wanted, headers) or f"those that can be it are {listed(map(repr, headers)) or 'none'}"
     raise TraceError(f"{where}: --{part} {wanted}: no column of that name can be it; {remedy}")
@@ -455,15 +490,22 @@ def _best(
     reasons: dict[str, str],
     *,
     what: str = "",
+    settle: Callable[[Sequence[FoundColumn]], FoundColumn | None] = lambda _: None,
 ) -> FoundColumn | None:
-    """The column with the best score for a part, by its name and unit; None where none has any."""
+    """The column with the best score for a part, by its name and unit; None where none has any.
+
+    Of several that are alike by name `settle` takes one by what they hold, or None.
+    """
     highest = max(map(score, columns), default=0)
     best = [column for column in columns if score(column) == highest] if highest > 0 else []
     if not best:
         return None
     # Columns with the same readings, as of a setpoint and its echo, are one.
     if any(not np.array_equal(a.values, b.values, equal_nan=True) for a, b in combinations(best, 2)):
-        raise Undecided(where, what or f"columns that may be the {part}", part, [column.header for column in best])
+        if (settled := settle(best)) is None:
+            raise Undecided(where, what or f"columns that may be the {part}", part, [column.header for column in best])
+        reasons[part] = "it is on while the load is drawn, and off while it is not"
+        return settled
     reasons[part] = "by its name" + (f" and its unit {best[0].unit}" if best[0].unit else "")
     return best[0]
 
