@@ -6,7 +6,10 @@ held out by its halves. The trip of another car is forecast by models of all tri
 folders `carobd`, `skab`, `femto` of machines that are in no training: models of all shared traces forecast them.
 
 The measured data are looked for in ../shared/data; a set that is not there is left out. All methods of a set are
-scored at the same moments; figures are means of the machines' means.
+scored at the same moments; figures are means of the machines' means. Against the best other method, ours have a ratio
+with its interval over machines, by the time since a trace's start. The whole SKAB (34 files), carOBD (129 trips) and
+FEMTO (`Full_Test_Set`, a folder a bearing) are public: github.com/waico/SKAB, eron93br/carOBD and
+wkzs111/phm-ieee-2012-data-challenge-dataset; what is put into the folders of `--judge` is their judge.
 """
 
 import json
@@ -18,6 +21,7 @@ from time import monotonic
 from typing import Any
 
 import click
+import numpy as np
 from joblib import Parallel, delayed
 
 from benchmarks.figures import Figure, give
@@ -26,6 +30,8 @@ from gateway.lab.judging.figures import rivals_room, scanned, skill_rows
 from gateway.settings import ForecastSection
 from sim.lab.judge import (
     AHEAD,
+    LEAST_FOR_INTERVAL,
+    STRETCHES,
     PastForecaster,
     Skill,
     SkillRow,
@@ -34,6 +40,7 @@ from sim.lab.judge import (
     grouped,
     persist,
     skill,
+    stretch,
     tables,
     trained,
 )
@@ -235,6 +242,89 @@ def verdict(found: Cells, ours: Sequence[str], figure: str) -> str:
     return f"{figure.upper()} against the best other method: {'; '.join(parts)}"
 
 
+@dataclass(frozen=True, slots=True)
+class Ratio:
+    """Ours over the `best` other method in MAE and CRPS, each with the 90 % interval over `machines` of the latter.
+
+    NaN bounds where there are too few machines. `coverage` is ours, `width` our half width over the best's that covers
+    (COVERS at least), NaN where none does.
+    """
+
+    best: str
+    machines: int
+    mae: float
+    crps: float
+    low: float
+    high: float
+    coverage: float
+    width: float
+
+
+COVERS = 0.88
+RESAMPLES = 2000
+
+
+def ratio(rows: Sequence[SkillRow], method: str, seed: int = 0) -> Ratio | None:
+    """What the rows, of one horizon and the same moments for all methods, say of `method`; None without another one.
+
+    The interval is the percentile bootstrap over machines: forecasts of one are not independent.
+    """
+    by_method = grouped(rows, lambda row: row.method)
+    if method not in by_method or not set(by_method) - set(OURS):
+        return None
+    whole = {name: skill(own) for name, own in by_method.items()}
+    others = [name for name in whole if name not in OURS]
+    best = min(others, key=lambda name: whole[name].crps)
+    own, their = (
+        {machine: skill(part).crps for machine, part in grouped(by_method[name], lambda row: row.machine).items()}
+        for name in (method, best)
+    )
+    pairs = np.array([(own[machine], their[machine]) for machine in own])
+    low = high = float("nan")
+    if len(pairs) >= LEAST_FOR_INTERVAL:
+        sums = pairs[np.random.default_rng(seed).integers(0, len(pairs), (RESAMPLES, len(pairs)))].sum(axis=1)
+        low, high = np.quantile(sums[:, 0] / sums[:, 1], [0.05, 0.95]).tolist()
+    covering = [whole[name].half_width for name in others if whole[name].coverage >= COVERS]
+    return Ratio(
+        best=best,
+        machines=len(pairs),
+        mae=whole[method].mae / min(whole[name].mae for name in others),
+        crps=whole[method].crps / whole[best].crps,
+        low=low,
+        high=high,
+        coverage=whole[method].coverage,
+        width=whole[method].half_width / min(covering) if covering else float("nan"),
+    )
+
+
+def show_ratios(rows: Mapping[str, Sequence[SkillRow]], ours: Sequence[str]) -> None:
+    """A row for each set, horizon, part of the time since the start, and method of ours."""
+    lines: list[list[object]] = []
+    for title, own in rows.items():
+        horizons = sorted({row.horizon for row in own})
+        for horizon, part in ((horizon, part) for horizon in horizons for part in ("all", *STRETCHES)):
+            chosen = [row for row in own if row.horizon == horizon and part in ("all", stretch(row))]
+            for method in ours:
+                if (found := ratio(chosen, method)) is not None:
+                    interval = f"{found.low:.2f} to {found.high:.2f}"
+                    numbers = [f"{one:.2f}" for one in (found.mae, found.crps, found.coverage, found.width)]
+                    lines.append([title, horizon, part, method, found.machines, found.best, *numbers, interval])
+    heads = [
+        "set",
+        "s",
+        "since start",
+        "method",
+        "machines",
+        "best other",
+        "MAE",
+        "CRPS",
+        "coverage",
+        "width",
+        "90 % of CRPS",
+    ]
+    table("ours over the best other method (width: over the narrowest that covers)", heads, lines)
+
+
 def show_cells(found: Cells, methods: Sequence[str]) -> None:
     """A row for each method of a cell; the lowest MAE and CRPS of the cell bear a star."""
     lines: list[list[object]] = []
@@ -311,6 +401,7 @@ def main(
         give("skill", figures(found, ours), as_json=True)
         return
     show_cells(found, wanted)
+    show_ratios(rows, ours)
     for title, counted in (("sets and horizons", found), ("machines and horizons", cells(rows, by_machine=True))):
         for where in ("", JUDGE):
             part = {key: own for key, own in counted.items() if key[0].endswith(JUDGE) == bool(where)}

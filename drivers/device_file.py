@@ -58,7 +58,7 @@ _FIELD = "{field}"
 class DeviceTable(BaseModel):
     """`[device]`: what is not listed here is a setting of the driver, which checks it."""
 
-    model_config = ConfigDict(extra="allow", frozen=True, strict=True)
+    model_config = ConfigDict(extra="allow", frozen=True, strict=True, defer_build=True)
 
     name: Name = Field(description="a short name for the device")
     driver: str = Field(description=f"one of {', '.join(sorted(DRIVERS))}")
@@ -95,6 +95,9 @@ class TagTable(Section):
     order: Annotated[Order, Field(strict=False)] = Field(Order.ABCD, description=f"one of {', '.join(Order)}")
     scale: float = Field(1.0, description="engineering units per raw count, not 0")
     offset: float = Field(0.0, description="engineering units at raw 0")
+    scale_from: str = Field(
+        "", description="the address of a register with a power of ten beside the scale, such as 'holding:40084'"
+    )
     unit: Label = Field("", description="the unit as text")
     low: float | None = Field(None, description="the lowest plausible value")
     high: float | None = Field(None, description="the highest plausible value")
@@ -221,10 +224,18 @@ class BlockTable(Section):
         return version
 
 
+class GroupTable(Section):
+    """`[[groups]]`: a period for several tags that have none of their own."""
+
+    period: float = Field(gt=0, le=86_400, description="the seconds between two readings, above 0 and at most 86400")
+    tags: list[str] = Field(min_length=1, description='names of tags, with * for any letters, such as ["Energy*"]')
+
+
 class DeviceFile(Section):
     """The whole file."""
 
     device: DeviceTable = Field(description="a [device] table")
+    groups: list[GroupTable] = Field(default_factory=list, description="[[groups]] tables, each with a period")
     tags: list[TagTable] = Field(min_length=1, description="at least one [[tags]] entry")
     writeback: BlockTable | None = Field(None, description="a [writeback] table")
     derived: dict[Name, Derived] = Field(
@@ -244,6 +255,7 @@ def read_device_file(path: Path) -> DeviceFile:
     if "tags" not in data and not _OF_A_PLANT.isdisjoint(data):
         raise ConfigError([f"{path}: is a plant file and no device file; give it with --config"])
     content = checked(DeviceFile, data, path)
+    content, problems_of_groups = _grouped(content)
     # What no single key shows: doubled names, ranges upside down, a heartbeat that is no tag, a block without CRC.
     names = [row.name for row in content.tags]
     problems = [
@@ -251,6 +263,7 @@ def read_device_file(path: Path) -> DeviceFile:
         for index, name in enumerate(names)
         if name in names[:index]
     ]
+    problems += problems_of_groups
     problems += [
         f"tags[{index}].low: {row.low} is not below high {row.high} of {row.name!r}; swap or correct them"
         for index, row in enumerate(content.tags)
@@ -262,6 +275,11 @@ def read_device_file(path: Path) -> DeviceFile:
         f"tags[{index}].period: {row.name!r} has one, and {why}; take it out"
         for index, row in enumerate(content.tags)
         if row.period and (why := _unpaced(row, content.device))
+    ]
+    problems += [
+        f"tags[{index}].scale_from: {row.name!r} has one, and {why}; take it out"
+        for index, row in enumerate(content.tags)
+        if row.scale_from and (why := _unscaled(row, content.device))
     ]
     numbers = {row.name for row in content.tags if row.dtype is not DType.STRING}
     for name, law in content.derived.items():
@@ -289,6 +307,29 @@ def read_device_file(path: Path) -> DeviceFile:
     return content
 
 
+def _grouped(content: DeviceFile) -> tuple[DeviceFile, list[str]]:
+    """The file with each group's period at its tags, and what is wrong with the groups.
+
+    A tag's own period wins, then the first group that names it.
+    """
+    periods: dict[str, float] = {}
+    problems = []
+    for index, group in enumerate(content.groups):
+        for name in group.tags:
+            pattern = re.compile(re.escape(name).replace(r"\*", ".*"))
+            # The heartbeat is read with every scan, and who means all others need not name them one by one.
+            beat = content.device.heartbeat if "*" in name else None
+            found = [row.name for row in content.tags if row.name != beat and pattern.fullmatch(row.name)]
+            periods = dict.fromkeys(found, group.period) | periods
+            if not found:
+                problems.append(f"groups[{index}].tags: {name!r} is no tag of this file; give names of tags")
+    rows = [
+        row.model_copy(update={"period": periods[row.name]}) if not row.period and row.name in periods else row
+        for row in content.tags
+    ]
+    return content.model_copy(update={"tags": rows}), problems
+
+
 def _unpaced(tag: TagTable, device: DeviceTable) -> str:
     """Why a tag has no period of its own; "" where it may have one."""
     if tag.name == device.heartbeat:
@@ -296,6 +337,15 @@ def _unpaced(tag: TagTable, device: DeviceTable) -> str:
     if not DRIVERS[device.driver].registers:
         return f"what driver {device.driver!r} reads comes by itself"
     return ""
+
+
+def _unscaled(tag: TagTable, device: DeviceTable) -> str:
+    """Why a tag has no factor in a register; "" where it may have one."""
+    if not DRIVERS[device.driver].registers:
+        return f"a device of driver {device.driver!r} has no registers"
+    if tag.writable:
+        return "what is written has a scale of its own (writable)"
+    return f"it is a {tag.dtype}" if tag.bit is not None or tag.dtype in (DType.BOOL, DType.STRING) else ""
 
 
 def _block_problems(table: BlockTable, tags: Mapping[str, TagTable]) -> list[str]:

@@ -47,7 +47,8 @@ class ConfigError(ValueError):
 class Section(BaseModel):
     """A table of a TOML file: unknown keys and wrong types are refused."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+    # Most commands of the program import every section, and check a file by a few or none.
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False, defer_build=True)
 
 
 Text = Annotated[str, Field(min_length=1)]

@@ -84,6 +84,8 @@ class Tag:
     moved a bit for longer is SENSOR_NOT_ACCURATE; 0 turns the check off, as a signal at rest may be constant. `bit`
     picks one bit of a register, `length` is a string's length in bytes, `labels` names an enumeration's values.
     `period` (s): it is read no more often, and what was read last stands in between; 0: with every scan.
+    `scale_from` is the address of a register with the power of ten by which the raw number is multiplied before `scale`
+    (SunSpec's scale factor); "" for none.
     """
 
     name: str
@@ -105,6 +107,7 @@ class Tag:
     labels: Mapping[int, str] = field(default_factory=dict)
     other_sentinels: tuple[int | float, ...] = ()
     period: float = 0.0
+    scale_from: str = ""
 
     @property
     def sentinels(self) -> tuple[int | float, ...]:

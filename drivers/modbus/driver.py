@@ -18,6 +18,7 @@ from drivers.errors import (
     DeviceException,
     DriverError,
     LinkDown,
+    LinkFault,
     NotAsked,
     ReplyMismatch,
     ReplyTimeout,
@@ -25,6 +26,7 @@ from drivers.errors import (
     WriteUnverified,
 )
 from drivers.modbus.address import Area, TagSpan, locate
+from drivers.modbus.factors import ScaledTag, in_order, scaled_sample, scaled_tag, spans_of
 from drivers.modbus.identity import (
     MOST_PARTS,
     PinnedMark,
@@ -33,7 +35,6 @@ from drivers.modbus.identity import (
     object_request,
     server_id_request,
     stranger,
-    text_of_server_id,
 )
 from drivers.modbus.plan import (
     AddressBlock,
@@ -130,7 +131,8 @@ class _TagLayout:
     """The tags of one call, located or with the reason why not, and the block plan under one quarantine.
 
     `tags` are held so that their identities, by which layouts are found again, stay theirs. `paced` are those that have
-    a period of their own.
+    a period of their own, `scaled` those that have a factor in a register; `apart` are the factors that come in another
+    reply than one of their values, each alone.
     """
 
     tags: tuple[Tag, ...]
@@ -138,16 +140,21 @@ class _TagLayout:
     misplaced: tuple[tuple[Tag, str], ...]
     quarantine: Quarantine
     blocks: tuple[AddressBlock, ...]
-    paced: tuple[Tag, ...]
+    paced: tuple[TagSpan, ...]
+    scaled: tuple[ScaledTag, ...] = ()
+    apart: tuple[AddressBlock, ...] = ()
 
 
 @dataclass(slots=True)
 class PacedTag:
-    """A tag with a period of its own: what was read last, and when it is read again (the loop's time)."""
+    """A tag with a period of its own: what was read last (None: it is being read), and when it is read again.
 
-    tag: Tag
-    sample: Sample
+    `due` is the loop's time.
+    """
+
+    span: TagSpan
     due: float
+    sample: Sample | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -250,6 +257,9 @@ class ModbusDriver:
         # By a tag's identity, of those with a period of their own.
         self._paced: dict[int, PacedTag] = {}
         self._paced_over = 0
+        # By a tag's identity, held as long as what is known of their parts; and what factors were read last.
+        self._scaled: dict[int, ScaledTag] = {}
+        self._factors: dict[int, int] = {}
         self._counts = dict.fromkeys(("retries", "busy", "writes", "late_read_backs", "bisections"), 0)
         self._line = shared.join(settings)
         self.supervisor = shared.supervisor
@@ -283,29 +293,44 @@ class ModbusDriver:
                 self._line.rest()
         return await self._scanned(tags)
 
-    async def _in_turn(self, tags: Sequence[Tag], paced: Sequence[Tag]) -> list[Sample]:
+    async def _in_turn(self, tags: Sequence[Tag], paced: Sequence[TagSpan]) -> list[Sample]:
         """Those tags that are due now, and of the others what was read last."""
-        now = _now()
+        now, line = _now(), self._line
         # Behind another connection there may be another device, unless it says on each who it is.
-        comes_and_goes = bool(self._settings.identity) and (self._settings.close_between_scans or self._line.hangs_up)
-        if not comes_and_goes and (self._line.connection is None or self._line.connects != self._paced_over):
+        comes_and_goes = bool(self._settings.identity) and (self._settings.close_between_scans or line.hangs_up)
+        if not comes_and_goes and (line.connection is None or line.connects != self._paced_over):
             self._paced.clear()
-        self._paced_over = self._line.connects
+        self._paced_over = over = line.connects
         held = {
-            id(tag): one.sample
-            for tag in paced
-            if (one := self._paced.get(id(tag))) is not None and now < one.due - _PACE_SLACK * tag.period
+            id(span.tag): one.sample
+            for span in paced
+            if (one := self._paced.get(id(span.tag))) is not None
+            and one.sample is not None
+            and now < one.due - _PACE_SLACK * span.tag.period
         }
-        asked, writes = [tag for tag in tags if id(tag) not in held] if held else tags, self._counts["writes"]
-        read = {id(tag): sample for tag, sample in zip(asked, await self._scanned(asked, all_due=True), strict=True)}
-        for tag in paced:
-            if (sample := read.get(id(tag))) is not None:
-                # What was not read is asked for with the next scan.
-                # What was read while something was written may be older than that.
-                kept = sample.sent is not None and self._counts["writes"] == writes
-                due = now + tag.period if kept else now
-                self._paced[id(tag)] = PacedTag(tag, sample, due)
+        asked = [tag for tag in tags if id(tag) not in held] if held else tags
+        read = await self._read_anew(asked, [span for span in paced if id(span.tag) not in held])
+        if held and not comes_and_goes and line.connects != over:
+            self._paced_over = line.connects
+            read |= await self._read_anew(
+                [tag for tag in tags if id(tag) in held], [span for span in paced if id(span.tag) in held]
+            )
         return [read[id(tag)] if id(tag) in read else held[id(tag)] for tag in tags]
+
+    async def _read_anew(self, tags: Sequence[Tag], paced: Sequence[TagSpan]) -> dict[int, Sample]:
+        """Read the tags, and keep what was read of those with a period."""
+        now = _now()
+        # Who writes over one of them meanwhile takes it away, and so does who believes the device no more.
+        begun = [PacedTag(span, now) for span in paced]
+        self._paced |= {id(one.span.tag): one for one in begun}
+        read = {id(tag): sample for tag, sample in zip(tags, await self._scanned(tags, all_due=True), strict=True)}
+        for one in begun:
+            key = id(one.span.tag)
+            if self._paced.get(key) is one:
+                # What was not read is asked for with the next scan.
+                due = now + one.span.tag.period if read[key].sent is not None else now
+                self._paced[key] = PacedTag(one.span, due, read[key])
+        return read
 
     @property
     def searching(self) -> bool:
@@ -320,6 +345,10 @@ class ModbusDriver:
             return await self._in_turn(tags, layout.paced)
         samples = {id(tag): self._no(tag, Quality.CONFIGURATION_ERROR, reason) for tag, reason in layout.misplaced}
         trial = self._refused.trial(layout.spans, now)
+        for block in layout.apart:
+            if (key := id(block.spans[0].tag)) not in self._factors:
+                samples |= await self._settled(block)
+                self._note_factor(key, samples)
         for block in layout.blocks:
             samples |= await self._settled(block)
         if trial:
@@ -327,7 +356,20 @@ class ModbusDriver:
         for span in layout.spans:
             if id(span.tag) not in samples:
                 samples[id(span.tag)] = self._no(span.tag, *self._refused.verdict(span, now))
+        for part in layout.scaled:
+            raw, factor = samples[id(part.raw)], samples[id(part.factor)]
+            samples[id(part.tag)] = scaled_sample(part, raw, factor, self._factors.get(id(part.factor)))
+        for block in layout.apart:
+            self._note_factor(id(block.spans[0].tag), samples)
         return [samples[id(tag)] for tag in tags]
+
+    def _note_factor(self, factor: int, samples: Mapping[int, Sample]) -> None:
+        """Keep a factor for the next reading; what has not been read is asked for before that."""
+        value = samples[factor].value if factor in samples else None
+        if isinstance(value, int):
+            self._factors[factor] = value
+        else:
+            self._factors.pop(factor, None)
 
     def explain(self, tags: Sequence[Tag]) -> tuple[PlanLine, ...]:
         """The block plan in sentences: what cannot be read and why, each request, the worst-case cycle time."""
@@ -359,9 +401,16 @@ class ModbusDriver:
         try:
             await self._written(layout, values, before_sending)
         finally:
-            self._paced.clear()  # what was written is not what was read
+            self._forget(layout.block)
             if self._settings.close_between_scans:
                 self._line.rest()
+
+    def _forget(self, block: AddressBlock) -> None:
+        """What was written is not what was read."""
+        for key, one in tuple(self._paced.items()):
+            span = one.span
+            if span.area is block.area and span.start < block.stop and block.start < span.stop:
+                del self._paced[key]
 
     async def _written(
         self, layout: _WriteLayout, values: Sequence[tuple[Tag, Value]], before_sending: BeforeSending
@@ -378,14 +427,18 @@ class ModbusDriver:
                 return
             pause = _FIRST_PAUSE_S
             while True:
+                stored: list[int] | None = None
                 try:
                     stored = await self._read_back(block)
                 except DriverError as error:
-                    raise WriteUnverified(
-                        f"the device confirmed the write, but reading back failed: {error}"
-                    ) from error
+                    # One that hangs up after its answers does so under this question too: the next connection has it.
+                    hung_up = isinstance(error, LinkDown) and error.fault is LinkFault.CLOSED
+                    if not hung_up or _now() + pause > until:
+                        raise WriteUnverified(
+                            f"the device confirmed the write, but reading back failed: {error}"
+                        ) from error
                 # A gateway's image, or a PLC that copies its table once a cycle, shows it later.
-                if words == stored or _now() + pause > until:
+                if stored is not None and (words == stored or _now() + pause > until):
                     break
                 self._counts["late_read_backs"] += 1
                 await asyncio.sleep(pause)
@@ -469,19 +522,44 @@ class ModbusDriver:
                 self._layouts.clear()
                 self._decoded.clear()
                 self._readers.clear()
+                self._scaled.clear()
+                self._factors.clear()
             spans: list[TagSpan] = []
             misplaced: list[tuple[Tag, str]] = []
+            scaled: list[ScaledTag] = []
+            factors: dict[int, TagSpan] = {}
+            paced: list[TagSpan] = []
             for tag in tags:
                 try:
-                    spans.append(fitting(locate(tag), self._limits))
+                    if tag.scale_from:
+                        part = self._split(tag)
+                        span, factor = spans_of(part, self._limits)
+                        scaled.append(part)
+                        factors[id(part.factor)] = factor
+                    else:
+                        span = fitting(locate(tag), self._limits)
                 except AddressError as error:
                     misplaced.append((tag, str(error)))
+                    continue
+                spans.append(span)
+                if tag.period:
+                    paced.append(replace(span, tag=tag))
+            spans += factors.values()
             quarantine = self._refused.quarantine
-            blocks = plan_spans(spans, self._limits, quarantine)
-            paced = tuple(tag for tag in tags if tag.period)
-            layout = _TagLayout(tuple(tags), tuple(spans), tuple(misplaced), quarantine, blocks, paced)
+            blocks, apart = in_order(plan_spans(spans, self._limits, quarantine), scaled)
+            layout = _TagLayout(
+                tuple(tags), tuple(spans), tuple(misplaced), quarantine, blocks, tuple(paced), tuple(scaled), apart
+            )
             self._layouts[key] = layout
         return layout
+
+    def _split(self, tag: Tag) -> ScaledTag:
+        """What is read of a tag with a factor; the same parts as long as anything is known of them."""
+        if (known := self._scaled.get(id(tag))) is not None:
+            return known
+        factors = {part.factor.address: part.factor for part in self._scaled.values()}
+        part = self._scaled[id(tag)] = scaled_tag(tag, factors)
+        return part
 
     async def _settled(self, block: AddressBlock) -> dict[int, Sample]:
         """The block's samples; if the device refuses it, those of its parts."""
@@ -731,8 +809,7 @@ class ModbusDriver:
                 try:
                     if mark.object < 0:
                         request = mark_request(mark, unit) if mark.count else server_id_request(unit)
-                        words = (await self._marked(request, urgent=urgent)).words
-                        said = mark.found(words) if mark.count else text_of_server_id(words)
+                        said = mark.found((await self._marked(request, urgent=urgent)).words)
                     else:
                         if mark.name not in heard:
                             heard |= await self._objects(mark, urgent=urgent)
@@ -786,7 +863,8 @@ class PinnedDriver(ModbusDriver):
         """
         try:
             if (unknown := await self._unproven(urgent=False)) is None:
-                samples = await super().read(tags)
+                # As `super().read` does it, over the connection of the proof.
+                samples = await self._scanned(tags)
                 # What came over a connection that was made meanwhile may be another device's, as what followed a
                 # silence.
                 if (unknown := await self._unproven(urgent=False)) is None:
@@ -864,4 +942,6 @@ def _writable(tag: Tag) -> TagSpan:
         raise AddressError(f"{tag.name}: {tag.address} is read-only by protocol: write to holding or coil addresses")
     if tag.bit is not None:
         raise AddressError(f"{tag.name}: one bit of a register cannot be written without touching the other fifteen")
+    if tag.scale_from:
+        raise AddressError(f"{tag.name}: what is written has a scale of its own; take scale_from out")
     return span

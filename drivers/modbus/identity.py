@@ -44,8 +44,13 @@ class PinnedMark:
     count: int = 0
 
     def found(self, said: Sequence[int]) -> str | tuple[int, ...]:
-        """What registers say, in the way of what is expected of them."""
-        return tuple(said) if isinstance(self.expected, tuple) else text_of_registers(said)
+        """What registers or a server id say, in the way of what is expected of them."""
+        if isinstance(self.expected, tuple):
+            return tuple(said)
+        if self.count:
+            return text_of_registers(said)
+        text = text_of_server_id(said)
+        return self.expected if not _plain(said) and _digits(self.expected) == text else text
 
 
 def pinned_marks(given: object) -> tuple[PinnedMark, ...]:
@@ -104,10 +109,29 @@ def text_of_registers(words: Sequence[int]) -> str:
 
 def text_of_server_id(said: Sequence[int]) -> str:
     """What function 17 said, as text if it is one but for NULs at its ends, else in hexadecimal digits."""
-    # Behind its number stands whether it runs, 0xFF or 0x00 (MODBUS V1.1b3, 6.13): who it is does not change with that.
-    data = bytes(said).replace(b"\xff", b"\0")
-    plain = data.strip(b"\0\xff ")
-    return plain.decode("ascii") if plain and all(32 <= byte < 127 for byte in plain) else data.hex()
+    return _plain(said) or _without_run(bytes(said)).hex()
+
+
+def _without_run(data: bytes) -> bytes:
+    """A server id without whether it runs: who it is does not change with that.
+
+    Behind its number that stands as 0xFF or 0x00 (MODBUS V1.1b3, 6.13), and how long the number is nobody says.
+    """
+    return data.replace(b"\xff", b"\0")
+
+
+def _plain(said: Sequence[int]) -> str:
+    """A server id that is text but for what stands at its ends; "" for one that is none."""
+    plain = _without_run(bytes(said)).strip(b"\0 ")
+    return plain.decode("ascii") if all(32 <= byte < 127 for byte in plain) else ""
+
+
+def _digits(text: str) -> str:
+    """What was written down of a server id in hexadecimal digits, as `text_of_server_id` writes it; "" for a text."""
+    try:
+        return _without_run(bytes.fromhex(text)).hex()
+    except ValueError:
+        return ""
 
 
 # ---------------------------------------------------------------- the questions

@@ -7,6 +7,7 @@ from typing import Any
 from drivers.errors import AddressError
 from drivers.modbus import rtu
 from drivers.modbus.address import TagSpan, locate
+from drivers.modbus.factors import ScaledTag, in_order, scaled_tag, spans_of
 from drivers.modbus.plan import AddressBlock, RequestLimits, by_block, fitting, plan_spans
 from drivers.modbus.settings import ModbusSettings, read_settings
 from drivers.survey import PlannedRequest, ReadPlan
@@ -21,12 +22,21 @@ def planned(settings: Mapping[str, Any], tags: Sequence[Tag], written: Sequence[
     checked = read_settings(settings)
     limits = checked.limits
     spans: list[TagSpan] = []
+    scaled: dict[str, ScaledTag] = {}
+    factors: dict[str, TagSpan] = {}
     problems: list[str] = []
     for tag in tags:
         try:
-            spans.append(fitting(locate(tag), limits))
+            if tag.scale_from:
+                part = scaled_tag(tag, {address: span.tag for address, span in factors.items()})
+                span, factors[tag.scale_from] = spans_of(part, limits)
+                scaled[tag.name] = part
+            else:
+                span = fitting(locate(tag), limits)
+            spans.append(span)
         except AddressError as error:
             problems.append(str(error))
+    blocks, _ = in_order(plan_spans([*spans, *factors.values()], limits), tuple(scaled.values()))
     requests = [
         PlannedRequest(
             kind="read",
@@ -37,11 +47,11 @@ def planned(settings: Mapping[str, Any], tags: Sequence[Tag], written: Sequence[
             tags=tuple(span.tag.name for span in block.spans),
             seconds=_worst(block.count, block, checked),
         )
-        for block in plan_spans(spans, limits)
+        for block in blocks
     ]
-    blocks = [_writing(block, checked, limits) for block in by_block(written)]
-    writes = tuple(request for requests, _ in blocks for request in requests)
-    refused = [problem for _, problems in blocks for problem in problems]
+    writings = [_writing(block, checked, limits) for block in by_block(written)]
+    writes = tuple(request for requests, _ in writings for request in requests)
+    refused = [problem for _, problems in writings for problem in problems]
     seconds = sum(request.seconds for request in requests) + limits.pause * max(0, len(requests) - 1)
     return ReadPlan(
         requests=tuple(requests),

@@ -1,11 +1,13 @@
 """`decanter plc check`: files, places, model, contract; then every tag read once, and the heartbeat twice."""
 
+from __future__ import annotations
+
 import asyncio
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from math import isinf
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -33,9 +35,10 @@ from gateway.commission.session import (
 from gateway.commission.writeback.write_plan import problems_of
 from gateway.console import CommandResult, Line, Part
 from gateway.entry import Exit, exit_code, sentences
-from gateway.machine.model import LoadedModel, ModelsAtStart, models_at_start
-from gateway.plant import check_common, check_machine
 from gateway.settings import Config, load_plant
+
+if TYPE_CHECKING:
+    from gateway.machine.model import LoadedModel, ModelsAtStart
 
 _SAYS_SO = frozenset({Quality.NO_DATA, Quality.SENSOR_FAILURE})
 _DEAD = frozenset({Quality.NOT_CONNECTED, Quality.COMMUNICATION_ERROR, Quality.NO_COMMUNICATION, Quality.TIMEOUT})
@@ -52,6 +55,8 @@ async def check_configuration(sites: Mapping[str, Site], *, offline: bool) -> Co
         steps.append(warning("model", "only the device file was given (--device): the model is not checked"))
         steps += _contract(first)
     else:
+        from gateway.machine.model import models_at_start  # loads what runs a model, which a device alone needs not
+
         models = models_at_start(config)
         steps += [*_models(config, models), *_contract(first), *_found(config, models), *_clock()]
     rows: list[dict[str, Any]] = []
@@ -99,6 +104,8 @@ def _files(site: Site) -> list[CheckStep]:
 
 def _found(config: Config, models: ModelsAtStart) -> list[CheckStep]:
     """What the judge of the plant file finds beside what has a step of its own."""
+    from gateway.plant import check_common, check_machine
+
     found = [one for one in check_machine(config, models) if one.part != "model"]
     found += check_common(config) if config.leads else []
     steps = [(failed if finding.grave else warning)(finding.part, finding.sentence) for finding in found]

@@ -14,6 +14,7 @@ from gateway.commission.files import (
     HEARTBEAT,
     KEEP,
     MAKERS,
+    MOST_REPEATS,
     NUMBERS,
     Binding,
     FileChange,
@@ -73,6 +74,13 @@ def reading_of(options: Mapping[str, Any], **more: Any) -> Reading:
     show_default=True,
     help="The table of bare numbers.",
 )
+@click.option(
+    "--repeat",
+    multiple=True,
+    metavar="GROUP=N",
+    callback=pairs,
+    help="How often a group of a SunSpec model is there; may be given again.",
+)
 @as_listed
 @only_option
 @click.option("--without", multiple=True, metavar="TAG", help="Leave this tag out; may be given again.")
@@ -85,6 +93,7 @@ def reading_of(options: Mapping[str, Any], **more: Any) -> Reading:
 def import_list(given: SharedOptions, path: Path, **options: Any) -> None:
     """Take the tags of an I/O list (PATH: CSV or XLSX) into the device file: shown as a diff, checked, a backup kept.
 
+    A list may also be YAML with Home Assistant's modbus:, a meter template of evcc, or a SunSpec model (JSON).
     The columns are found by their headers, Italian or English; numbers may have a decimal comma. Each row that cannot
     be used is one sentence with its line, and then nothing is written (--skip-bad: nothing of that row). What the list
     does not say of a tag stays as it is in the file.
@@ -93,7 +102,14 @@ def import_list(given: SharedOptions, path: Path, **options: Any) -> None:
     def work(files: Files) -> CommandResult:
         device, plant = settings_of(options["keep"])
         registers = capabilities(files.driver).registers
-        how = reading_of(options, table=options["registers"], registers=registers, rename=options["rename"])
+        how = reading_of(
+            options,
+            table=options["registers"],
+            registers=registers,
+            rename=options["rename"],
+            unit=given.settings.get("unit"),
+            repeats=repeats_of(options["repeat"]),
+        )
         io_list = read_io_list(path, how, options["columns"], options["sheet"])
         only, without = options["only"], options["without"]
         if only or without:
@@ -108,6 +124,14 @@ def import_list(given: SharedOptions, path: Path, **options: Any) -> None:
 
     arguments = {"list": str(path), **{key: value for key, value in options.items() if value not in (None, (), {})}}
     edit_files(given, "import", arguments, work)
+
+
+def repeats_of(given: Mapping[str, str]) -> dict[str, int]:
+    """How often each group is there. Raises ValueError."""
+    for name, count in given.items():
+        if not count.isdecimal() or int(count) > MOST_REPEATS:
+            raise ValueError(f"--repeat {name}={count}: give a whole number from 0 to {MOST_REPEATS}")
+    return {name: int(count) for name, count in given.items()}
 
 
 def bindings(io_list: IoList) -> list[Binding]:
@@ -127,6 +151,7 @@ def import_outcome(
         "header_line": io_list.sheet.header_line,
         "columns": dict(io_list.sheet.columns),
         "ignored_columns": list(io_list.sheet.ignored),
+        "left_out": list(io_list.sheet.left_out),
         "tags": [
             {
                 "name": tag.name,

@@ -56,6 +56,8 @@ _HABITS = {
     "answers_as": "its answers are from another unit than the one that is asked",
     "echo": "the adapter gives back what is sent, or no longer does",
 }
+_OF_THE_FIRMWARE = "revision"
+"""What a device says of itself and is no part of who it is: an update changes it."""
 _TABLES = ("coil", "discrete", "input", "holding")
 
 
@@ -268,9 +270,9 @@ async def _identity(site: Site, survey: AsksRegisters, steps: list[CheckStep], f
             steps.append(failed("pinned", f"whether this is the pinned device is not known: {error}", error))
             return
         steps.append(failed("pinned", reason, LinkDown(reason)) if reason else ok("pinned", "it is the pinned device"))
-    elif said:
-        facts["proposed_identity"] = said
-        marks = ", ".join(f"{json.dumps(name)} = {json.dumps(text)}" for name, text in said.items())
+    elif lasting := {name: text for name, text in said.items() if name != _OF_THE_FIRMWARE}:
+        facts["proposed_identity"] = lasting
+        marks = ", ".join(f"{json.dumps(name)} = {json.dumps(text)}" for name, text in lasting.items())
         sentence = (
             f"identity = {{ {marks} }} in [device] tells it from another kind; from its twin a serial number in "
             'registers does, as "holding:300-307" = "..."'

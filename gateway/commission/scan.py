@@ -9,7 +9,15 @@ import click
 from drivers.capabilities import Capabilities
 from gateway.commission.options import SharedOptions, link_options
 from gateway.commission.session import Site, perform, target_of
-from gateway.commission.survey import parse_stretch, scan_can, scan_nodes, scan_registers, scan_units
+from gateway.commission.survey import (
+    BASES,
+    parse_stretch,
+    scan_can,
+    scan_models,
+    scan_nodes,
+    scan_registers,
+    scan_units,
+)
 from gateway.console import CommandResult, Part, Rows, View, progress, renamed_option
 from gateway.entry import sentences
 
@@ -70,11 +78,18 @@ def _registers(data: Mapping[str, Any]) -> Iterator[Part]:
         yield "refusals: " + ", ".join(f"{count} {reason}" for reason, count in data["refusals"].items())
 
 
+def _models(data: Mapping[str, Any]) -> Iterator[Part]:
+    if data["base"] is not None:
+        keys = ("model", "first", "reference", "registers", "import")
+        yield Rows(f"{len(data['models'])} models behind {data['base']}", keys, data["models"])
+
+
 KINDS: dict[str, ScanKind] = {
     "units": ScanKind(lambda own: own.units, "units are Modbus's", _units),
     "nodes": ScanKind(lambda own: own.nodes, "nodes are CANopen's", _nodes, ("listen_only",)),
     "frames": ScanKind(lambda own: own.bus, "frames by identifier are a CAN bus's", _frames, ("seconds",)),
     "registers": ScanKind(lambda own: own.registers, "registers are Modbus's", _registers, ("requests",)),
+    "models": ScanKind(lambda own: own.registers, "models are SunSpec's, over Modbus", _models),
 }
 
 
@@ -88,7 +103,7 @@ KINDS: dict[str, ScanKind] = {
 @renamed_option("--nodes", "give them as RANGE, `decanter plc scan nodes 1-32`")
 @link_options
 def scan(given: SharedOptions, what: str, stretch: str | None, **options: Any) -> None:
-    """Look for what is there: units, nodes, frames or registers, within RANGE. Nothing is written.
+    """Look for what is there: units, nodes, frames, registers or models, within RANGE. Nothing is written.
 
     units: which Modbus units answer behind this connection (1-247, without RANGE until twenty in a row are silent);
     each is asked for one register, twice at most.
@@ -96,6 +111,7 @@ def scan(given: SharedOptions, what: str, stretch: str | None, **options: Any) -
     frames: which frames are on this CAN bus, how often, and what they may be; nothing is sent.
     registers: which of holding:0-999, or 40001-41000, can be read, and how many at once. Blocks are asked first,
     refused ones are cut in halves; what the bound on requests leaves unasked is said.
+    models: which SunSpec models the device has, from holding:40000, 0 or 50000 on, or from RANGE; each with its import.
     """
     kind = KINDS[what]
     options = {name: value for name, value in options.items() if value is not None}
@@ -112,6 +128,9 @@ def scan(given: SharedOptions, what: str, stretch: str | None, **options: Any) -
             arguments = {"nodes": numbers(stretch or "1-127", 1, 127), "listen_only": bool(options.get("listen_only"))}
         elif what == "frames":
             arguments = {"seconds": options.get("seconds", 5.0)}
+        elif what == "models":
+            bases = (parse_stretch(stretch)[0].number,) if stretch else BASES
+            arguments = {"bases": list(bases)}
         else:
             arguments = {"stretch": stretch or "holding:0-999", "requests": options.get("requests", 3000)}
             first, count = parse_stretch(arguments["stretch"])
@@ -130,6 +149,8 @@ def scan(given: SharedOptions, what: str, stretch: str | None, **options: Any) -
                 return await scan_nodes(site, arguments["nodes"], report, listen_only=arguments["listen_only"])
             if what == "frames":
                 return await scan_can(site, arguments["seconds"])
+            if what == "models":
+                return await scan_models(site, bases)
             return await scan_registers(site, first, count, arguments["requests"], report)
 
     perform(given, f"scan {what}", arguments, work, kind.view, target=target)

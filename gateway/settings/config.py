@@ -236,7 +236,7 @@ class EnsembleSection(Section):
     plain: bool = Field(
         True, description="whether the model's plain members (persistence, a damped trend) take part in its forecast"
     )
-    half_life: float = Field(30.0, gt=0, description="independent forecasts after which evidence counts half")
+    half_life: float = Field(8.0, gt=0, description="independent forecasts after which evidence counts half")
     floor: float = Field(0.02, ge=0, lt=1, description="the least weight that evidence leaves a model")
 
     @field_validator("weights", mode="before")

@@ -20,7 +20,7 @@ _OF_ONE_LINK = ("file", "host", "port", "unit", "node", "timeout", "attempts")
 class LinkSection(BaseModel):
     """`[[device.links]]`: what is not listed here is a setting of the link's driver, which checks it."""
 
-    model_config = ConfigDict(extra="allow", frozen=True, strict=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="allow", frozen=True, strict=True, allow_inf_nan=False, defer_build=True)
 
     name: str = Field(min_length=1, description="a short name for this way to the device")
     file: _NamedFile = Field(description="the path of the device file with this link's addresses")

@@ -68,6 +68,7 @@ if TYPE_CHECKING:
         rows_between,
     )
     from gateway.store.historian import Historian, HistorianView, open_historian, saved_state
+    from gateway.store.nearest_rank import percentile
     from gateway.store.queues import Row
     from gateway.store.read_back import (
         events,
@@ -87,7 +88,7 @@ if TYPE_CHECKING:
     )
     from gateway.store.relied_files import FIXED, FileRule, ReliedFiles
     from gateway.store.schema import storable
-    from gateway.store.score import percentile, scorecard, warning_score
+    from gateway.store.score import scorecard, warning_score
     from gateway.store.signing import (
         SigningKeyError,
         key_beside,

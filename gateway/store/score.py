@@ -2,7 +2,7 @@
 
 import json
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import inf, nan
 from pathlib import Path
@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from gateway.store.nearest_rank import percentile
 from gateway.store.read_back import (
     Matured,
     history,
@@ -158,13 +159,6 @@ def warning_score(
         start <= time < end and not any(time - longest <= other < time for other in warned) for time in reached
     )
     return WarningScore(hits=len(leads), misses=misses, false_alarms=false_alarms, lead=percentile(leads, 0.5))
-
-
-def percentile(values: Sequence[float], share: float) -> float:
-    """The value that `share` of the values do not exceed (nearest rank); NaN for none."""
-    ordered = sorted(values)
-    # Limited to the last one: a share of 1 would lie one beyond it.
-    return ordered[min(int(share * len(ordered)), len(ordered) - 1)] if ordered else nan
 
 
 def error(predicted: Array, measured: Array) -> Error:

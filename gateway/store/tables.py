@@ -3,14 +3,18 @@
 One description for the export, for PostgreSQL and for the page of the documentation that shows it.
 """
 
+from __future__ import annotations
+
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import isfinite
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from drivers.tag import Quality
-from gateway.store.follow import FollowedRow
+
+if TYPE_CHECKING:
+    from gateway.store.follow import FollowedRow
 
 Kind = Literal["text", "real", "whole", "flag", "moment", "reals"]
 Cells = tuple[str | float | int | bool | list[float] | None, ...]

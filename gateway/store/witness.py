@@ -23,7 +23,6 @@ from gateway.store.audit_damage import damage
 from gateway.store.confirming import is_confirmed
 from gateway.store.durable import RECORDS_MODE
 from gateway.store.files import HistorianError
-from gateway.store.read_back import reading
 from gateway.store.signing import (
     is_signed,
     key_beside,
@@ -270,6 +269,8 @@ def _gathered(places: WitnessPlaces) -> tuple[dict[str, str], list[SignedHead], 
     except OSError as error:
         witnesses[name] = f"cannot be read ({error.strerror})"
     if places.historian is not None:
+        from gateway.store.read_back import reading  # loads numpy, which most of those who ask for the log do without
+
         name = f"historian {places.historian}"
         try:
             with reading(places.historian) as connection:

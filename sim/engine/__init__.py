@@ -18,7 +18,7 @@ from sim.engine.kernel import move
 from sim.engine.moment_equations import Prediction, mean_outputs, mean_readings, moments, stay_draws
 from sim.engine.moments_augmented import drawn_start
 from sim.engine.open_loop_run import Score, Start, errors, measured, open_loop, open_loop_schedule, score, start_law
-from sim.engine.particles import BLOCK_ROWS, PathRuns, draw_belief, draw_states, lay_out, run, survival
+from sim.engine.particles import BLOCK_ROWS, Layout, PathRuns, draw_belief, draw_states, joined, lay_out, run, survival
 from sim.engine.particles_augmented import acting_paths, acting_stays, augmented_path_runs, real_age
 from sim.engine.plant import Plant, compile_plant
 from sim.engine.recursion import linear_recursion

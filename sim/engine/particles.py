@@ -1,5 +1,7 @@
 """N runs of the temperature along given paths of locations, in exact steps, and their chance of touching a limit.
 
+The runs of one belief are laid out together; those of several beliefs are then joined and go side by side (`joined`).
+
 Each run stops at its own jumps and at the marks of a common grid; arrays are (S, N), S steps of N runs, and a step that
 a run does not need has length 0.
 
@@ -17,16 +19,18 @@ to second order in the step over its memory; a machine's offset moves the target
 own (`sim.engine.particles_augmented`).
 """
 
-from collections.abc import Iterator
-from dataclasses import dataclass, fields
-from math import exp, isfinite, sqrt
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from math import exp, inf, isfinite, nan, sqrt
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from sim.effects import DisturbanceStep, disturbance_step
+from sim.effects import disturbance_step
 from sim.engine.belief_state import Belief, Hidden
 from sim.engine.tracker import Tracker
-from sim.sha import SHA, Array, Indices, Mask, Paths, flows
+from sim.sha import Array, Effect, Indices, Mask, Paths, flows
 
 _LEAST_DECAY = exp(-1.0)
 
@@ -59,11 +63,11 @@ class Steps:
 
 @dataclass(frozen=True, slots=True)
 class Heat:
-    """A disturbance along S steps of N runs: its `step`, what is new in each, `fresh` (S, N), and `first` (N,)."""
+    """A disturbance of N runs: of all its `effect`, what is drawn of it in S steps, `white` (S, N) standard normal, and
+    `first` (N,), degC/s."""
 
-    step: DisturbanceStep
-    sigma: float
-    fresh: Array
+    effect: Effect
+    white: Array
     first: Array
 
 
@@ -72,11 +76,13 @@ class Layout:
     """S steps of N runs along `paths` with all that is random drawn, from which their arrays are made block by block.
 
     `ends` (S, N) are when the steps end (s from now), `first` (S, N) whether a stay begins with the step, `marks`
-    (G, N) the rows that end at the grid's points; `target` is that of each stay (J, N), `white` (S, N) standard normal.
+    (G, N) the rows that end at the grid's points; `x0` (N,) are the temperatures (degC) that they start from, `target`
+    is that of each stay (J, N), `white` (S, N) standard normal.
     """
 
     tracker: Tracker
     paths: Paths
+    x0: Array
     ends: Array
     first: Mask
     marks: Indices
@@ -99,11 +105,11 @@ class Layout:
             cell = stays * runs + np.arange(runs)
             location = np.take(paths.location, cell)
             age = np.maximum(begin - np.take(paths.entered, cell), 0.0) + np.where(stays == 0, paths.age, 0.0)
-            decay, pull, variance = _coefficients(self.tracker.model.sha, location, age, dt)
+            decay, pull, variance = flows.coefficients_along(self.tracker.flows, location, age, dt)
             if self.heat is None or heat is None:
                 noise = np.sqrt(variance) * self.white[rows]
             else:
-                noise, heat = _heated(self.heat, rows, variance, self.white[rows], heat)
+                noise, heat = self._heated(self.heat, rows, location, dt, variance=variance, begins=heat)
             steps = Steps(
                 location=location,
                 begin=begin,
@@ -117,6 +123,42 @@ class Layout:
                 drawn=None if self.drawn is None else self.drawn[rows],
             )
             yield rows, steps
+
+    def _heated(
+        self, heat: Heat, rows: slice, location: Indices, dt: Array, *, variance: Array, begins: Array
+    ) -> tuple[Array, Array]:
+        """The noise of some steps under a disturbance that `begins` (N,) with them, and the disturbance after them."""
+        p, plant = heat.effect.params, self.tracker.plant
+        rate = np.zeros(location.shape) if plant is None else plant.rate[location]
+        step = disturbance_step(p["memory"], rate, dt)
+        into, fresh = step.into, p["sigma"] * np.sqrt(step.dd) * heat.white[rows]
+        # What of the disturbance's doing in X its own news do not tell is drawn with the white noise.
+        noise = np.sqrt(variance + p["sigma"] ** 2 * step.own) * self.white[rows]
+        for row in range(len(noise)):
+            noise[row] += step.carried[row] * begins + into[row] * fresh[row]
+            begins = step.keep[row] * begins + fresh[row]
+        return noise, begins
+
+    def of(self, runs: Indices) -> "Layout":
+        """These runs only."""
+        paths, heat = self.paths, self.heat
+        return replace(
+            self,
+            paths=replace(
+                paths,
+                location=paths.location[:, runs],
+                entered=paths.entered[:, runs],
+                age=np.broadcast_to(paths.age, self.x0.shape)[runs],
+            ),
+            x0=self.x0[runs],
+            ends=self.ends[:, runs],
+            first=self.first[:, runs],
+            marks=self.marks[:, runs],
+            target=self.target[:, runs],
+            white=self.white[:, runs],
+            heat=heat and replace(heat, white=heat.white[:, runs], first=heat.first[runs]),
+            drawn=None if self.drawn is None else self.drawn[:, runs],
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,8 +179,8 @@ class PathRuns:
 
 def lay_out(
     tracker: Tracker, belief: Belief, paths: Paths, *, grid: Array, inputs: Array, rng: np.random.Generator
-) -> tuple[Layout, Array]:
-    """The steps along `paths` with all that is random in them drawn, and the N temperatures that the runs start from.
+) -> Layout:
+    """The steps along `paths` with all that is random in them drawn.
 
     `grid` (G,) ascends from above 0 to the horizon; `inputs` (L, 2) are the moments of a stay's offset
     (`semi_markov.input_moments`).
@@ -161,25 +203,47 @@ def lay_out(
     white = rng.standard_normal(ends.shape)
     heat = None
     if tracker.plant is not None and own is not None and tracker.plant.disturbance is not None:
-        p = tracker.plant.disturbance.params
-        rate = tracker.plant.rate[locations(paths, first)]
-        step = disturbance_step(p["memory"], rate, np.diff(ends, axis=0, prepend=0.0))
-        fresh = p["sigma"] * np.sqrt(step.dd) * rng.standard_normal(ends.shape)
-        heat = Heat(step, p["sigma"], fresh, own[:, tracker.plant.heat_state])
+        begins = own[:, tracker.plant.heat_state]
+        heat = Heat(tracker.plant.disturbance, rng.standard_normal(ends.shape), begins)
     drawn = drawn_temperatures(tracker, paths, first, rng)
-    return Layout(tracker, paths, ends, first, marks, target=target, white=white, heat=heat, drawn=drawn), x0
+    return Layout(tracker, paths, x0, ends, first, marks, target=target, white=white, heat=heat, drawn=drawn)
 
 
-def _heated(heat: Heat, rows: slice, variance: Array, white: Array, begins: Array) -> tuple[Array, Array]:
-    """The noise of some steps under a disturbance that `begins` (N,) with them, and the disturbance at their end."""
-    step = DisturbanceStep(*(getattr(heat.step, field.name)[rows] for field in fields(heat.step)))
-    into, fresh = step.into, heat.fresh[rows]
-    # What of the disturbance's doing in X its own news do not tell is drawn with the white noise.
-    noise = np.sqrt(variance + heat.sigma**2 * step.own) * white
-    for row in range(len(noise)):
-        noise[row] += step.carried[row] * begins + into[row] * fresh[row]
-        begins = step.keep[row] * begins + fresh[row]
-    return noise, begins
+def joined(layouts: Sequence[Layout]) -> Layout:
+    """The runs of layouts of one tracker and grid side by side.
+
+    Those that jump less often than others have steps without length at their end.
+    """
+    one, paths = layouts[0], [layout.paths for layout in layouts]
+    heats = [layout.heat for layout in layouts if layout.heat is not None]
+    drawn = [layout.drawn for layout in layouts if layout.drawn is not None]
+    heat = None
+    if heats:
+        begins = np.concatenate([heat.first for heat in heats])
+        heat = Heat(heats[0].effect, _beside([heat.white for heat in heats], 0.0), begins)
+    return Layout(
+        tracker=one.tracker,
+        paths=Paths(
+            _beside([path.location for path in paths], 0),
+            _beside([path.entered for path in paths], inf),
+            np.concatenate([np.broadcast_to(layout.paths.age, layout.x0.shape) for layout in layouts]),
+            sum(path.cut for path in paths),
+        ),
+        x0=np.concatenate([layout.x0 for layout in layouts]),
+        ends=_beside([layout.ends for layout in layouts], one.ends[-1, 0]),
+        first=_beside([layout.first for layout in layouts], False),
+        marks=np.hstack([layout.marks for layout in layouts]),
+        target=_beside([layout.target for layout in layouts], 0.0),
+        white=_beside([layout.white for layout in layouts], 0.0),
+        heat=heat,
+        drawn=_beside(drawn, nan) if drawn else None,
+    )
+
+
+def _beside(parts: Sequence[NDArray[Any]], filler: float) -> NDArray[Any]:
+    """Arrays (S, N) side by side, the shorter ones filled up at their end."""
+    rows = max(map(len, parts))
+    return np.hstack([np.pad(part, ((0, rows - len(part)), (0, 0)), constant_values=filler) for part in parts])
 
 
 def merge(paths: Paths, grid: Array) -> tuple[Array, Mask, Indices]:
@@ -203,21 +267,6 @@ def merge(paths: Paths, grid: Array) -> tuple[Array, Mask, Indices]:
 def locations(paths: Paths, first: Mask) -> Indices:
     """(S, N) the location of each step, by whether a stay begins with it."""
     return paths.location[np.cumsum(first, axis=0), np.arange(paths.location.shape[1])]
-
-
-def _coefficients(sha: SHA, location: Indices, age: Array, dt: Array) -> tuple[Array, Array, Array]:
-    """(decay, pull, variance) of each step; sorted by location once: a mask for each location costs twice that."""
-    # int16 has a radix sort in numpy: linear in the steps, where the wider integers' merge sort is not.
-    order = np.argsort(location.ravel().astype(np.int16), kind="stable")
-    ages, steps = age.ravel()[order], dt.ravel()[order]
-    ends = np.cumsum(np.bincount(location.ravel(), minlength=len(sha.locations)))
-    parts = np.empty((3, steps.size))
-    for place, begin, end in zip(sha.locations, [0, *ends], ends, strict=False):
-        parts[:, begin:end] = flows.coefficients(place.flow, ages[begin:end], steps[begin:end])
-    back = np.empty_like(parts)
-    back[:, order] = parts
-    decay, pull, variance = back.reshape(3, *dt.shape)
-    return decay, pull, variance
 
 
 def draw_belief(belief: Belief, runs: int, rng: np.random.Generator) -> tuple[Array, Array]:
@@ -250,15 +299,17 @@ def drawn_temperatures(tracker: Tracker, paths: Paths, first: Mask, rng: np.rand
     return np.where(first, values, np.nan)
 
 
-def run(sha: SHA, layout: Layout, x0: Array) -> PathRuns:
-    """The runs along `layout` from the temperatures `x0` (N,), by the limits of `sha`: its greatest rate and its range.
+def run(layout: Layout) -> PathRuns:
+    """The runs along `layout`, by the limits of the automaton: its greatest rate and its range.
 
-    The affine recursion is exact as long as no run meets a limit; when one does, all are done again with them.
+    The affine recursion is exact for runs that meet no limit; the others are done again with them.
     """
+    tracker, x0 = layout.tracker, layout.x0
+    sha = tracker.model.sha
     start, end = _both_ends(layout, x0)
-    bridge, fast = np.empty(end.shape), False
+    bridge, met = np.empty(end.shape), np.zeros(x0.size, dtype=np.bool_)
     for rows, steps in layout.blocks():
-        shift = np.multiply(steps.pull, steps.target, out=steps.pull)
+        shift = steps.pull * steps.target
         shift += steps.noise
         for place, row in enumerate(range(rows.start, rows.start + len(shift))):
             if steps.drawn is not None:
@@ -266,11 +317,17 @@ def run(sha: SHA, layout: Layout, x0: Array) -> PathRuns:
             np.multiply(steps.decay[place], start[row], out=end[row])
             end[row] += shift[place]
         bridge[rows] = bridges(steps.decay, steps.variance)
-        if fast := _too_fast(sha, steps, start[rows]):
-            break
-    if fast or min(end.min(), start.min()) < sha.low or max(end.max(), start.max()) > sha.high:
-        return _limited(sha, layout, x0)
-    return PathRuns(layout.ends, start, end, bridge, marks=layout.marks, clamps=0)
+        if isfinite(sha.max_rate):
+            # Inside a step the drift only shrinks: what begins within the limit stays within it.
+            drift = flows.drift_along(tracker.flows, steps.location, start[rows], steps.target, steps.age)
+            met |= (np.abs(drift) > sha.max_rate).any(axis=0)
+    met |= (np.minimum(start, end) < sha.low).any(axis=0) | (np.maximum(start, end) > sha.high).any(axis=0)
+    clamps, again = 0, np.flatnonzero(met)
+    if again.size:
+        limited = _limited(layout.of(again))
+        start[:, again], end[:, again], bridge[:, again] = limited.start, limited.end, limited.bridge
+        clamps = limited.clamps
+    return PathRuns(layout.ends, start, end, bridge, marks=layout.marks, clamps=clamps)
 
 
 def _both_ends(layout: Layout, x0: Array) -> tuple[Array, Array]:
@@ -284,20 +341,10 @@ def _entered(x: Array, drawn: Array) -> Array:
     return np.where(np.isnan(drawn), x, drawn)
 
 
-def _too_fast(sha: SHA, steps: Steps, start: Array) -> bool:
-    """Whether some step begins with a drift beyond the greatest rate (inside a step the drift only shrinks)."""
-    if not isfinite(sha.max_rate):
-        return False
-    for index in np.unique(steps.location):
-        rows = steps.location == index
-        drift = flows.drift(sha.locations[index].flow, start[rows], steps.target[rows], steps.age[rows])
-        if np.any(np.abs(drift) > sha.max_rate):
-            return True
-    return False
-
-
-def _limited(sha: SHA, layout: Layout, x0: Array) -> PathRuns:
+def _limited(layout: Layout) -> PathRuns:
     """The runs held to the range and to the greatest rate, row by row."""
+    tracker, x0 = layout.tracker, layout.x0
+    sha = tracker.model.sha
     x: Array = np.clip(x0, sha.low, sha.high)
     clamps = int(((x0 < sha.low) | (x0 > sha.high)).sum())
     start, end = _both_ends(layout, x)
@@ -307,18 +354,15 @@ def _limited(sha: SHA, layout: Layout, x0: Array) -> PathRuns:
             begins = x if steps.drawn is None else np.clip(_entered(x, steps.drawn[place]), sha.low, sha.high)
             start[row] = begins
             if isfinite(sha.max_rate):
-                # Only a rate limit has to be looked at location by location: its closed form is the flow's.
-                mean = np.empty(begins.shape)
-                for index in np.unique(steps.location[place]):
-                    inside = steps.location[place] == index
-                    mean[inside] = flows.mean_step(
-                        sha.locations[index].flow,
-                        begins[inside],
-                        steps.target[place, inside],
-                        age=steps.age[place, inside],
-                        dt=steps.dt[place, inside],
-                        max_rate=sha.max_rate,
-                    )
+                mean = flows.mean_along(
+                    tracker.flows,
+                    steps.location[place],
+                    begins,
+                    steps.target[place],
+                    age=steps.age[place],
+                    dt=steps.dt[place],
+                    max_rate=sha.max_rate,
+                )
             else:
                 mean = steps.decay[place] * begins + steps.pull[place] * steps.target[place]
             free = mean + steps.noise[place]

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from sim.effects import (
     check_effects,
@@ -23,12 +23,24 @@ from sim.engine.cuts import Stays, cuts
 from sim.engine.plant import compile_plant
 from sim.engine.recursion import SHORT, linear_recursion
 from sim.engine.terms import Segments
-from sim.sha import SHA, UNKNOWN, Array, Coefficients, Effect, Event, Mask, Model, Trace, flows, transitions
+from sim.sha import (
+    SHA,
+    UNKNOWN,
+    Array,
+    Coefficients,
+    Effect,
+    Event,
+    Indices,
+    Mask,
+    Model,
+    Trace,
+    by_kind,
+    flows,
+    transitions,
+)
 
 Policy = Literal["reject", "ignore", "resync"]
 """What an event without an edge does: ValueError; nothing; a jump to where its symbol leads most often."""
-
-Indices = NDArray[np.intp]
 
 
 @dataclass(frozen=True, slots=True)
@@ -242,13 +254,8 @@ def _steps(
 def step_coefficients(steps: Schedule) -> Coefficients:
     """(decay, pull, variance) of every step without saturation, each (n,). Raises ValueError where effects act."""
     refuse(steps.sha, "a calculation with the flows' closed forms")
-    parts = tuple(np.empty(steps.dt.size) for _ in range(3))
-    for index in np.unique(steps.location):
-        rows = steps.location == index
-        flow = steps.sha.locations[index].flow
-        for part, value in zip(parts, flows.coefficients(flow, steps.age[rows], steps.dt[rows]), strict=True):
-            part[rows] = value
-    return parts[0], parts[1], parts[2]
+    of_kind = by_kind([location.flow for location in steps.sha.locations])
+    return flows.coefficients_along(of_kind, steps.location, steps.age, steps.dt)
 
 
 def resync_targets(sha: SHA) -> dict[str, str]:

@@ -12,7 +12,20 @@ from typing import Literal
 from sim.effects import check_sha, in_sensor_scale, signals_of
 from sim.engine.plant import Plant, compile_plant
 from sim.engine.schedules import resync_targets
-from sim.sha import UNKNOWN, Location, Model, distributions, drawn_temperature, mean_step, mode_parameter, transitions
+from sim.sha import (
+    UNKNOWN,
+    Chain,
+    Location,
+    Model,
+    OfKind,
+    by_kind,
+    compile_chain,
+    distributions,
+    drawn_temperature,
+    mean_step,
+    mode_parameter,
+    transitions,
+)
 
 OnlinePolicy = Literal["ignore", "resync"]
 """What an event without an edge does, as in `sim.engine.schedules`;
@@ -64,8 +77,9 @@ class Tracker:
     `model` is the one that was given, in the sensor's scale (`correction.in_sensor_scale`).
     `moves` are the edges, `fallback` where a symbol leads under `resync`, `inputs` the signals that drive some flow,
     `window` the number of innovations in the anomaly test, `sensor` the variance of a reading (degC^2), `sensor_memory`
-    how long its error lasts (s). `inputs` are also those that effects read. `plant` is there where the automaton has
-    effects; the modes' steps know nothing of those.
+    how long its error lasts (s). `inputs` are also those that effects read. `flows` are the locations' by kind, `chain`
+    is the process of the stays. `plant` is there where the automaton has effects; the modes' steps know nothing of
+    those.
     """
 
     model: Model
@@ -76,6 +90,8 @@ class Tracker:
     policy: OnlinePolicy
     window: int
     sensor: float
+    flows: tuple[OfKind, ...]
+    chain: Chain
     plant: Plant | None = None
     sensor_memory: float = 0.0
 
@@ -125,6 +141,8 @@ def compile_model(model: Model, policy: OnlinePolicy = "resync", window: int = 3
         policy=policy,
         window=window,
         sensor=max(model.sensor_sigma * model.sensor_sigma, SENSOR_FLOOR),
+        flows=by_kind([location.flow for location in model.sha.locations]),
+        chain=compile_chain(model),
         plant=compile_plant(model.sha) if model.sha.effects else None,
         sensor_memory=model.sensor_memory,
     )

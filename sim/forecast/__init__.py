@@ -24,5 +24,5 @@ from sim.forecast.ensemble import (
     weighted,
     weights_by_horizon,
 )
-from sim.forecast.fan import LEVELS, Forecast, forecast
+from sim.forecast.fan import LEVELS, Forecast, fans, forecast
 from sim.forecast.review import FORECASTS, ONE_STEP, Review, beyond, follow, follow_forecasts, share, standardised

@@ -3,8 +3,9 @@
 The combined forecast is the mixture of the members' laws (a linear pool), not an average of their numbers: where
 members disagree it is wide, or has two humps. Weights are exponential in the CRPS that members had of late (the
 exponentially weighted forecaster: Cesa-Bianchi & Lugosi 2006, ch. 2; for CRPS: Berrisch & Ziel 2021): losses fade with
-a stated half-life, are counted in units of the best member's, and start from prior weights. They are kept for each
-context beside the overall ones, and no weight falls below a floor, so that a member can come back.
+a stated half-life, each moment's are counted in units of the members' mean then, and weights start from prior ones.
+They are kept for each context beside the overall ones, and no weight falls below a floor, so that a member can come
+back.
 """
 
 from collections.abc import Mapping, Sequence
@@ -21,13 +22,13 @@ from sim.sha import Array
 DENSE = tuple(round(0.01 * percent, 2) for percent in range(1, 100))
 """Levels of a member's fan in a mixture: a band of 90 % of the whole may lie in one member's tail."""
 
-HALF_LIFE = 30.0
-"""Independent forecasts (time over horizon) after which a loss counts half: 30 minutes at 60 s ahead."""
+HALF_LIFE = 8.0
+"""Independent forecasts (time over horizon) after which a loss counts half: 8 minutes at 60 s ahead."""
 FLOOR = 0.02
 STRENGTH = 4.0
 """Independent forecasts that the overall losses count for in a context, and those of a shorter horizon in the next."""
-RATE = 2.0
-"""The learning rate: a member that is worse by the best one's whole loss falls behind by e^2 for each independent
+RATE = 1.0
+"""The learning rate: a member that is worse by the best one's whole loss falls behind by e for each independent
 forecast."""
 LEAST_WIDTH = 1e-3
 """degC: no two neighbouring quantiles are taken to be closer, so that none is a point; a loss below it is none."""
@@ -35,7 +36,10 @@ LEAST_WIDTH = 1e-3
 
 @dataclass(frozen=True, slots=True)
 class Losses:
-    """Fading sums: `total` (members,) of CRPS (degC) weighed by worth, `evidence` of the worth (independent forecasts).
+    """Fading sums: `total` (members,) of losses weighed by worth, `evidence` of the worth (independent forecasts).
+
+    A loss is the CRPS in units of the mean of all members' at that moment: the degrees by which all err while a machine
+    heats up would else outweigh all that is seen of them in steady running.
 
     Members without a forecast are taken to have lost what the pool's weighted mean did.
     """
@@ -143,7 +147,8 @@ def learn(pool: Pool, context: str, losses: Sequence[float | None], worth: float
     now = np.array(weights(pool, context))
     share = now[present].sum()
     mean = sum(now[place] * (known[place] or 0.0) for place in present) / share
-    lost = [mean if loss is None else loss for loss in known]
+    unit = max(sum(known[place] or 0.0 for place in present) / len(present), LEAST_WIDTH)
+    lost = [(mean if loss is None else loss) / unit for loss in known]
     fade = 0.5 ** (worth / pool.half_life)
 
     def faded(before: Losses | None) -> Losses:

@@ -17,6 +17,7 @@ from sim.effects import VaryingLaw, kind_of, lag_of
 from sim.engine import (
     BLOCK_ROWS,
     Belief,
+    Layout,
     PathRuns,
     Tracker,
     acting_paths,
@@ -24,6 +25,7 @@ from sim.engine import (
     advance,
     augmented_path_runs,
     compiled,
+    joined,
     lay_out,
     next_location,
     on_event,
@@ -39,7 +41,6 @@ from sim.sha import (
     Array,
     Event,
     Model,
-    compile_chain,
     draw_paths,
     flows,
     input_moments,
@@ -48,6 +49,9 @@ from sim.sha import (
 
 LEVELS = (0.05, 0.25, 0.5, 0.75, 0.95)
 """The levels of a fan's quantiles: median, 50 % and 90 % band."""
+
+JOINED = 8
+"""Forecasts whose runs go side by side (`fans`): more take more memory and gain nothing."""
 
 LEAST_GRID, MOST_GRID = 64, 256
 """Points of the common grid over the longest horizon: enough for k dt <= 0.1 with the fastest flow, in these bounds."""
@@ -118,8 +122,7 @@ def forecast(
     if 0.5 not in levels or not 0 < levels[0] <= levels[-1] < 1 or np.any(np.diff(levels) <= 0):
         raise ValueError(f"levels must ascend inside (0, 1) and have the median 0.5, got {list(levels)}")
     last, exact = float(ahead[-1]), None
-    # One grid for all runs, on which the chance of the limit is read off; the horizons are among its points.
-    grid = np.union1d(np.linspace(0.0, last, _points(tracker, last) + 1)[1:], ahead)
+    grid = _grid(tracker, ahead)
     at = np.searchsorted(grid, ahead)
     factors = factors_at(tracker.model.calibration if calibration is None else calibration, ahead)
     names = [location.name for location in tracker.model.sha.locations]
@@ -128,30 +131,25 @@ def forecast(
         if events is None:
             # Under a dead time the plant is already where it acts only later: paths are drawn from there.
             age = real_age(tracker.plant, belief)
-            drawn = draw_paths(compile_chain(tracker.model), known[-1][1], age=age, horizon=last, runs=runs, rng=rng)
+            drawn = draw_paths(tracker.chain, known[-1][1], age=age, horizon=last, runs=runs, rng=rng)
             paths = acting_paths(tracker.plant, belief, known, drawn)
         else:
             paths = known_paths(known, belief.age, runs)
         done = augmented_path_runs(tracker, tracker.plant, belief, paths, grid=grid, rng=rng)
     else:
-        inputs = input_moments(tracker.model, belief.signals)
         if events is None:
-            chain = compile_chain(tracker.model)
-            current = chain.names.index(belief.location)
-            paths = draw_paths(chain, current, age=belief.age, horizon=last, runs=runs, rng=rng)
+            layout = _unknown_future(tracker, belief, grid=grid, runs=runs, rng=rng)
         else:
+            inputs = input_moments(tracker.model, belief.signals)
             stays, exact = _known_future(tracker, belief, events, horizons=ahead, levels=levels, inputs=inputs)
             paths = known_paths(stays, belief.age, runs)
-        layout, x0 = lay_out(tracker, belief, paths, grid=grid, inputs=inputs, rng=rng)
-        done = run(tracker.model.sha, layout, x0)
+            layout = lay_out(tracker, belief, paths, grid=grid, inputs=inputs, rng=rng)
+        done, paths = run(layout), layout.paths
         del layout  # half of what a forecast holds, which the chance of the limit does not ask for
 
     rows, columns = done.marks[at], np.arange(runs)
     if exact is None:
-        # The fan is of readings, so each run's end gets a reading's noise; the exact quantiles have it in their
-        # variance.
-        read = done.end[rows, columns] + tracker.model.sensor_sigma * rng.standard_normal(rows.shape)
-        exact = np.quantile(read, levels, axis=1)
+        exact = _quantiles(done.end[rows, columns], _reading_noise(tracker, rows.shape, rng), levels)
     # Before the row of a grid's point are the points before it, and the run's jumps.
     counts = [
         np.bincount(places, minlength=len(names)).tolist() for places in paths.location[rows - at[:, None], columns]
@@ -175,6 +173,69 @@ def forecast(
         cut=paths.cut,
         borrowed=tuple(sum(row.get(name, 0.0) for name in tracker.model.borrowed) for row in locations),
     )
+
+
+def fans(
+    tracker: Tracker, origins: Sequence[tuple[Belief, tuple[float, ...]]], rng: np.random.Generator, *, runs: int
+) -> list[Array]:
+    """(L, H) each: the quantiles of the `forecast` from each belief at its own horizons, events unknown.
+
+    They are those of one forecast after the other, and their runs go side by side: what a step takes besides its
+    numbers is paid once for JOINED of them.
+    """
+    found: list[Array] = [np.empty(0)] * len(origins)
+    grids = {horizons: _grid(tracker, np.array(horizons)) for horizons in {horizons for _, horizons in origins}}
+    waiting: dict[tuple[float, ...], list[tuple[int, Layout, Array]]] = {horizons: [] for horizons in grids}
+
+    def settle(horizons: tuple[float, ...]) -> None:
+        numbers, layouts, noise = zip(*waiting[horizons], strict=True)
+        waiting[horizons].clear()
+        done, ahead = run(joined(layouts)), np.array(horizons)
+        rows = done.marks[np.searchsorted(grids[horizons], ahead)]
+        end = done.end[rows, np.arange(rows.shape[1])].reshape(ahead.size, len(numbers), runs)
+        quantiles, factors = (
+            _quantiles(end, np.stack(noise, axis=1), LEVELS),
+            factors_at(tracker.model.calibration, ahead),
+        )
+        for place, number in enumerate(numbers):
+            found[number] = widened_fan(quantiles[:, :, place], factors, LEVELS.index(0.5))
+
+    for number, (belief, horizons) in enumerate(origins):
+        if tracker.plant is not None and not tracker.plant.random_only:
+            found[number] = forecast(tracker, belief, horizons, rng, runs=runs).quantiles
+            continue
+        layout = _unknown_future(tracker, belief, grid=grids[horizons], runs=runs, rng=rng)
+        waiting[horizons].append((number, layout, _reading_noise(tracker, (len(horizons), runs), rng)))
+        if len(waiting[horizons]) == JOINED:
+            settle(horizons)
+    for horizons, left in waiting.items():
+        if left:
+            settle(horizons)
+    return found
+
+
+def _unknown_future(tracker: Tracker, belief: Belief, *, grid: Array, runs: int, rng: np.random.Generator) -> Layout:
+    """The runs from `belief` when nothing is known of the events to come."""
+    place, last = tracker.chain.names.index(belief.location), float(grid[-1])
+    paths = draw_paths(tracker.chain, place, age=belief.age, horizon=last, runs=runs, rng=rng)
+    inputs = input_moments(tracker.model, belief.signals)
+    return lay_out(tracker, belief, paths, grid=grid, inputs=inputs, rng=rng)
+
+
+def _reading_noise(tracker: Tracker, shape: tuple[int, ...], rng: np.random.Generator) -> Array:
+    # The fan is of readings, so each run's end gets a reading's noise.
+    return np.asarray(tracker.model.sensor_sigma * rng.standard_normal(shape))
+
+
+def _quantiles(end: Array, noise: Array, levels: tuple[float, ...]) -> Array:
+    """(L, ...) the quantiles of the readings at the ends (..., N) of N runs."""
+    return np.asarray(np.quantile(end + noise, levels, axis=-1))
+
+
+def _grid(tracker: Tracker, horizons: Array) -> Array:
+    """The times for all runs on which the chance of the limit is read off; the horizons are among them."""
+    last = float(horizons[-1])
+    return np.union1d(np.linspace(0.0, last, _points(tracker, last) + 1)[1:], horizons)
 
 
 def _points(tracker: Tracker, horizon: float) -> int:

@@ -17,8 +17,9 @@ from sim.sha.events import (
     encoded,
 )
 from sim.sha.flows import FIXED, FLOWS, RELAXING, Coefficients, check_flow, coefficients, mean_step, offset
+from sim.sha.kinds import Indices, OfKind, by_kind
 from sim.sha.model import Correction, MachineCorrection, Model, PlainMember, Provenance, Stay, plain_model
-from sim.sha.semi_markov import MOST_STAYS, Chain, Indices, Paths, compile_chain, draw_paths, input_moments, known_paths
+from sim.sha.semi_markov import MOST_STAYS, Chain, Paths, compile_chain, draw_paths, input_moments, known_paths
 from sim.sha.trace import (
     SOON,
     UNKNOWN,

@@ -135,13 +135,16 @@ class SHA:
 
 def nondeterminism(sha: SHA) -> list[str]:
     """One sentence for each (location, symbol) that has several different targets; empty when deterministic."""
-    targets: dict[tuple[str, str], set[str]] = {}
+    targets: dict[tuple[str, str], str] = {}
+    several: dict[tuple[str, str], set[str]] = {}
     for edge in sha.edges:
-        targets.setdefault((edge.source, edge.symbol), set()).add(edge.target)
+        move = edge.source, edge.symbol
+        target = targets.setdefault(move, edge.target)
+        if target != edge.target:
+            several.setdefault(move, {target}).add(edge.target)
     return [
         f"location {source!r} has {len(ends)} targets on {symbol!r}: {', '.join(sorted(ends))}"
-        for (source, symbol), ends in sorted(targets.items())
-        if len(ends) > 1
+        for (source, symbol), ends in sorted(several.items())
     ]
 
 

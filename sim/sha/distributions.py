@@ -7,15 +7,18 @@ from S(u + t) / S(u) = v.
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from math import exp, gamma, inf, isfinite
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from sim.sha.automaton import Distribution
+from sim.sha.kinds import Indices, OfKind
 from sim.sha.trace import Array
 from sim.special import log_normal_cdf, normal_quantile_of_log
 
-Params = Mapping[str, float]
+Params = Mapping[str, Any]
+"""The constants of one law, numbers, or of one law for each of n draws, arrays (n,)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -39,7 +42,7 @@ def _log_survival_normal(p: Params, t: Array) -> Array:
 
 
 def _exceeded_normal(p: Params, s: Array) -> Array:
-    return p["mu"] - p["sigma"] * normal_quantile_of_log(s) if p["sigma"] else np.full_like(s, p["mu"])
+    return np.asarray(p["mu"] - p["sigma"] * np.where(p["sigma"], normal_quantile_of_log(s), 0.0))
 
 
 def _log_survival_lognormal(p: Params, t: Array) -> Array:
@@ -121,6 +124,15 @@ def draw(law: Distribution, runs: int, rng: np.random.Generator) -> Array:
     if law.kind == "normal":
         return rng.normal(law.params["mu"], law.params["sigma"], runs)
     return np.asarray(LAWS[law.kind].exceeded(law.params, -rng.exponential(size=runs)))
+
+
+def draw_each(laws: tuple[OfKind, ...], which: Indices, rng: np.random.Generator) -> Array:
+    """(n,) a draw by the law with each of the numbers `which` (n,), among those of `kinds.by_kind`; inf by none."""
+    survived, drawn = -rng.exponential(size=which.size), np.full(which.size, inf)
+    for each in laws:
+        rows = each.members[which]
+        drawn[rows] = LAWS[each.kind].exceeded(each.at(which[rows]), survived[rows])
+    return drawn
 
 
 def draw_remaining(law: Distribution, age: ArrayLike, runs: int, rng: np.random.Generator) -> Array:

@@ -8,18 +8,22 @@ where offset = sum of input gain * (signal - reference) over the inputs (0 excep
 the three coefficients and the saturated mean map; simulator, filter and learner use these and nothing else.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from math import inf, isfinite
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from sim.sha.automaton import Flow
-from sim.sha.trace import Array
+from sim.sha.kinds import Indices, OfKind
+from sim.sha.trace import Array, Mask
 
 Coefficients = tuple[Array, Array, Array]
+
+Constants = Mapping[str, Any]
+"""The constants of one flow, numbers, or of a flow for each step, arrays."""
 
 FIXED = "m"
 """The one constant that every flow may have besides its own: a mode parameter that no entry draws."""
@@ -28,9 +32,7 @@ FIXED = "m"
 class SaturatedStep(Protocol):
     """The mean temperature after a step whose drift is limited."""
 
-    def __call__(
-        self, params: Mapping[str, float], x: Array, target: Array, /, *, age: Array, dt: Array, rate: float
-    ) -> Array:
+    def __call__(self, params: Constants, x: Array, target: Array, /, *, age: Array, dt: Array, rate: float) -> Array:
         """degC after `dt` s, begun `age` s after entry; |drift| is at most `rate` (degC/s)."""
         ...
 
@@ -47,43 +49,39 @@ class FlowKind:
     """
 
     params: tuple[str, ...]
-    drift: Callable[[Mapping[str, float], Array, Array, Array], Array]
-    coefficients: Callable[[Mapping[str, float], Array, Array], Coefficients]
+    drift: Callable[[Constants, Array, Array, Array], Array]
+    coefficients: Callable[[Constants, Array, Array], Coefficients]
     saturated: SaturatedStep
-    fading: Callable[[Mapping[str, float], Array], Array] | None = None
+    fading: Callable[[Constants, Array], Array] | None = None
 
 
-def _drift_free(params: Mapping[str, float], age: Array, dt: Array) -> Coefficients:
+def _drift_free(params: Constants, age: Array, dt: Array) -> Coefficients:
     return np.ones_like(dt), np.zeros_like(dt), params["noise"] ** 2 * dt
 
 
-def _unmoved(params: Mapping[str, float], x: Array, target: Array, *, age: Array, dt: Array, rate: float) -> Array:
+def _unmoved(params: Constants, x: Array, target: Array, *, age: Array, dt: Array, rate: float) -> Array:
     return x + np.zeros_like(dt)
 
 
-def _linear(params: Mapping[str, float], age: Array, dt: Array) -> Coefficients:
+def _linear(params: Constants, age: Array, dt: Array) -> Coefficients:
     return np.ones_like(dt), dt, params["noise"] ** 2 * dt
 
 
-def _linear_saturated(
-    params: Mapping[str, float], x: Array, target: Array, *, age: Array, dt: Array, rate: float
-) -> Array:
+def _linear_saturated(params: Constants, x: Array, target: Array, *, age: Array, dt: Array, rate: float) -> Array:
     return x + np.clip(target, -rate, rate) * dt
 
 
-def _relaxing(params: Mapping[str, float], age: Array, dt: Array) -> Coefficients:
+def _relaxing(params: Constants, age: Array, dt: Array) -> Coefficients:
     # expm1 and not 1 - exp: with a slow plant and a short step k dt is 1e-5, of which 1 - exp would lose five digits.
     k = params["k"]
     pull = -np.expm1(-k * dt)
     # A fit of the means asks without noise, thousands of times: the second expm1 would be half of its time.
     noise = params["noise"]
-    variance = noise**2 * -np.expm1(-2.0 * k * dt) / (2.0 * k) if noise else np.zeros_like(dt)
+    variance = noise**2 * -np.expm1(-2.0 * k * dt) / (2.0 * k) if np.any(noise) else np.zeros_like(dt)
     return 1.0 - pull, pull, variance
 
 
-def _relaxing_saturated(
-    params: Mapping[str, float], x: Array, target: Array, *, age: Array, dt: Array, rate: float
-) -> Array:
+def _relaxing_saturated(params: Constants, x: Array, target: Array, *, age: Array, dt: Array, rate: float) -> Array:
     """Runs at the limit until k|m - x| has fallen to it, then relaxes."""
     k = params["k"]
     distance = target - x
@@ -91,32 +89,28 @@ def _relaxing_saturated(
     free = np.maximum(np.abs(distance) - rate / k, 0.0) / rate
     ramp = np.minimum(dt, free)
     reached = x + np.sign(distance) * rate * ramp
-    return target + (reached - target) * np.exp(-k * (dt - ramp))
+    return np.asarray(target + (reached - target) * np.exp(-k * (dt - ramp)))
 
 
-def _logarithmic(params: Mapping[str, float], age: Array, dt: Array) -> Coefficients:
+def _logarithmic(params: Constants, age: Array, dt: Array) -> Coefficients:
     return np.ones_like(dt), np.log1p(dt / (params["t0"] + age)), params["noise"] ** 2 * dt
 
 
-def _logarithmic_saturated(
-    params: Mapping[str, float], x: Array, target: Array, *, age: Array, dt: Array, rate: float
-) -> Array:
+def _logarithmic_saturated(params: Constants, x: Array, target: Array, *, age: Array, dt: Array, rate: float) -> Array:
     """The drift a/(t0+u) falls with u: at the limit first, logarithmic once |a|/(t0+u) is below it."""
     start = params["t0"] + age
     ramp = np.minimum(dt, np.maximum(np.abs(target) / rate - start, 0.0))
-    return x + np.sign(target) * rate * ramp + target * np.log1p((dt - ramp) / (start + ramp))
+    return np.asarray(x + np.sign(target) * rate * ramp + target * np.log1p((dt - ramp) / (start + ramp)))
 
 
-def _transient(params: Mapping[str, float], age: Array, dt: Array) -> Coefficients:
+def _transient(params: Constants, age: Array, dt: Array) -> Coefficients:
     # exp(-u/tau) at the step's start less that at its end; as a product, which loses no digits when dt is small.
     tau = params["tau"]
     left = np.exp(-age / tau)
     return np.ones_like(dt), left * -np.expm1(-dt / tau), params["noise"] ** 2 * dt
 
 
-def _transient_saturated(
-    params: Mapping[str, float], x: Array, target: Array, *, age: Array, dt: Array, rate: float
-) -> Array:
+def _transient_saturated(params: Constants, x: Array, target: Array, *, age: Array, dt: Array, rate: float) -> Array:
     """The drift (a/tau) exp(-u/tau) falls with u: at the limit first, transient once it is below it."""
     tau = params["tau"]
     # Below the limit from the age tau ln(|a| / (tau R)) on, at once where that is negative. The floor keeps the
@@ -181,6 +175,44 @@ def coefficients(flow: Flow, age: ArrayLike, dt: ArrayLike) -> Coefficients:
     """(decay, pull, variance) of an unsaturated step, broadcast over `age` and `dt` in seconds."""
     ages, steps = np.broadcast_arrays(np.asarray(age, dtype=float), np.asarray(dt, dtype=float))
     return FLOWS[flow.kind].coefficients(flow.params, ages, steps)
+
+
+def coefficients_along(flows: tuple[OfKind, ...], location: Indices, age: Array, dt: Array) -> Coefficients:
+    """(decay, pull, variance) of unsaturated steps, each in a `location` of its own; all arrays of one shape.
+
+    `flows` are those of all locations (`kinds.by_kind`): a kind is worked out once, however many locations have it.
+    """
+    parts = np.empty((3, *dt.shape))
+    for kind, params, rows in _kinds_along(flows, location):
+        parts[:, rows] = kind.coefficients(params, age[rows], dt[rows])
+    return parts[0], parts[1], parts[2]
+
+
+def mean_along(
+    flows: tuple[OfKind, ...], location: Indices, x: Array, target: Array, *, age: Array, dt: Array, max_rate: float
+) -> Array:
+    """`mean_step` of steps that are each in a `location` of its own, under a finite `max_rate`; see above."""
+    mean = np.empty(dt.shape)
+    for kind, params, rows in _kinds_along(flows, location):
+        mean[rows] = kind.saturated(params, x[rows], target[rows], age=age[rows], dt=dt[rows], rate=max_rate)
+    return mean
+
+
+def drift_along(flows: tuple[OfKind, ...], location: Indices, x: Array, target: Array, age: Array) -> Array:
+    """`drift` in a `location` of its own each; see above."""
+    drifts = np.empty(x.shape)
+    for kind, params, rows in _kinds_along(flows, location):
+        drifts[rows] = kind.drift(params, x[rows], target[rows], age[rows])
+    return drifts
+
+
+def _kinds_along(
+    flows: tuple[OfKind, ...], location: Indices
+) -> Iterator[tuple[FlowKind, Mapping[str, Array], Mask | slice]]:
+    """Each kind of flow with its constants and the rows in which it is met."""
+    for each in flows:
+        rows = each.members[location] if len(flows) > 1 else slice(None)
+        yield FLOWS[each.kind], each.at(location[rows]), rows
 
 
 def mean_step(flow: Flow, x: ArrayLike, target: ArrayLike, *, age: ArrayLike, dt: ArrayLike, max_rate: float) -> Array:

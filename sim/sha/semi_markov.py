@@ -8,14 +8,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim.sha.automaton import Distribution
-from sim.sha.distributions import check_distribution, draw, draw_remaining
+from sim.sha.distributions import check_distribution, draw_each, draw_remaining
+from sim.sha.kinds import Indices, OfKind, by_kind
 from sim.sha.model import Model
-from sim.sha.trace import Array
-
-Indices = NDArray[np.intp]
+from sim.sha.trace import Array, Mask
 
 MOST_STAYS = 1000
 """Stays of one run; a run that would need more stays where it is from then on, and is counted."""
@@ -27,25 +25,35 @@ _BLOCK = 32
 class Chain:
     """The semi-Markov process of a model's L locations, in the automaton's order.
 
-    `laws` are the sojourn laws (None: never left); `cumulative` (L, L) the cumulated probabilities of the next
-    location, by rows.
+    `laws` are the sojourn laws (None: never left), `of_kind` the same by kind and `left` (L,) where there is one.
+    `targets` (L, K) are the locations that may come next, in the automaton's order, and `cumulative` (L, K) their
+    cumulated probabilities: inf from the last on.
     """
 
     names: tuple[str, ...]
     laws: tuple[Distribution | None, ...]
+    of_kind: tuple[OfKind, ...]
+    left: Mask
+    targets: Indices
     cumulative: Array
+
+    def next_locations(self, location: Indices, u: Array) -> Indices:
+        """Where runs go on to from `location` (n,), by the uniform numbers `u` (n,)."""
+        passed = (u[:, None] >= self.cumulative[location]).sum(axis=1)
+        return np.asarray(self.targets[location, passed])
 
 
 @dataclass(frozen=True, slots=True)
 class Paths:
     """J stays of N runs: `location` (J, N) indices; `entered` (J, N) seconds from now, inf beyond the horizon.
 
-    `entered[0]` is 0: the present stay, which is `age` seconds old. `cut` counts the runs that ran out of stays.
+    `entered[0]` is 0: the present stay, which is `age` seconds old, all runs' or each one's (N,). `cut` counts the runs
+    that ran out of stays.
     """
 
     location: Indices
     entered: Array
-    age: float
+    age: Array | float
     cut: int = 0
 
 
@@ -59,32 +67,38 @@ def compile_chain(model: Model) -> Chain:
     unknown = sorted(set(model.semi_markov) - set(names))
     if unknown:
         raise ValueError(f"model {model.sha.name!r}: the stay of {unknown[0]!r} belongs to no location")
+    place = {name: number for number, name in enumerate(names)}
     laws: list[Distribution | None] = []
-    chances = np.eye(len(names))
+    moves: list[tuple[list[int], Array]] = []
     for number, name in enumerate(names):
         stay = model.semi_markov.get(name)
         if stay is None or not stay.to:
             laws.append(None)
+            moves.append(([number], np.ones(1)))
             continue
         laws.append(stay.law)
         check_distribution(stay.law)
-        strange = sorted(set(stay.to) - set(names))
+        strange = sorted(set(stay.to) - place.keys())
         if strange:
             raise ValueError(f"the stay of location {name!r} leads to {strange[0]!r}, which is not a location")
-        row = np.array([stay.to.get(other, 0.0) for other in names])
-        if not np.all(row >= 0):
-            wrong = names[int(np.argmin(row >= 0))]
+        ahead = sorted(stay.to, key=lambda other: place[other])
+        chances = np.array([stay.to[other] for other in ahead])
+        if not np.all(chances >= 0):
+            wrong = ahead[int(np.argmin(chances >= 0))]
             raise ValueError(
                 f"location {name!r}: the probability of the next location {wrong!r} is {stay.to[wrong]:g}; it must be "
                 "at least 0"
             )
-        if not abs(float(row.sum()) - 1.0) < 1e-6:
-            raise ValueError(f"location {name!r}: the probabilities of the next location sum to {row.sum()}, not 1")
-        chances[number] = row / row.sum()
-    cumulative = np.cumsum(chances, axis=1)
-    # A sum of probabilities may end just below 1, and a number drawn above it would lead past the last location.
-    cumulative[:, -1] = np.inf
-    return Chain(names, tuple(laws), cumulative)
+        if not abs(float(chances.sum()) - 1.0) < 1e-6:
+            raise ValueError(f"location {name!r}: the probabilities of the next location sum to {chances.sum()}, not 1")
+        moves.append(([place[other] for other in ahead], np.cumsum(chances / chances.sum())))
+    most = max(len(into) for into, _ in moves)
+    targets, cumulative = np.zeros((len(names), most), dtype=np.intp), np.full((len(names), most), np.inf)
+    for number, (into, sums) in enumerate(moves):
+        targets[number, : len(into)] = into
+        # The last has no end: a sum of probabilities may end just below 1, and a number drawn above it lead nowhere.
+        cumulative[number, : len(into) - 1] = sums[:-1]
+    return Chain(names, tuple(laws), by_kind(laws), np.array([law is not None for law in laws]), targets, cumulative)
 
 
 def draw_paths(
@@ -97,19 +111,18 @@ def draw_paths(
     clocks = [np.zeros((1, runs))]
     count = 1
     # Stays are drawn in blocks, because a jump of all runs costs the same whether few of them need it or all: first
-    # where the next _BLOCK jumps of the embedded chain lead, then how long each stay lasts, location by location.
+    # where the next _BLOCK jumps of the embedded chain lead, then how long each stay lasts.
     while count < MOST_STAYS and np.any(left < horizon):
         current, u = places[-1][-1], rng.random((_BLOCK, runs))
         block = np.empty(u.shape, dtype=np.intp)
         for row in range(_BLOCK):
-            current = (u[row][:, None] >= chain.cumulative[current]).sum(axis=1)
-            block[row] = current
-        lasts = np.full(block.shape, np.inf)
-        for index, next_law in enumerate(chain.laws):
-            if next_law is not None:
-                chosen = block == index
-                lasts[chosen] = draw(next_law, int(chosen.sum()), rng)
-        begins = left + np.cumsum(np.vstack([np.zeros(runs), lasts]), axis=0)
+            block[row] = current = chain.next_locations(current, u[row])
+        # The order of the draws, by location and run, is part of a seed's forecast.
+        flat, lasts = block.ravel(), np.full(block.size, np.inf)
+        order = np.argsort(flat, kind="stable")
+        order = order[chain.left[flat[order]]]
+        lasts[order] = draw_each(chain.of_kind, flat[order], rng)
+        begins = left + np.cumsum(np.vstack([np.zeros(runs), lasts.reshape(block.shape)]), axis=0)
         places.append(block)
         clocks.append(begins[:-1])
         left = begins[-1]

@@ -74,7 +74,7 @@ def test_skill_speaks_by_horizon_machine_and_time_and_draws_it(plant: Path, tmp_
     # A trace's machine is the one that the column map says: here, the folder of its file.
     assert {row["machine"] for row in found["by machine"]} == {plant.name, "b"}
     assert found["machine offsets"] == []
-    assert {row["since start"] for row in found["by time"]} == {"0-30 min", "30-60 min"}
+    assert {row["since start"] for row in found["by time"]} == {"0-3 min", "3-10 min", "10-30 min", "later"}
     assert all(0.0 <= row["coverage"] <= 1.0 and row["crps"] > 0.0 for row in found["by machine"])
     assert [row["best other"] for row in found["differences"]] == ["persistence"] * 2
     assert picture.stat().st_size > 10_000

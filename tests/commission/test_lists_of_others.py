@@ -4,8 +4,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from openpyxl import Workbook
 
-from gateway.commission.files.io_list import IoList, Reading, read_io_list
+from gateway.commission.files.cells import MOST_ROWS
+from gateway.commission.files.io_list import IoList, ListError, Reading, read_io_list
 
 SHARED = Path(__file__).parents[3] / "shared" / "cases" / "devices"
 _PLAIN = Reading()
@@ -307,3 +309,48 @@ def test_the_shared_lists_give_what_is_right(case: str) -> None:
     found = read_io_list(path, Reading(plc="openplc" if case == "list_iec_bits" else ""))
     tags = {tag.name: tag.keys for tag in found.tags}
     assert {name: {key: tags[name][key] for key in right} for name, right in _RIGHT[case].items()} == _RIGHT[case]
+
+
+@pytest.mark.parametrize(
+    ("header", "cells", "wanted"),
+    [
+        ("Scalefactor;Range", "10;0 to 6553", {"scale": 0.1}), ("ScaleFactor", "0.1", {"scale": 0.1}),
+        ("Scale;Range", "-10;-6553 to 0", {"scale": -0.1}), ("Scale", "-0.1", {"scale": -0.1}),
+        ("Unit", '"0=Off;1=On"', {"how": "names of values: 0=Off;1=On"}),
+    ],
+)  # fmt: skip
+def test_lists_of_makers_say_it_in_their_words(header: str, cells: str, wanted: dict[str, Any], tmp_path: Path) -> None:
+    found = row(tmp_path, f"Address;Type;{header}", f"100;UINT16;{cells}")
+    assert isinstance(found, dict), found
+    assert {key: found.get(key) for key in wanted} == {
+        key: pytest.approx(value) if isinstance(value, float) else value for key, value in wanted.items()
+    }
+
+
+def test_a_negative_gain_that_may_divide_is_asked_about(tmp_path: Path) -> None:
+    assert "give --gain" in str(row(tmp_path, "Address;Type;Scale", "100;UINT16;-10"))
+
+
+@pytest.mark.parametrize("header", ["Skalierwert", "Multiplikator", "Gainstufe"])
+def test_a_column_that_may_scale_and_that_nobody_reads_refuses_the_list(header: str, tmp_path: Path) -> None:
+    with pytest.raises(ListError, match="may say how readings are scaled"):
+        read(tmp_path, f"Name;Address;{header}\nT;100;10\n")
+    path = tmp_path / "list.csv"
+    assert read_io_list(path, Reading(gain="divide"), {"scale": header}).tags[0].keys["scale"] == 0.1
+
+
+def test_a_sheet_that_was_formatted_to_its_end_is_read(tmp_path: Path) -> None:
+    book = Workbook()
+    book.active.append(["Name", "Address"])
+    book.active.append(["T", 100])
+    book.active.cell(MOST_ROWS + 10, 2).number_format = "0.0"
+    book.save(tmp_path / "list.xlsx")
+    assert [tag.name for tag in read_io_list(tmp_path / "list.xlsx", Reading()).tags] == ["T"]
+
+
+@pytest.mark.parametrize(
+    ("address", "place"), [("%E0.1", "discrete:1"), ("%A1.0", "coil:8"), ("%EW64", "input:32"), ("%I0.1", "discrete:1")]
+)
+def test_a_tag_table_with_german_mnemonics_is_the_same(address: str, place: str, tmp_path: Path) -> None:
+    found = read(tmp_path, f"Name;Path;Data Type;Logical Address;Hmi Visible\nT;Tags;;{address};True\n")
+    assert [tag.keys["address"] for tag in found.tags] == [place], found.problems

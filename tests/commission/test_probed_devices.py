@@ -39,7 +39,8 @@ def device(*, transaction: int | None = None, unit: int | None = None, vendor: b
             head = take(link, 7)
             pdu = take(link, int.from_bytes(head[4:6], "big") - 1)
             if pdu[0] == 43:
-                reply = bytes((43, 14, 1, 1, 0, 0, 1, 0, len(vendor))) + vendor
+                # its vendor and its revision
+                reply = bytes((43, 14, 1, 1, 0, 0, 2, 0, len(vendor))) + vendor + b"\x02\x02v3"
             elif pdu[0] in (3, 4):
                 start, count = struct.unpack(">HH", pdu[1:])
                 reply = struct.pack(f">BB{count}H", pdu[0], 2 * count, *range(start, start + count))

@@ -9,6 +9,7 @@ from scipy.linalg import expm
 from sim.engine.recursion import linear_recursion
 from sim.lab.discrepancy.fitting.noise import (
     DIFFUSE,
+    Derivatives,
     Grid,
     NoiseModel,
     Whitener,
@@ -165,17 +166,20 @@ def test_the_noise_is_found_again_from_its_own_draws() -> None:
     truth = NoiseModel(sensor=0.04, process=0.003, rough=0.001, cycle=0.05, memory=400.0, rest=0.2)
     residual = Whitener(grid, truth).draw(rng, 1)
 
-    def cost(trial: NoiseModel) -> tuple[float, Array]:
+    def cost(trial: NoiseModel) -> tuple[float, Derivatives]:
         whitener = Whitener(grid, trial)
         value = 0.5 * float(residual[:, 0] @ whitener.weigh(residual)[:, 0] + whitener.logdet)
-        return value, 0.5 * whitener.slopes(residual)
 
-    found, _ = fit_noise(
-        cost,
-        WindowBelief(NoiseModel(sensor=0.1, process=0.01, rough=3e-4, cycle=0.02)),
-        NoiseModel(sensor=0.1, process=0.01, rough=3e-4, cycle=0.02),
-        40,
-    )
+        def derivatives() -> tuple[Array, Array]:
+            slopes, pulls = whitener.slopes(residual)
+            return 0.5 * slopes, 0.5 * whitener.gram(pulls)
+
+        return value, derivatives
+
+    begin = NoiseModel(sensor=0.1, process=0.01, rough=3e-4, cycle=0.02)
+    found, value = fit_noise(cost, WindowBelief(begin), begin, 8)
+    _, least = fit_noise(cost, WindowBelief(begin), found, 40)
+    assert value - least < 0.05, "eight steps end at the top"
     assert found.sensor == pytest.approx(truth.sensor, rel=0.15)
     assert found.rough == pytest.approx(truth.rough, rel=0.4)
     assert found.cycle == pytest.approx(truth.cycle, rel=0.7)
@@ -194,5 +198,19 @@ def test_the_slopes_of_a_likelihood_are_those_of_its_differences(noise: NoiseMod
 
     moves = step * np.eye(point.size)
     expected = [(value(point + move) - value(point - move)) / (2.0 * step) for move in moves]
-    slopes = Whitener(grid, noise).slopes(columns)
+    slopes, _ = Whitener(grid, noise).slopes(columns)
     np.testing.assert_allclose(slopes, expected, rtol=1e-3, atol=1e-3 * np.max(np.abs(expected)))
+
+
+@pytest.mark.parametrize("noise", [NOISE, LASTING])
+def test_each_coordinate_pulls_at_a_residual_as_the_dense_covariance_moves(noise: NoiseModel) -> None:
+    grid = small_grid()
+    residual = np.random.default_rng(4).standard_normal((grid.dt.size, 1))
+    point, inverse = vector(noise), np.linalg.inv(dense(grid, noise))
+    whitener = Whitener(grid, noise)
+    # Weighed, since that is what they are for: where a run begins is not believed in, and has no weight.
+    pulls = whitener.weigh(whitener.slopes(residual)[1])
+    for number, move in enumerate(1e-4 * np.eye(point.size)):
+        moved = (dense(grid, noise_of(point + move)) - dense(grid, noise_of(point - move))) / 2e-4
+        expected = inverse @ moved @ inverse @ residual[:, 0]
+        np.testing.assert_allclose(pulls[:, number], expected, rtol=1e-3, atol=1e-3 * np.max(np.abs(expected)))

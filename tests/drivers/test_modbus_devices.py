@@ -13,7 +13,7 @@ from drivers.driver import Complains
 from drivers.errors import DeviceException, DriverError, LinkDown
 from drivers.modbus.ascii import AsciiStream, ascii_frame
 from drivers.modbus.driver import PinnedDriver, open_modbus
-from drivers.modbus.identity import text_of_server_id
+from drivers.modbus.identity import pinned_marks, stranger, text_of_server_id
 from drivers.modbus.rtu import crc
 from drivers.modbus.settings import place_of, read_settings
 from drivers.tag import DType, Quality, Sample, Tag
@@ -300,6 +300,72 @@ async def test_a_tag_with_a_period_is_read_no_more_often_and_what_was_read_stand
     assert sum(start <= 1 < start + number for _, start, number in plug.device.asked) == 1
 
 
+SLOW, OTHER, FAST = (
+    Tag("slow", "holding:1", DType.INT16, period=3600.0, writable=True),
+    Tag("other", "holding:2", DType.INT16, period=3600.0, writable=True),
+    Tag("fast", "holding:3", DType.INT16, writable=True),
+)
+
+
+async def test_a_write_lets_go_of_what_it_wrote_over_and_of_nothing_else() -> None:
+    tags = [SLOW, OTHER, FAST]
+    async with plugged(Device(), tags) as (plug, driver):
+        assert [sample.value for sample in await driver.read(tags)] == [1, 2, 3]
+        plug.device.registers[1] = 10
+        await driver.write([(FAST, 30)])
+        assert [sample.value for sample in await driver.read(tags)] == [1, 2, 30], "the period stands"
+        await driver.write([(OTHER, 20)])
+        assert [sample.value for sample in await driver.read(tags)] == [1, 20, 30]
+
+
+async def test_what_is_written_while_it_is_read_is_read_again() -> None:
+    tags = [SLOW, OTHER, Tag("far", "holding:40")]
+    async with plugged(Device(), tags[:2]) as (plug, driver):
+        keep, writing = plug.device.answer, list[asyncio.Task[None]]()
+
+        def written_after_the_first_block(pdu: bytes) -> bytes | None:
+            if pdu[:3] == bytes((3, 0, 1)) and not writing:
+                writing.append(asyncio.ensure_future(driver.write([(OTHER, 20)])))
+            return keep(pdu)
+
+        plug.device.answer = written_after_the_first_block  # type: ignore[method-assign]
+        await driver.read(tags)
+        await writing[0]
+        plug.device.registers[1] = 10
+        assert [sample.value for sample in await driver.read(tags)][:2] == [1, 20], "what was not written stands"
+
+
+async def test_what_was_kept_is_asked_again_over_a_connection_that_is_made_within_a_reading() -> None:
+    async with plugged(Device()) as (plug, driver):
+        assert good(await driver.read([SLOW, FAST]))
+        other = Device(registers={number: 100 + number for number in range(64)})
+        plug.swap(other)
+        async with asyncio.timeout(60):
+            while driver.connected:
+                await asyncio.sleep(0.005)
+        assert good(await read_again(driver, [SLOW, FAST]))
+        # And where it is noticed in the middle of a reading: by a device server that goes on to the other one.
+        keep = other.answer
+
+        def gone(pdu: bytes) -> bytes | None:
+            plug.swap(Device())
+            return keep(pdu)
+
+        other.answer = gone  # type: ignore[method-assign]
+        samples = await driver.read([SLOW, FAST])
+        while not samples[1].quality.is_good:
+            samples = await driver.read([SLOW, FAST])
+        assert [sample.value for sample in samples] == [1, 3]
+
+
+async def read_again(driver: Any, tags: list[Tag]) -> list[Sample]:
+    """The first reading of which all are good."""
+    async with asyncio.timeout(60):
+        while not good(samples := await driver.read(tags)):
+            await asyncio.sleep(0.01)
+    return samples
+
+
 async def test_what_was_kept_of_another_device_is_forgotten() -> None:
     slow = Tag("slow", "holding:1", period=3600.0)
     async with plugged(Device(), identity={"holding:40-47": "SN-0001"}) as (plug, driver):
@@ -346,6 +412,23 @@ async def test_a_device_that_hangs_up_after_each_answer_is_read_and_a_write_is_r
         assert (16, 0, 1) in plug.device.asked
 
 
+async def test_one_that_hangs_up_under_the_question_of_reading_back_is_asked_on_the_next_connection() -> None:
+    device = Device()
+    async with plugged(device, timeout=5.0) as (plug, driver):
+        keep, cut = device.answer, list[bytes]()
+
+        def hung_up(pdu: bytes) -> bytes | None:
+            if cut or pdu[0] != 3 or (16, 0, 1) not in device.asked:
+                return keep(pdu)
+            cut.append(pdu)
+            plug.open[-1].close()
+            return None
+
+        device.answer = hung_up  # type: ignore[method-assign]
+        await driver.write([(TAGS[0], 7)])
+        assert cut and device.asked.count((16, 0, 1)) == 1 and device.asked[-1] == (3, 0, 1)
+
+
 async def test_a_write_without_an_answer_ends_the_connection_that_it_was_sent_on() -> None:
     async with plugged(Device(hangs_up=True)) as (plug, driver):
         async with asyncio.timeout(60):
@@ -384,6 +467,32 @@ async def test_a_connection_is_left_to_others_between_two_scans() -> None:
         async with asyncio.timeout(60):
             while plug.open:
                 await asyncio.sleep(0.005)
+
+
+async def test_a_pinned_device_is_asked_who_it_is_once_a_scan_over_the_connection_that_is_read() -> None:
+    async with plugged(Device(), identity={"holding:40-47": "SN-0001"}, close_between_scans=True) as (plug, driver):
+        for count in (1, 2, 3):
+            assert good(await driver.read(TAGS))
+            async with asyncio.timeout(60):
+                while plug.open:
+                    await asyncio.sleep(0.005)
+            assert plug.connections in (count, count + 1), "the first one is made by the start"
+            assert plug.device.asked == [(3, 40, 8), (3, 0, 8)]
+            plug.device.asked.clear()
+        plug.swap(Device(serial="SN-0002"))
+        assert not any(sample.quality.is_good for sample in await driver.read(TAGS))
+        assert "another device" in driver.complaints()[0]
+
+
+async def test_what_has_a_period_is_kept_over_the_connections_of_a_pinned_device() -> None:
+    pinned = {"identity": {"holding:40-47": "SN-0001"}, "close_between_scans": True}
+    async with plugged(Device(), **pinned) as (plug, driver):
+        assert good(first := await driver.read([SLOW, FAST]))
+        plug.device.registers[3] = 30
+        second = await driver.read([SLOW, FAST])
+        assert second[0] == first[0] and second[1].value == 30
+        plug.swap(Device(serial="SN-0002"))
+        assert not any(sample.quality.is_good for sample in await driver.read([SLOW, FAST]))
 
 
 # ---------------------------------------------------------------- other frames
@@ -494,3 +603,93 @@ def test_whether_a_device_runs_is_no_part_of_who_it_is() -> None:
     running, stopped = b"\x0a\x42\xff", b"\x0a\x42\x00"
     assert text_of_server_id(running) == text_of_server_id(stopped) != text_of_server_id(b"\x0a\x43\x00")
     assert text_of_server_id(b"PLC 7\xff") == text_of_server_id(b"PLC 7\x00") == "PLC 7"
+
+
+@pytest.mark.parametrize(
+    ("said", "pinned", "same"),
+    [
+        (b"\x0a\x42\xff", "0a42ff", True), (b"\x0a\x42\x00", "0A 42 FF", True), (b"\x0a\x43\x00", "0a42ff", False),
+        (b"12FF34\xff", "12FF34", True), (b"120034\xff", "12FF34", False), (b"PLC 7\x00", "PLC 7", True),
+    ],
+)  # fmt: skip
+def test_a_server_id_is_pinned_as_it_was_written_down_while_it_ran_or_did_not(
+    said: bytes, pinned: str, same: bool
+) -> None:
+    (mark,) = pinned_marks({"server id": pinned})
+    assert (stranger(mark, mark.found(said), "here") == "") is same
+
+
+# ---------------------------------------------------------------- factors in registers
+
+
+def scaled(name: str, at: int, factor: int, **more: Any) -> Tag:
+    return Tag(name, f"holding:{at}", DType.INT16, scale_from=f"holding:{factor}", **more)
+
+
+@pytest.mark.parametrize(
+    ("raw", "factor", "value", "quality"),
+    [
+        (2301, 0xFFFF, 230.1, Quality.GOOD), (2301, 0, 2301, Quality.GOOD), (23, 2, 2300, Quality.GOOD),
+        (0xFFFF, 0xFFFE, -0.01, Quality.GOOD), (2301, 0x8000, None, Quality.NO_DATA),
+        (2301, 11, None, Quality.OUT_OF_RANGE), (9999, 1, 99990, Quality.OUT_OF_RANGE),
+    ],
+)  # fmt: skip
+async def test_a_value_is_scaled_by_the_register_that_its_tag_names(
+    raw: int, factor: int, value: float | None, quality: Quality
+) -> None:
+    device = Device()
+    device.registers |= {10: raw, 12: factor}
+    async with plugged(device) as (_, driver):
+        (sample,) = await driver.read([scaled("V", 10, 12, low=-100.0, high=5000.0)])
+    assert (sample.value, sample.quality) == (value, quality)
+    assert device.asked == [(3, 10, 3)], "one reply has both"
+
+
+@pytest.mark.parametrize(("at", "factor"), [(2, 40), (40, 2)], ids=["behind it", "before it"])
+async def test_a_value_and_a_factor_of_two_replies_count_where_the_factor_did_not_change(at: int, factor: int) -> None:
+    device = Device()
+    device.registers |= {at: 2301, factor: 0xFFFF}
+    tags = [scaled("V", at, factor), scaled("U", at + 1, factor)]
+    async with plugged(device) as (_, driver):
+        for _ in range(2):
+            samples = await driver.read(tags)
+            assert samples[0].value == 230.1 and good(samples)
+        keep = device.answer
+
+        def changed(pdu: bytes) -> bytes | None:
+            answered = keep(pdu)
+            if pdu[:3] == bytes((3, 0, at)):  # the device changes both when one of them has been read
+                device.registers |= {at: 23, factor: 1}
+            return answered
+
+        device.answer = changed  # type: ignore[method-assign]
+        (torn, _) = await driver.read(tags)
+        assert torn.value is None and "factor" in torn.reason
+        assert (await driver.read(tags))[0].value == 230
+
+
+async def test_two_blocks_that_have_the_factors_of_one_another_are_read() -> None:
+    device = Device()
+    device.registers |= {2: 2301, 3: 0xFFFE, 40: 50, 41: 0xFFFF}
+    async with plugged(device) as (_, driver):
+        for _ in range(2):
+            assert [s.value for s in await driver.read([scaled("A", 2, 41), scaled("B", 40, 3)])] == [230.1, 0.5]
+
+
+async def test_a_scaled_tag_may_have_a_period() -> None:
+    device = Device()
+    device.registers |= {10: 2301, 12: 0xFFFF}
+    tags = [scaled("V", 10, 12, period=3600.0), Tag("f", "holding:3")]
+    async with plugged(device) as (_, driver):
+        assert [s.value for s in await driver.read(tags)] == [230.1, 3]
+        device.registers |= {10: 1, 3: 30}
+        assert [s.value for s in await driver.read(tags)] == [230.1, 30]
+    assert sum(start <= 10 < start + number for _, start, number in device.asked) == 1
+
+
+async def test_a_factor_that_is_nowhere_is_said() -> None:
+    async with plugged(Device()) as (_, driver):
+        wrong = [scaled("V", 10, 0), Tag("W", "holding:10", scale_from="coil:3"), Tag("X", "holding:1", scale_from="x")]
+        samples = await driver.read([*wrong, Tag("B", "holding:1", DType.BOOL, scale_from="holding:3")])
+    assert samples[0].value == 10
+    assert all("scale_from" in sample.reason and sample.value is None for sample in samples[1:])

@@ -1,24 +1,31 @@
 """Habits of real devices: each is read good, or named in one sentence with the setting that reads it."""
 
 import asyncio
+import os
+import pty
 import random
 import re
 import struct
+import tty
 from collections.abc import AsyncIterator, Callable, Sequence
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
 from itertools import count
+from pathlib import Path
 from typing import Any
 
 import pytest
 
+from drivers.device_file import DeviceFile, TagTable
 from drivers.errors import DeviceException, LinkDown, NotAsked, ReplyTimeout, WriteUnverified
 from drivers.modbus import rtu
 from drivers.modbus.driver import ModbusDriver, open_modbus
 from drivers.modbus.settings import ModbusSettings
 from drivers.modbus.survey import open_survey
 from drivers.tag import DType, Quality, Tag
-from tests.rig.device_habits import HABITS, LINE, PAGE, TCP, DeviceHabit, page
+from tests.drivers.certified import folder as certificates
+from tests.drivers.certified import server_context
+from tests.rig.device_habits import HABITS, LINE, PAGE, PTY, TCP, TLS, DeviceHabit, page
 
 TAGS = [Tag(f"T{number}", f"holding:{number}", DType.INT16, writable=True) for number in range(8)]
 SOON = {"timeout": 0.15, "backoff_first": 0.01, "backoff_cap": 0.02}
@@ -104,20 +111,53 @@ class Habit:
 
 
 @asynccontextmanager
-async def served(habit: Habit, **settings: Any) -> AsyncIterator[dict[str, Any]]:
-    """The settings of a driver for the device."""
-    server = await asyncio.start_server(habit.serve, "127.0.0.1", 0)
+async def served(habit: Habit, link: str = "", folder: Path = Path(), **settings: Any) -> AsyncIterator[dict[str, Any]]:
+    """The settings of a driver for the device, over `link`; `folder` is for certificates."""
+    link = link or (LINE if habit.serial else TCP)
+    if link == PTY:
+        async with on_a_pty(habit) as path:
+            yield {"transport": PTY, "serial": path, **SOON, **settings}
+        return
+    context = server_context(folder / "server") if link == TLS else None
+    server = await asyncio.start_server(habit.serve, "127.0.0.1", 0, ssl=context)
+    own = {"certificates": str(certificates(folder / "client"))} if link == TLS else {}
     try:
-        transport = "rtu-tcp" if habit.serial else "tcp"
         port = server.sockets[0].getsockname()[1]
-        yield {"transport": transport, "host": "127.0.0.1", "port": port, **SOON, **settings}
+        yield {"transport": link, "host": "127.0.0.1", "port": port, **SOON, **own, **settings}
     finally:
         server.close()
 
 
 @asynccontextmanager
-async def driven(habit: Habit, **settings: Any) -> AsyncIterator[ModbusDriver]:
-    async with served(habit, **settings) as given:
+async def on_a_pty(habit: Habit) -> AsyncIterator[str]:
+    """The device at the other end of a serial port, whose path it is."""
+    loop, (near, far) = asyncio.get_running_loop(), pty.openpty()
+    tty.setraw(far)
+    reader = asyncio.StreamReader()
+    receiving, _ = await loop.connect_read_pipe(
+        lambda: asyncio.StreamReaderProtocol(reader),
+        open(near, "rb", buffering=0, closefd=False),  # noqa: SIM115
+    )
+    sending, protocol = await loop.connect_write_pipe(
+        asyncio.streams.FlowControlMixin,
+        open(near, "wb", buffering=0, closefd=False),  # noqa: SIM115
+    )
+    writer = asyncio.StreamWriter(sending, protocol, reader, loop)
+    task = asyncio.ensure_future(habit.serve(reader, writer))
+    try:
+        yield os.ttyname(far)
+    finally:
+        task.cancel()
+        await asyncio.gather(task, return_exceptions=True)
+        receiving.close()
+        await asyncio.sleep(0)
+        os.close(near)
+        os.close(far)
+
+
+@asynccontextmanager
+async def driven(habit: Habit, link: str = "", folder: Path = Path(), **settings: Any) -> AsyncIterator[ModbusDriver]:
+    async with served(habit, link, folder, **settings) as given:
         driver = open_modbus(given, clock=lambda: 0.0, write_map=TAGS)
         try:
             await driver.open()
@@ -257,14 +297,15 @@ _APART = ({"quiet", "hangs_up"}, {"hidden", "stale"})
 """Habits that no device has together: one that is quiet after each connection and ends each would never be read."""
 
 
-async def walk(rows: Sequence[DeviceHabit], link: str) -> None:
+async def walk(rows: Sequence[DeviceHabit], link: str, folder: Path) -> None:
     """A device with these habits is read, all but what it refuses, and takes a block; nothing wrong is good."""
     needs = {key: value for row in rows for key, value in row.needs.items()}
-    habit = Habit(serial=link == LINE, **{key: value for row in rows for key, value in row.wire.items()})
-    own = {"timeout": 0.5, "longest_reply": 0.6} if link == LINE else {"timeout": 0.5}
+    line = link in (LINE, PTY)
+    habit = Habit(serial=line, **{key: value for row in rows for key, value in row.wire.items()})
+    own = {"timeout": 0.5, "longest_reply": 0.6} if line else {"timeout": 0.5}
     silent = set() if habit.silent_at < 0 else {habit.silent_at}
     lost = {4, 5} if silent and habit.even else silent
-    async with driven(habit, **own, **needs) as driver:
+    async with driven(habit, link, folder, **own, **needs) as driver:
         found = await values(driver, lambda found: found.count(None) == len(lost))
         assert {place for place, value in enumerate(found) if value is None} == lost
         async with asyncio.timeout(60):
@@ -277,7 +318,7 @@ async def walk(rows: Sequence[DeviceHabit], link: str) -> None:
                     await asyncio.sleep(0.01)
                 except WriteUnverified as error:
                     # One that hangs up under a question whose answer would not say what it answers is waited for.
-                    assert habit.hangs_up and "not asked" in str(error)
+                    assert habit.hangs_up and "not asked" in str(error), link
                     break
         assert (habit.registers[0], habit.registers[1]) == (100, 101)
 
@@ -285,28 +326,28 @@ async def walk(rows: Sequence[DeviceHabit], link: str) -> None:
 @pytest.mark.parametrize(
     ("row", "link"), [(row, link) for row in WALKED for link in row.over], ids=lambda of: getattr(of, "habit", of)
 )
-async def test_each_habit_is_read_alone(row: DeviceHabit, link: str) -> None:
-    await walk([row], link)
+async def test_each_habit_is_read_alone(row: DeviceHabit, link: str, tmp_path: Path) -> None:
+    await walk([row], link, tmp_path)
 
 
 def drawn(rng: random.Random) -> tuple[list[DeviceHabit], str]:
     """Two or three habits that a device may have together, and its link."""
     while True:
-        link = rng.choice((TCP, LINE))
+        link = rng.choice((TCP, LINE, TLS, PTY))
         rows = rng.sample([row for row in WALKED if link in row.over], rng.choice((2, 3)))
         wires = {key for row in rows for key in row.wire}
         if not any(apart <= wires for apart in _APART):
             return rows, link
 
 
-async def test_drawn_habits_together_leave_every_other_register_readable() -> None:
+async def test_drawn_habits_together_leave_every_other_register_readable(tmp_path: Path) -> None:
     rng = random.Random(39)
-    await asyncio.gather(*(walk(*drawn(rng)) for _ in range(60)))
+    await asyncio.gather(*(walk(*drawn(rng), tmp_path) for _ in range(60)))
 
 
 def test_the_page_of_habits_is_the_table() -> None:
     assert PAGE.read_text(encoding="utf-8") == page(), "python -m tests.rig.device_habits"
-    known = set(ModbusSettings.model_fields) | {"sentinel"}
+    known = set(ModbusSettings.model_fields) | set(TagTable.model_fields) | set(DeviceFile.model_fields)
     for row in HABITS:
         named = re.findall(r"[a-z_]{4,}", re.sub(r'"[^"]*"', "", row.setting.replace("a list", "")))
         assert set(named) <= known and set(row.needs) <= known, row.habit

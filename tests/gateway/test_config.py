@@ -170,6 +170,9 @@ def edited(folder: Path, old: str, new: str) -> Path:
         ("scale = 0.1\nunit", "scale = 0\nunit", "scale 0 would make every reading 0"),
         ("max_rate = 5", "max_rat = 5", "did you mean 'max_rate'?"),
         ('    { name = "crc", dtype = "uint16" },\n', "", "'crc' is missing"),
+        ("[device]", '[[groups]]\nperiod = 60\ntags = ["Energy*"]\n[device]', "groups[0].tags: 'Energy*' is no tag"),
+        ("max_rate = 5", 'scale_from = "holding:9"\nwritable = true', "what is written has a scale of its own"),
+        ("max_rate = 5", 'scale_from = "holding:9"\nbit = 1', "scale_from: "),
         ('{ name = "zone", dtype = "uint16" }', '{ name = "zoen", dtype = "uint16" }', "writeback.fields[18].name"),
     ],
 )
@@ -177,6 +180,15 @@ def test_a_register_map_that_cannot_be_meant_is_refused(tmp_path: Path, old: str
     with pytest.raises(ConfigError) as caught:
         load_device(edited(tmp_path, old, new))
     assert any(said in problem and problem.startswith(str(tmp_path)) for problem in caught.value.problems)
+
+
+def test_the_tags_of_a_group_have_its_period_and_the_heartbeat_and_those_of_their_own_have_none(tmp_path: Path) -> None:
+    groups = '[[groups]]\nperiod = 60\ntags = ["Coppia"]\n[[groups]]\nperiod = 10\ntags = ["*"]\n[device]'
+    path = edited(tmp_path, "[device]", groups)
+    path.write_text(path.read_text(encoding="utf-8").replace("max_rate = 5", "max_rate = 5\nperiod = 3"), "utf-8")
+    periods = {tag.name: tag.period for tag in load_device(path).tags}
+    assert periods["Coppia"] == 60 and periods["PlcHeartbeat"] == 0 and periods[TEMPERATURE] == 3
+    assert set(periods.values()) == {0, 3, 10, 60}
 
 
 def test_what_an_arming_is_for_does_not_hang_on_how_the_plant_file_is_named(

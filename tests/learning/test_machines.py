@@ -11,7 +11,7 @@ from sim.engine.tracker import compile_model
 from sim.forecast import LEVELS, forecast
 from sim.lab.learning.bins.candidates import CANDIDATES
 from sim.lab.learning.bins.learn import Learned, learn_bins
-from sim.lab.learning.calibrate import HeldOutForecasts, Scored
+from sim.lab.learning.calibrate import UNSEEN_WIDENING, HeldOutForecasts, Scored
 from sim.lab.learning.machines import next_stay, small_sample
 from sim.lab.learning.plain import PERSISTENCE, TREND, learn_plain
 from sim.lab.learning.preparation import splits
@@ -176,10 +176,36 @@ def test_odds_are_for_who_was_better_on_data_held_out_and_go_through_json(alone:
         "good": [Scored(60.0, due, 1.0, 0.5) for due in dues],
         "bad": [Scored(60.0, due, 1.0, 3.0) for due in dues],
     }
+    forecasts.machines = ["m"] * 20
     better, worse = forecasts.members
-    assert better.odds[60.0] > 10.0 and worse.odds[60.0] < 0.01
+    assert (better.odds[60.0], worse.odds[60.0]) == pytest.approx((21.0, 1.0 / 21.0)), "twenty cycles"
+    forecasts.machines = ["m", "n"] * 10
+    assert [member.odds[60.0] for member in forecasts.members] == pytest.approx([3.0, 1.0 / 3.0]), "two machines"
     model = replace(alone.model, plain=forecasts.members)
     assert parse_model(model_text(model)).plain == forecasts.members
+
+
+def test_later_times_of_the_same_recording_tell_nothing_of_another_day() -> None:
+    forecasts = HeldOutForecasts((PlainMember("plain", 0.1, 0.1),), 0, machines=["m"])
+    scored = [Scored(60.0, 100.0 * number, 1.0, 0.1) for number in range(20)]
+    forecasts.scored, forecasts.of_plain = scored, {"plain": [replace(each, crps=5.0) for each in scored]}
+    of_other_days, (sure,) = forecasts.coverage[0], forecasts.members
+    forecasts.other_days = False
+    of_one_day, (unsure,) = forecasts.coverage[0], forecasts.members
+    assert (of_other_days.other_days, of_one_day.other_days) == (True, False)
+    assert (of_one_day.factor, of_other_days.widening) == (of_other_days.factor, of_other_days.factor)
+    assert of_one_day.widening == pytest.approx(UNSEEN_WIDENING * of_other_days.factor)
+    assert unsure.calibration[60.0] == pytest.approx(UNSEEN_WIDENING * sure.calibration[60.0])
+    assert sure.odds[60.0] < 1.0 < unsure.odds[60.0], "however much better the model was on its own day"
+
+
+def test_persistence_begins_from_the_last_reading_and_its_band_is_that_of_two_readings_apart() -> None:
+    """A sensor's white noise of 0.1 about a level that stands: changes over any time have a deviation of 0.14."""
+    rng, times = np.random.default_rng(3), np.arange(0.0, 12_000.0, 5.0)
+    (member,) = learn_plain([Trace("still", times, {"T": 50.0 + 0.1 * rng.standard_normal(times.size)})], "T")
+    assert member.sensor == 0.0
+    over = np.array([60.0, 300.0, 900.0])
+    assert member.walk == pytest.approx(float(np.exp(np.mean(np.log(0.14 / np.sqrt(over))))), rel=0.2)
 
 
 def test_plain_members_that_cannot_be_run_are_refused() -> None:

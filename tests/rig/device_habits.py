@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 PAGE = Path(__file__).parents[2] / "docs" / "devices.md"
-TCP, LINE = "tcp", "rtu-tcp"
+TCP, LINE, TLS, PTY = "tcp", "rtu-tcp", "tls", "rtu"
 _HABITS, _DEVICES = "tests/drivers/test_modbus_habits.py", "tests/drivers/test_modbus_devices.py"
 
 
@@ -30,7 +30,7 @@ class DeviceHabit:
     test: str = f"{_HABITS}::test_each_habit_is_read_alone"
     wire: Mapping[str, Any] = field(default_factory=dict)
     needs: Mapping[str, Any] = field(default_factory=dict)
-    over: tuple[str, ...] = (TCP, LINE)
+    over: tuple[str, ...] = (TCP, LINE, TLS, PTY)
 
 
 HABITS: tuple[DeviceHabit, ...] = (
@@ -71,7 +71,7 @@ HABITS: tuple[DeviceHabit, ...] = (
             "alejoseb/Modbus-STM32-HAL-FreeRTOS#21",
         ),
         wire={"lead": b"\0"},
-        over=(LINE,),
+        over=(LINE, PTY),
     ),
     DeviceHabit(
         habit="the adapter gives back what is sent",
@@ -81,7 +81,7 @@ HABITS: tuple[DeviceHabit, ...] = (
         test=f"{_HABITS}::test_each_habit_is_read_alone",
         wire={"echo": True},
         needs={"echo": True},
-        over=(LINE,),
+        over=(LINE, PTY),
     ),
     DeviceHabit(
         habit="says that it is busy (exceptions 5 and 6)",
@@ -148,7 +148,7 @@ HABITS: tuple[DeviceHabit, ...] = (
             "Cloud-Automation/node-modbus#121", "stephane/libmodbus#503",
         ),
         wire={"hangs_up": True},
-        over=(TCP,),
+        over=(TCP, TLS),
     ),
     DeviceHabit(
         habit="serves one client, and others need it between two scans",
@@ -198,6 +198,27 @@ HABITS: tuple[DeviceHabit, ...] = (
         test="tests/drivers/test_codec.py::test_each_of_several_sentinels_is_no_value",
     ),
     DeviceHabit(
+        habit="has the power of ten of its values in registers of their own, and changes it, as SunSpec's inverters",
+        found="`scan models` finds SunSpec's models, and `import` reads their published files",
+        done="value and factor of one reply belong together; of two the factor was the same before and after",
+        setting='scale_from, of a tag',
+        threads=(
+            "VOLTTRON/volttron#1701", "DomoticX/domoticz-modbus#27", "abeggled/openbridgeserver#1255",
+            "evcc-io/evcc#2162", "evcc-io/evcc#1267",
+        ),
+        test=f"{_DEVICES}::test_a_value_and_a_factor_of_two_replies_count_where_the_factor_did_not_change",
+    ),
+    DeviceHabit(
+        habit="has values that change once an hour beside others that change at once",
+        found="its manual",
+        done="a tag is read when its period is over, and what was read stands meanwhile",
+        setting="period, of a tag or of [[groups]]",
+        threads=(
+            "timlaing/modbus_local_gateway#63", "wills106/homeassistant-solax-modbus#384", "gavinying/modpoll#15",
+        ),
+        test=f"{_DEVICES}::test_a_tag_with_a_period_is_read_no_more_often_and_what_was_read_stands_meanwhile",
+    ),
+    DeviceHabit(
         habit="is another device than it was: a cable was put elsewhere, or a spare is in its place",
         found="at each connection, after each silence and every minute it says who it is",
         done="nothing of it is believed, and nothing written to it; reason, status and an alarm say who answers",
@@ -238,10 +259,28 @@ device file, or in the plant file's `[[device.links]]`:
 "holding:300-307" = "SN-0001"      # registers: a text, a number, or a list of their words
 ```
 
+Neither the revision, which an update changes, nor whether a device runs is who it is.
 A CANopen node is pinned by the numbers of its object 0x1018: `identity = { vendor = 1, product = 2, serial = 3 }`.
 `decanter plc probe` prints what a device says, and `--write --pin` puts it into the file. A device that does not say
 what is pinned is not believed; a block is sent only over the connection on which it has said so, and after a silence
 only when it has said so again. One that hangs up after each answer can be read so, and not written.
+
+## Factors and periods of tags
+
+```toml
+[[tags]]
+name = "PowerAC"
+address = "holding:40083"
+dtype = "int16"
+scale_from = "holding:40084"       # a power of ten, -10 to 10; 0x8000: there is none, and no value
+unit = "W"
+
+[[groups]]
+period = 3600                      # seconds; for those that have no period of their own
+tags = ["Energy*", "SerialNumber"]
+```
+
+What was read before a write over it, or over a connection that has ended, is not kept: it is read again at once.
 """
 
 

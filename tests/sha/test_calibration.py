@@ -76,6 +76,17 @@ def test_without_evidence_the_factor_is_the_models_own() -> None:
     assert factors(calibrate({60.0: 50.0})) == {60.0: MOST_FACTOR}
 
 
+def test_a_longer_horizon_begins_with_what_the_shorter_one_has_learned_of_the_day() -> None:
+    state = calibrate({HORIZON: 1.0, 900.0: 1.5})
+    for step in range(30):
+        time = HORIZON * step
+        state = settle(issue(state, fan(time, 30.0, 1.0)), time + HORIZON, 30.0 + (4.0 if step % 2 else -4.0))
+    own = factors(state, integral=False)
+    assert own[HORIZON] > 2.0
+    assert own[900.0] == pytest.approx(1.5 * own[HORIZON]), "none of its own have matured"
+    assert factor(state, 900.0) == pytest.approx(own[900.0]), "the shorter one's misses are its own"
+
+
 def test_many_forecasts_of_one_moment_weigh_as_one() -> None:
     state = calibrate({HORIZON: 1.0})
     for step in range(100):

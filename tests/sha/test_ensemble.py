@@ -121,6 +121,14 @@ def test_weights_go_to_the_member_that_was_right_and_come_back_after_a_change() 
     assert weights(after)[1] > 0.5, "two half-lives"
 
 
+def test_what_all_got_wrong_while_the_machine_heated_up_does_not_outweigh_steady_running() -> None:
+    """Ten degrees of error each at the start, tenths of a degree after it: who is better now is told by the latter."""
+    pool = taught(Pool(2), [("", (9.0, 11.0))] * 5 + [("", (0.15, 0.1))] * 10)
+    assert weights(pool)[1] > 0.9
+    once, again = (taught(Pool(2), [("", (scale, 2.0 * scale))] * 3) for scale in (1.0, 100.0))
+    assert weights(once) == pytest.approx(weights(again)), "the unit of the losses does not matter"
+
+
 def test_a_few_forecasts_are_enough_against_a_member_that_is_far_off() -> None:
     assert weights(taught(Pool(3), [("", (1.0, 9.0, 1.1))] * 3))[1] < 0.03
     assert weights(taught(Pool(3), [("", (1.0, 9.0, 1.1))] * 3))[2] > 0.2

@@ -1,13 +1,16 @@
 """The runs under a forecast: steps laid out by hand, and the chance of touching a limit inside a step."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.special import ndtr
 
-from sim.engine.belief import start
+from sim.engine.belief import observe, on_event, start
 from sim.engine.particles import bridges, lay_out, survival
 from sim.engine.tracker import compile_model
-from sim.forecast.fan import forecast
+from sim.forecast.fan import fans, forecast
+from sim.sha.automaton import Effect
 from sim.sha.semi_markov import Paths
 from sim.sha.trace import Array, Event
 from tests.sha.plants import exponential_stays, two_states
@@ -54,7 +57,7 @@ def test_steps_are_cut_at_jumps_and_at_the_grid_each_run_on_its_own_clock() -> N
     entered = np.array([[0.0, 0.0], [5.0, 20.0], [25.0, np.inf]])
     paths = Paths(np.array([[0, 0], [1, 1], [0, 0]]), entered, age=7.0)
     grid = np.array([10.0, 20.0, 30.0])
-    layout, x0 = lay_out(
+    layout = lay_out(
         tracker, start(tracker, 0.0, 30.0), paths, grid=grid, inputs=np.zeros((2, 2)), rng=np.random.default_rng(1)
     )
     ((_, steps),) = layout.blocks()
@@ -65,7 +68,7 @@ def test_steps_are_cut_at_jumps_and_at_the_grid_each_run_on_its_own_clock() -> N
     assert layout.marks.T.tolist() == [[1, 2, 4], [0, 2, 3]]
     assert steps.dt.sum(axis=0).tolist() == [30.0, 30.0]
     assert np.array_equal(steps.target[1:4, 0], np.full(3, steps.target[1, 0]))
-    assert x0.shape == (2,)
+    assert layout.x0.shape == (2,)
 
 
 def test_an_event_at_the_very_horizon_is_seen_in_the_location() -> None:
@@ -76,3 +79,22 @@ def test_an_event_at_the_very_horizon_is_seen_in_the_location() -> None:
     assert told.locations == ({"hot": 1.0}, {"hot": 1.0})
     last = forecast(model, start(model, 0.0, 30.0), [30.0], np.random.default_rng(1), events=[Event(30.0, "W_ON")])
     assert last.locations == ({"hot": 1.0},)
+
+
+@pytest.mark.parametrize("limits", [{}, {"max_rate": 0.02}, {"low": 29.5, "high": 31.0}])
+@pytest.mark.parametrize("effects", [(), (Effect("heat-disturbance", {"sigma": 1e-3, "memory": 300.0}),)])
+def test_forecasts_side_by_side_are_those_of_one_after_the_other(
+    limits: dict[str, float], effects: tuple[Effect, ...]
+) -> None:
+    # A place that is left often and one that is not, two sets of horizons, and runs that meet a limit or none.
+    model = two_states(exponential_stays(5.0, 400.0))
+    tracker = compile_model(replace(model, sha=replace(model.sha, effects=effects, **limits)))
+    belief = observe(tracker, start(tracker, 0.0, 30.0), 10.0, 30.2)
+    hot = on_event(tracker, belief, Event(10.0, "W_ON"))
+    horizons = [(60.0, 300.0), (60.0,), (60.0, 300.0)] * 4
+    origins = [(one, ahead) for one, ahead in zip([belief, hot, hot] * 4, horizons, strict=True)]
+    rng = np.random.default_rng(3)
+    alone = [forecast(tracker, one, ahead, rng, runs=20).quantiles for one, ahead in origins]
+    beside = fans(tracker, origins, np.random.default_rng(3), runs=20)
+    for one, other in zip(alone, beside, strict=True):
+        assert other == pytest.approx(one, rel=1e-12)

@@ -14,7 +14,7 @@ from sim.lab.judge.past import persist
 from sim.lab.judge.rows import machine_of, skill
 from sim.lab.learning.plain import PERSISTENCE
 from sim.sha.automaton import Distribution, Effect, Flow, Location
-from sim.sha.model import Model
+from sim.sha.model import Model, PlainMember
 from sim.sha.trace import Array, Trace
 from tests.gateway.support import CURRENT, RUNNING, TEMPERATURE, two_modes
 
@@ -69,13 +69,18 @@ def test_nothing_of_the_future_is_used() -> None:
     changed = {name: column.copy() for name, column in trace.signals.items()}
     changed[TEMPERATURE][trace.times > 1500.0] += 40.0
     changed[RUNNING][trace.times > 1500.0] = 1.0
-    made, other = (
-        forecasts_along([MODEL], along, SHORT, scan_period=10.0) for along in (trace, replace(trace, signals=changed))
+    # With members beside it: their weights and bands learn from what has come true, and from nothing else.
+    trend = PlainMember("damped trend", 0.1, 0.01, heat=0.01, memory=400.0)
+    model = replace(MODEL, plain=(PlainMember("persistence", 0.0, 0.05), trend))
+    made, other, cut = (
+        forecasts_along([model], along, SHORT, scan_period=10.0)
+        for along in (trace, replace(trace, signals=changed), trace.between(0.0, 1501.0))
     )
-    before = [(one, two) for one, two in zip(made, other, strict=True) if one.time <= 1500.0]
-    assert len(before) >= 10
-    for one, two in before:
+    before = [one for one in made if one.time <= 1500.0]
+    assert len(before) == len(cut) >= 10
+    for one, two, three in zip(before, other, cut, strict=False):
         np.testing.assert_array_equal(one.quantiles, two.quantiles)
+        np.testing.assert_array_equal(one.quantiles, three.quantiles)
     assert not np.array_equal(made[-1].quantiles, other[-1].quantiles)
 
 

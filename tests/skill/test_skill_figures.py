@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.special import ndtri
 
+from benchmarks.skill import ratio
 from sim.forecast.ensemble import DENSE
 from sim.lab.judge.past import persistence
 from sim.lab.judge.rows import NO_SKILL, SkillRow, common, difference, skill, stretch
@@ -67,14 +68,28 @@ def test_the_tables_speak_by_horizon_machine_and_time_and_name_the_best_other_me
         (machine, method) for machine in "AB" for method in ("ours", "near", "far")
     }
     assert [line["since start"] for line in found["by time"] if line["method"] == "far"] == [
-        "0-30 min",
-        "30-60 min",
+        "0-3 min",
         "later",
     ]
     (line,) = found["differences"]
     assert (line["best other"], line["machines"]) == ("near", 2)
     assert (line["ratio"], line["difference"]) == pytest.approx((0.5, -1.0))
-    assert stretch(row(0.0, origin=1799.9)) == "0-30 min"
+    assert stretch(row(0.0, origin=1799.9)) == "10-30 min"
+
+
+def test_the_ratio_to_the_best_other_method_has_an_interval_over_machines() -> None:
+    rng = np.random.default_rng(2)
+    rows = []
+    for machine in "ABCDEF":
+        for outcome in rng.standard_normal(40):
+            origin = float(len(rows))
+            for method, law in (("bins", 2.0 * NORMAL), ("right", NORMAL), ("shifted", NORMAL + 3.0)):
+                rows.append(row(float(outcome), law, method=method, machine=machine, origin=origin))
+    found = ratio(rows, "bins")
+    assert found is not None and (found.best, found.machines) == ("right", 6)
+    assert found.low < found.crps < found.high and found.low > 1.0
+    assert (found.mae, found.width) == pytest.approx((1.0, 2.0))
+    assert ratio([one for one in rows if one.method == "bins"], "bins") is None
 
 
 def test_persistence_is_the_last_reading_with_the_changes_so_far() -> None:

@@ -63,6 +63,19 @@ def test_several_models_are_named_and_methods_without_a_common_moment_are_not_co
     assert found.notes == ("first", "the methods have no forecast for the same moment, so they cannot be compared")
 
 
+def test_moments_at_which_nothing_was_read_are_counted_and_of_few_others_nothing_is_known() -> None:
+    made = [replace(row, origin=100.0 * at) for at, row in enumerate(rows(100.0, ours=0.5) * 4)]
+    made += [replace(row, method="persistence", quantiles=row.quantiles + 5.0) for row in made]
+    for lost, verdict in ((0, "better"), (12, "better"), (25, "not known")):
+        found = forecast_skill(
+            [replace(row, outcome=np.nan) if row.origin < 100.0 * lost else row for row in made], ["ours"]
+        )
+        assert [each.verdict for each in found.worth] == [verdict] and found.worth[0].due == 40
+        said = f"at 100 s {40 - lost} of 40 moments have an outcome"
+        assert any(note.startswith(said) for note in found.notes) == (lost > 0)
+    assert "15 of 40 moments have an outcome" in found.sentences[0]
+
+
 @pytest.mark.parametrize(
     ("step", "count", "worth"),
     [(30.0, 4, "1.1"), (30.0, 31, "2"), (900.0, 7, "7"), (9000.0, 7, "7"), (449.0, 15, "7.9")],

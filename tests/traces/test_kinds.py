@@ -132,20 +132,51 @@ def test_a_word_of_good_readings_that_stands_nowhere_is_refused(tmp_path: Path) 
     assert "the words of 'Quality' are Good" in asked(export, tmp_path / "m.toml", "--good", "Prima")
 
 
-def test_a_quality_in_a_file_of_its_own_is_asked_for(tmp_path: Path) -> None:
-    folder = tmp_path / "plant"
+def tags(folder: Path, columns: dict[str, Sequence[object]], header: str = "Time,Value", more: str = "") -> Path:
     folder.mkdir()
-    columns = {
-        "Bearing temperature": PLANT.heat.tolist(),
-        "Motor current": PLANT.current.tolist(),
-        "Quality": ["Bad" if at % 40 == 7 else "Good" for at in range(240)],
-    }
     for name, cells in columns.items():
-        rows = [f"{moment},{cell}" for moment, cell in zip(PLANT.moments, cells, strict=True)]
-        written(folder / f"{name}.csv", "Time,Value", rows)
-    question = asked(folder, tmp_path / "m.toml", "--yes")
-    assert "'Quality/Value' stands in rows without readings" in question and "--good none" in question
-    mapped(folder, tmp_path / "m.toml", "--good", "none")
+        rows = [f"{moment},{cell}{more}" for moment, cell in zip(PLANT.moments, cells, strict=True)]
+        written(folder / f"{name}.csv", header, rows)
+    return folder
+
+
+def test_a_quality_in_a_file_of_its_own_is_that_of_the_readings_in_the_others(tmp_path: Path) -> None:
+    words = ["Bad" if at % 40 == 7 else "Good" for at in range(240)]
+    readings = {"Bearing temperature": PLANT.heat.tolist(), "Motor current": PLANT.current.tolist()}
+    export = tags(tmp_path / "plant", {**readings, "Quality": words})
+    (trace,), report, said = mapped(export, tmp_path / "m.toml")
+    assert any("6 readings are not of a good quality" in line for line in said["report"])
+    assert sum(file.bad_cells for file in report.files) == 12
+    for signal in trace.signals.values():
+        assert np.array_equal(np.flatnonzero(np.isnan(signal)), np.arange(7, 240, 40))
+    # It holds until the next word, and before the first nothing is good.
+    path = export / "Quality.csv"
+    lines = path.read_text(encoding="utf-8").splitlines()
+    told = [line for at, line in enumerate(lines[1:]) if at and (at % 40 in (7, 8) or at == 2)]
+    written(path, lines[0], told)
+    traces, _ = load_traces(export, load_map(tmp_path / "m.toml"))
+    unknown = np.flatnonzero(np.isnan(traces[0].signals["Motor_current"]))
+    assert unknown.tolist() == [0, 1, *range(7, 240, 40)]
+
+
+def test_a_quality_that_is_named_after_one_tag_is_not_taken_for_that_of_all(tmp_path: Path) -> None:
+    readings = {"TI101": PLANT.heat.tolist(), "II101": PLANT.current.tolist()}
+    export = tags(tmp_path / "plant", {**readings, "TI101 quality": ["Good"] * 240})
+    assert "stands in rows without readings" in asked(export, tmp_path / "m.toml", "--yes")
+
+
+def test_one_file_a_tag_with_a_status_beside_each_value_and_days_of_one_tag(tmp_path: Path) -> None:
+    readings = {"TI101": PLANT.heat.tolist(), "II101": PLANT.current.tolist()}
+    export = tags(tmp_path / "plant", readings, "Time,Value,Status", ",Good")
+    (trace,), _, said = mapped(export, tmp_path / "m.toml")
+    assert said["temperature"] == "TI101/Value" and not np.isnan(trace.signals["TI101"]).any()
+    days = tmp_path / "days"
+    days.mkdir()
+    rows = [f"{moment},{heat}" for moment, heat in zip(PLANT.moments, PLANT.heat, strict=True)]
+    for part in range(3):
+        written(days / f"{part}.csv", "Time,Bearing temperature", rows[part * 80 : part * 80 + 80])
+    (trace,), _, _ = mapped(days, tmp_path / "n.toml")
+    assert list(trace.signals)[:1] == ["Bearing_temperature"] and trace.times.size == 240
 
 
 def test_each_value_with_a_clock_of_its_own_is_refused_where_these_differ(tmp_path: Path) -> None:

@@ -147,7 +147,7 @@ def test_a_word_is_one_of_those_that_the_command_takes_and_a_string_is_one_of_se
         ({"horizons": 60.0}, "forecast: horizons: "),
         ({"period": 0.0}, "forecast: period: "),
         ({"seed": -1}, "forecast: seed: "),
-        ({"moments": 0}, "moments=0: there is nothing to forecast from; give a whole number from 1"),
+        ({"moments": 0}, "moments=0: give a whole number from 1"),
         ({"scan": 0.0}, "scan=0.0: no scan is so long; give its seconds, above 0"),
         ({"scan": float("nan")}, "scan=nan: "),
     ],
@@ -163,6 +163,58 @@ def test_what_cannot_be_forecast_is_one_sentence_before_a_model_is_looked_for(
     for horizons in ([60, 300], (60.0, 300.0), np.array([60.0, 300.0])):
         with pytest.raises(ValueError, match="nowhere"):
             decanter.forecast("nowhere", recording, horizons=horizons)
+
+
+WRONG: dict[str, tuple[object, ...]] = {
+    "moments": (0, 1.5, "many", True),
+    "scan": (0.0, float("nan"), "1"),
+    "seed": (-1, 0.5, "x"),
+    "period": (0.0, "x", None),
+    "horizons": ((), (300.0, 60.0), "x", 60.0),
+    "since": (float("nan"), "x"),
+    "limit": (float("nan"), None),
+    "most": (-1, 2.5),
+    "runs": (-1, 0, 1.5, "x"),
+    "policy": ("x", 1),
+    "method": ("x", None),
+    "settings": (1,),
+    "model": (None, 1, pd.DataFrame(), "no/such/model"),
+    "recording": (None, 1, pd.DataFrame(), "no/such/file.csv"),
+    "training": (1, "x"),
+    "query": ("Pr[", 1, ""),
+    "source": (None, 1, [], [1], "no/such/file.csv"),
+    "column_map": (1, "no such map"),
+    "drivers": ("no such signal", 1),
+    "temperature": ("no such signal", 1),
+    "stored": ("x", 1),
+}
+"""What no function takes, by the argument's name."""
+
+
+@pytest.mark.parametrize("function", ["read", "learn", "forecast", "judge", "diagnose", "simulate", "check"])
+def test_each_argument_that_is_wrong_is_one_sentence_in_a_value_error(
+    function: str, names: dict[str, Any], frame: pd.DataFrame
+) -> None:
+    """Walks the signatures: an argument that comes to a function is asked of here as well."""
+    called = getattr(decanter, function)
+    own = signature(called).parameters
+    right = {
+        "source": frame,
+        "recording": decanter.read(frame),
+        "model": names["model"],
+        "query": "Pr[<=60](<> Temp > 9)",
+    }
+    tried = 0
+    for name in own:
+        for wrong in WRONG.get(name, ()):
+            if wrong is None and (function, name) == ("check", "recording"):
+                continue
+            given = {key: value for key, value in right.items() if key in own} | {name: wrong}
+            with pytest.raises(ValueError) as told:
+                called(**given)
+            assert str(told.value).strip() and len(str(told.value).splitlines()) == 1, (name, wrong)
+            tried += 1
+    assert tried >= 5
 
 
 def test_a_map_and_answers_are_one_too_many(frame: pd.DataFrame) -> None:

@@ -27,12 +27,11 @@ from gateway.clock_sync import clock_error
 from gateway.commission.session import versions
 from gateway.console import CommandResult, conclude, json_option
 from gateway.entry import sentences
-from gateway.machine.alarms import read_journal
 from gateway.outside.status import ControlError, connect, findings, health_of, read_status
 from gateway.outside.web import box_facts
 from gateway.plant import configuration_files, history_folder, kept_configurations
 from gateway.settings import Config, load_plant
-from gateway.store import numbered_files, reading, verify, write_durably
+from gateway.store import numbered_files, verify, write_durably
 from sim.strict_json import json_text
 
 LOG_LINES = 5000
@@ -104,7 +103,7 @@ def bundle(path: Path, now: float) -> dict[str, str]:
         sources |= {
             "configuration/history.json": lambda: _history(first),
             "status.json": lambda: _status(machines),
-            "alarms.json": lambda: [asdict(row) for row in read_journal(first.historian.path, start=now - JOURNAL_S)],
+            "alarms.json": lambda: _journal(first, now),
             "records.json": lambda: _records(first, now),
             "box.json": lambda: {**box_facts(first), "synchronised": _synchronised()},
         }
@@ -190,8 +189,16 @@ def _status(machines: Sequence[Config]) -> dict[str, Any]:
     return found
 
 
+def _journal(config: Config, now: float) -> list[dict[str, Any]]:
+    from gateway.machine.alarms import read_journal  # with `reading` below all that loads numpy
+
+    return [asdict(row) for row in read_journal(config.historian.path, start=now - JOURNAL_S)]
+
+
 def _records(config: Config, now: float) -> dict[str, Any]:
     def historian() -> dict[str, Any]:
+        from gateway.store import reading
+
         path = config.historian.path
         with reading(path) as connection:
             layout, pages, free = (

@@ -17,15 +17,11 @@ from gateway.machine.alarms import (
     BY_PERSONS,
     LETTERS,
     MEANINGS,
-    PRIORITIES,
     AlarmState,
     Change,
-    alarm_rates,
-    read_journal,
 )
 from gateway.outside.status import ControlError, GatewayLine, connect
 from gateway.settings import ALARM_KINDS, OF_PLANT, alarm_subject, load_plant
-from gateway.store import moment_of, newest_scan, reading
 
 PATIENCE_S = 15.0
 """What hides an alarm waits until it is on record."""
@@ -244,6 +240,8 @@ reset = _signed_command(
 
 def _window(path: Path, since: str, machine: str | None) -> tuple[Path, float, float]:
     """The historian, and the times (s UTC) from `since` to its newest scan."""
+    from gateway.store import moment_of, newest_scan, reading  # loads numpy, which the other commands do without
+
     historian = load_plant(path)[0].historian.path
     named = [machine] if machine is not None else [config.machine for config in load_plant(path)]
     with reading(historian) as connection:
@@ -261,6 +259,8 @@ def _window(path: Path, since: str, machine: str | None) -> tuple[Path, float, f
 @json_option
 def journal(since: str, path: Path, machine: str | None, as_json: bool) -> None:
     """Show every change of an alarm with its person and reason, in order. Times are UTC."""
+    from gateway.machine.alarms import read_journal
+
     with sentences():
         historian, start, _ = _window(path, since, machine)
         rows = read_journal(historian, machine=machine, start=start)
@@ -295,6 +295,8 @@ def rates(since: str, path: Path, machine: str | None, as_json: bool) -> None:
     Of several machines all are counted together, as one person has to deal with them. Exit code 1 where it is more
     than a person can deal with.
     """
+    from gateway.machine.alarms import PRIORITIES, alarm_rates, read_journal
+
     with sentences():
         historian, start, end = _window(path, since, machine)
         found = alarm_rates(read_journal(historian, machine=machine, end=end + 1e-6), start, end)

@@ -1,5 +1,7 @@
 """The commands of `decanter historian`: the records as CSV, Parquet, JSON or a table on the terminal."""
 
+from __future__ import annotations
+
 import json
 import os
 from collections import deque
@@ -11,7 +13,7 @@ from importlib import import_module
 from itertools import islice
 from math import inf, isfinite
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -21,20 +23,10 @@ from gateway.console import CommandResult, Part, Rows, conclude, json_option
 from gateway.entry import sentences
 from gateway.extras import missing
 from gateway.settings import load_plant
-from gateway.store import (
-    TABLE_COLUMNS,
-    Cells,
-    FollowedRow,
-    TableColumn,
-    cells_of,
-    machines,
-    moment_of,
-    newest_scan,
-    reading,
-    rows_between,
-    sync_folder,
-    trend,
-)
+from gateway.store import TABLE_COLUMNS, Cells, TableColumn, cells_of, sync_folder
+
+if TYPE_CHECKING:
+    from gateway.store import FollowedRow
 
 Writer = Callable[[Sequence[Cells]], None]
 TOGETHER = 20_000
@@ -62,6 +54,8 @@ class RecordsWindow:
 
 def _window(plant: Path, machine: str | None, since: str, until: str | None) -> RecordsWindow:
     """Raises ConfigError, HistorianError, and ValueError for a time that is none, or a machine that is not there."""
+    from gateway.store import machines, moment_of, newest_scan, reading  # loads numpy, as the readers below do
+
     path = load_plant(plant)[0].historian.path
     with reading(path) as connection:
         there = [name for name, _ in machines(connection)]
@@ -80,6 +74,8 @@ def _window(plant: Path, machine: str | None, since: str, until: str | None) -> 
 
 def _rows(window: RecordsWindow, name: str, tag: str | None) -> Iterator[FollowedRow]:
     """The rows of a table; with a `tag` those that name it: a sample's, a predicted temperature's, an alarm's."""
+    from gateway.store import reading, rows_between
+
     with reading(window.path) as connection:
         for row in rows_between(connection, window.machines, name, window.start, window.end):
             own = (row.values.get("tag"), row.values.get("condition"), row.stream.temperature or None)
@@ -259,6 +255,8 @@ def _means(window: RecordsWindow, name: str, tag: str | None, width: int) -> lis
         raise ValueError("--every is of a tag's samples; give `samples --tag TAG --every 60`")
     if len(window.machines) > 1:
         raise ValueError(f"--every is of one machine; name one of {', '.join(window.machines)} (--machine NAME)")
+    from gateway.store import newest_scan, reading, trend
+
     with reading(window.path) as connection:
         newest = newest_scan(connection, machine=window.machines[0])
     end = window.end if isfinite(window.end) else (newest or 0.0) + width

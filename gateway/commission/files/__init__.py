@@ -6,6 +6,7 @@ from gateway.commission.files.device_file import ENCODING
 from gateway.commission.files.edit_command import DRY_RUN, HEARTBEAT, KEEP, edit_files, pairs, template
 from gateway.commission.files.first_folder import FirstFolder
 from gateway.commission.files.io_list import GAINS, IoList, Reading, read_io_list
+from gateway.commission.files.io_models import MOST_REPEATS
 from gateway.commission.files.io_places import MAKERS, NUMBERS
 from gateway.commission.files.io_words import COLUMNS, flag_of
 from gateway.commission.files.machines import with_machine, without_machine

@@ -55,13 +55,17 @@ class ListRow:
 
 @dataclass(frozen=True, slots=True)
 class ListSheet:
-    """A list as it was read: which header each column was recognised by, those that were not, and the rows."""
+    """A list as it was read: which header each column was recognised by, those that were not, and the rows.
+
+    `left_out` is what of a list without columns is no row of it by its own rules.
+    """
 
     path: Path
     header_line: int
     columns: Mapping[str, str]
     ignored: tuple[str, ...]
     lines: tuple[ListRow, ...]
+    left_out: tuple[str, ...] = ()
 
     def where(self, line: ListRow, column: str = "") -> str:
         """File, line and the column's own header, to begin a sentence with."""
@@ -159,11 +163,18 @@ def _recognised(
                 at
                 for word in words
                 for at, key in enumerate(keys)
-                if at not in taken.values() and key and (key == word if exactly else f" {word} " in f" {key} ")
+                if at not in taken.values() and key and _says(key, word, exactly=exactly)
             )
             if (place := next(places, None)) is not None:
                 taken[name] = place
     return dict(sorted(taken.items(), key=lambda item: item[1]))
+
+
+def _says(key: str, word: str, *, exactly: bool) -> bool:
+    """Whether a header is a synonym, written as one word or several, or has it within."""
+    if exactly:
+        return key.replace(" ", "") == word.replace(" ", "")
+    return f" {word} " in f" {key} "
 
 
 def key_of(text: str) -> str:
@@ -238,10 +249,13 @@ def _xlsx_rows(path: Path, data: bytes, sheet: str | None) -> Iterator[tuple[int
         page = book[sheet] if sheet is not None else book.worksheets[0]
         # What the sheet says of its own size is not looked at: it would be believed, a row being filled up to it.
         page.reset_dimensions()
-        filled = 0
+        filled = lines = 0
         for number, row in enumerate(page.iter_rows(values_only=True), start=1):
-            filled += len(row)
-            if number > MOST_ROWS or filled > MOST_CELLS:
+            # A sheet that was formatted to its end has a million rows of nothing.
+            if row.count(None) == len(row):
+                continue
+            filled, lines = filled + len(row), lines + 1
+            if lines > MOST_ROWS or filled > MOST_CELLS:
                 raise ListError(f"{path}: goes on beyond line {number}; a list has {MOST_ROWS} lines at most")
             # As it would be typed: XLSX knows no whole numbers, and 40101.0 is no address.
             cells = [

@@ -20,7 +20,6 @@ from gateway.commission.files.device_file import (
 )
 from gateway.commission.files.plan_files import Files, device_edit, plant_edit, save
 from gateway.commission.files.toml_edit import put
-from gateway.plant import check_plant
 from gateway.settings import load_plant
 
 _TIMER_S = 5.0
@@ -87,6 +86,8 @@ def put_block(document: tomlkit.TOMLDocument, block: BlockPlace, template: Path)
 
 def plant_findings(plant: Path) -> list[str]:
     """What the judge of a plant file says of one that could be loaded, each with the machine or part that it is of."""
+    from gateway.plant import check_plant  # loads all that a gateway runs
+
     return [f"{one.machine or one.part}: {one.sentence}" for one in check_plant(load_plant(plant))]
 
 

@@ -77,7 +77,9 @@ def edit_files(
 def _view(data: Mapping[str, Any]) -> Iterator[Part]:
     if "columns" in data:
         columns = ", ".join(f"{name} = {header!r}" for name, header in data["columns"].items())
-        yield f"{data['list']}: header in line {data['header_line']}: {columns}"
+        yield f"{data['list']}: header in line {data['header_line']}: {columns}" if columns else data["list"]
+        if data["left_out"]:
+            yield f"no tags: {', '.join(data['left_out'])}"
         if data["ignored_columns"]:
             yield f"columns without use: {', '.join(map(repr, data['ignored_columns']))}"
         keys = [key for key in _COLUMNS if any(tag.get(key) not in (None, "") for tag in data["tags"])]
@@ -113,10 +115,12 @@ _COLUMNS = (
     "order",
     "bit",
     "scale",
+    "scale_from",
     "offset",
     "unit",
     "low",
     "high",
     "sentinel",
+    "period",
     "taken",
 )

@@ -4,16 +4,22 @@ A row is read whole or refused: what a cell says and is not understood is never 
 are possible an option asks for the one.
 """
 
+import csv
 import re
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from drivers.codec import integer_range
+from drivers.named_files import contents
 from drivers.tag import DType
 from gateway.commission.files.cells import ListError, ListRow, ListSheet, RowError, key_of, number_of, read_sheet
+from gateway.commission.files.io_models import ModelError, read_model
 from gateway.commission.files.io_places import SIEMENS, AddressCell, ListedPlace, Numbering, place_of
+from gateway.commission.files.io_polls import by_formula, is_iobroker, of_iobroker, read_polls
+from gateway.commission.files.io_templates import ListedUnit, TemplateError, read_yaml
 from gateway.commission.files.io_units import CountFactor, factor_of, range_of, unit_of
 from gateway.commission.files.io_words import (
     COLUMNS,
@@ -26,7 +32,7 @@ from gateway.commission.files.io_words import (
     type_cell,
     widened_to,
 )
-from gateway.commission.survey import Register
+from gateway.commission.survey import Register, parse_register
 
 GAINS = ("multiply", "divide")
 """What is done with a reading by a gain above 1."""
@@ -45,6 +51,7 @@ class Reading:
     `table` of bare numbers, `order` of values wider than a register ("": ABCD, or what the list's layout has), `shift`
     added to every address, `registers` False for other drivers' addresses, which are left as they are. `gain` (one of
     GAINS), `numbers` (one of NUMBERS) and `plc` (one of MAKERS) settle what a list leaves open; "" where nothing does.
+    `unit` is the one that is meant of a list of several, `repeats` how often a group of a model is there.
     """
 
     table: str = "holding"
@@ -54,6 +61,8 @@ class Reading:
     gain: str = ""
     numbers: str = ""
     plc: str = ""
+    unit: int | None = None
+    repeats: Mapping[str, int] = field(default_factory=dict)
     rename: Mapping[str, str] = field(default_factory=dict)
 
 
@@ -85,7 +94,9 @@ def read_io_list(path: Path, how: Reading, columns: Mapping[str, str] | None = N
     """The list in `path`; `columns` (our name -> its header) wins over the guess. Raises ListError."""
     if unknown := sorted(set(columns or {}) - set(COLUMNS)):
         raise ListError(f"--column {unknown[0]}=...: there is no such column; known are {', '.join(COLUMNS)}")
-    sheet = read_sheet(path, COLUMNS, ("name", "address"), given=columns, sheet=page)
+    sheet = _structured(path, how, page) or _of_units(
+        read_sheet(path, COLUMNS, ("name", "address"), given=columns, sheet=page), how
+    )
     how, numbering = _of_the_layout(sheet, how), _numbering(sheet, how)
     how = replace(how, gain=how.gain or _gain_of_the_list(sheet))
     tags: list[Listed] = []
@@ -95,9 +106,88 @@ def read_io_list(path: Path, how: Reading, columns: Mapping[str, str] | None = N
             tags.append(_listed(_ListedRow(sheet, line, how, numbering), tags))
         except RowError as error:
             problems.append(f"{sheet.where(line, error.column)}: {error}")
+    if not tags and not problems and not sheet.columns:
+        raise ListError(f"{path}: has no registers; give a list with one entry a tag")
     if not tags and not problems:
         raise ListError(f"{path}: has a header in line {sheet.header_line} and no row under it; give one row a tag")
     return IoList(sheet, tuple(tags), tuple(problems))
+
+
+def _structured(path: Path, how: Reading, page: str | None) -> ListSheet | None:
+    """A list that is no table: a model of SunSpec, or YAML of another program; None for a table. Raises ListError."""
+    kind = path.suffix.lower()
+    if kind not in (".json", ".yaml", ".yml"):
+        return _polled(path, how)
+    try:
+        text = contents(path).decode("utf-8-sig")
+    except OSError as error:
+        raise ListError(f"{path}: cannot be read ({(error.strerror or str(error)).lower()})") from None
+    except UnicodeDecodeError as error:
+        raise ListError(f"{path}: byte {error.start} is not UTF-8; save the file as UTF-8") from None
+    try:
+        if kind != ".json":
+            return ListSheet(path, 0, {}, (), _of_one_unit(read_yaml(text, page), how.unit))
+        rows, left_out = read_model(text, how.repeats)
+    except (ModelError, TemplateError) as error:
+        raise ListError(f"{path}: {error}") from None
+    if how.shift == 0:
+        raise ListError(
+            f"{path}: a SunSpec model lies where the device has it: give --shift, the address of its first register "
+            "(decanter plc scan models)"
+        )
+    return ListSheet(path, 0, {}, (), tuple(rows), left_out=tuple(left_out))
+
+
+def _polled(path: Path, how: Reading) -> ListSheet | None:
+    """A configuration of modpoll; None for any other file."""
+    with suppress(OSError, csv.Error):
+        if (listed := read_polls(contents(path).decode("utf-8-sig", errors="replace"))) is not None:
+            return ListSheet(path, 0, {}, (), _of_one_unit(listed, how.unit))
+    return None
+
+
+_SCALES = re.compile(r"scal|factor|fattor|faktor|skalier|gain|multipl|divis|resol|risol")
+
+
+def _of_units(sheet: ListSheet, how: Reading) -> ListSheet:
+    """A table in this reader's words, and of several units the rows of the one that is meant.
+
+    Raises ListError for a column that nobody reads and that may say by how much readings are multiplied.
+    """
+    known = {"scale", "decimals", "raw_high", "formula"} & set(sheet.columns)
+    if odd := [] if known else [header for header in sheet.ignored if _SCALES.search(key_of(header))]:
+        raise ListError(
+            f"{sheet.path}: column {odd[0]!r} may say how readings are scaled, and is not understood: give --column "
+            f"scale={odd[0]!r}, or take it out"
+        )
+    headers = {key_of(text) for text in (*sheet.columns.values(), *sheet.ignored)}
+    own = is_iobroker(headers)
+    rows = [replace(row, cells=of_iobroker(row.cells)) if own else row for row in sheet.lines]
+    if "unit_id" in sheet.columns:
+        return replace(sheet, lines=_of_one_unit([ListedUnit(row, row.get("unit_id")) for row in rows], how.unit))
+    return replace(sheet, lines=tuple(rows)) if own else sheet
+
+
+def _of_one_unit(listed: Sequence[ListedUnit], unit: int | None) -> tuple[ListRow, ...]:
+    """The rows of the unit that is meant; where it is not said and there are several each row of them is refused."""
+    units = sorted({one.unit for one in listed if one.unit})
+    if unit is not None and len(units) > 1:
+        listed = [one for one in listed if one.unit in ("", str(unit))]
+        units = [str(unit)]
+    if len(units) < 2:
+        said = f"unit {units[0]}" if units else ""
+        return tuple(replace(one.row, cells=_beside(one.row.cells, said if one.unit else "")) for one in listed)
+    several = f"is of unit {{}}, and the list has {', '.join(units)}: give --unit"
+    return tuple(
+        replace(one.row, cells={"refused": several.format(one.unit), **one.row.cells}) if one.unit else one.row
+        for one in listed
+    )
+
+
+def _beside(cells: Mapping[str, str], said: str) -> dict[str, str]:
+    """The cells with a note beside what they say themselves."""
+    note = "; ".join(text for text in (cells.get("said", ""), said) if text)
+    return {**cells, "said": note}
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,6 +221,8 @@ class _Scaling:
 
 def _listed(row: _ListedRow, before: Sequence[Listed]) -> Listed:
     line, how = row.line, row.how
+    if refused := line.get("refused"):
+        raise RowError("", f"{line.get('name')}: {refused}")
     listed = line.get("name")
     if not listed:
         raise RowError("name", "is empty; give the tag's name, or take the row out")
@@ -158,8 +250,10 @@ def _listed(row: _ListedRow, before: Sequence[Listed]) -> Listed:
         "low": scaling.low,
         "high": scaling.high,
         "sentinel": _sentinel(line) if numeric else None,
+        "scale_from": _factor_place(row, cell) if numeric else None,
+        "period": _number(line, "period"),
     }
-    taken = "; ".join(note for note in (place.note, said, scaling.taken, shared) if note)
+    taken = "; ".join(note for note in (place.note, said, scaling.taken, line.get("said"), shared) if note)
     unread = ""
     if numeric and scaling.scale is None and _SCALE_IN_WORDS.search(remark := line.get("remark")):
         unread = f"{row.sheet.where(line, 'remark')}: {remark!r} may say a scale, which is not read: give it a column"
@@ -185,14 +279,27 @@ def _shared_with(before: Sequence[Listed], row: _ListedRow, address: str, place:
         bits = (place.bit, other.keys["bit"])
         if address != other.keys["address"] or (None not in bits and bits[0] != bits[1]):
             continue
-        if bits != (None, None) or text == other.written:
+        if not row.line.get("exact") and (bits != (None, None) or text == other.written):
             raise RowError(
                 "address",
                 f"{text!r} is where {other.name!r} of line {other.line} lies; correct one of them (a spreadsheet shows "
                 "bit 0 as no bit, and 10 as .1)",
             )
-        shared = f"{address} is {other.name!r} of line {other.line} too, written {other.written!r}"
+        shared = f"{address} is {other.name!r} of line {other.line} too"
+        shared += "" if row.line.get("exact") else f", written {other.written!r}"
     return shared
+
+
+def _factor_place(row: _ListedRow, cell: TypeCell) -> str | None:
+    """The register of its factor, which is written as its own address is and moves with the list."""
+    if text := row.get("scale_from"):
+        return str(parse_register(text).moved(row.how.shift))
+    _, text = by_formula(row.line)
+    if not text:
+        return None
+    table = _table(row)
+    place = place_of(AddressCell(text, "int16", row.numbering, row.how.plc, table or row.how.table, named=bool(table)))
+    return str(place.register.moved(row.how.shift))
 
 
 _WRITE_ONLY = frozenset({"w", "wo", "write", "write only", "scrittura", "solo scrittura"})
@@ -259,6 +366,11 @@ def _numbering(sheet: ListSheet, how: Reading) -> Numbering:
     if how.numbers or header & {"hex", "hexadecimal", "hexa", "esadecimale", "esa"}:
         hexadecimal = how.numbers == "hex" if how.numbers else not header & {"dec", "decimal", "decimale"}
         return Numbering(hexadecimal, first, how.numbers != "plain")
+    if is_iobroker({key_of(text) for text in (*sheet.columns.values(), *sheet.ignored)}) and not how.numbers:
+        either = (
+            "ioBroker's table does not say whether its aliases are on: give --numbers decimal (40101 is holding:100)"
+        )
+        return Numbering(either=f"{either} or --numbers plain (it is the address itself)")
     doubt = ""
     if odd := next((cell for cell in bare if not cell.isdecimal()), None):
         doubt = f"{odd!r} of this list is hexadecimal, so this number may be; give --numbers hex or --numbers decimal"
@@ -334,6 +446,10 @@ def _decided(number: float, dtype: str, low: float | None, high: float | None) -
     return best[0] if len(best) == 1 else ""
 
 
+_NAMES_OF_VALUES = re.compile(r"\s*\d+\s*=\s*[^=;,]+(?:[;,]\s*\d+\s*=\s*[^=;,]+)*[;,]?\s*")
+"""`0=Off;1=On` in a unit's cell."""
+
+
 def _scaling(row: _ListedRow, dtype: str) -> _Scaling:
     """Scale, offset and range as they are given, or from a raw range and the range in units. Raises RowError."""
     line = row.line
@@ -345,7 +461,9 @@ def _scaling(row: _ListedRow, dtype: str) -> _Scaling:
         raise RowError("scale", f"{line.get('scale')!r} is a curve, which is not supported; give a linear scale")
     unit_text = "" if line.get("unit") in _EMPTY else line.get("unit")
     try:
-        unit, of_unit = unit_of(unit_text) if unit_text else ("", None)
+        # What another program writes there is a name alone.
+        named = _NAMES_OF_VALUES.fullmatch(unit_text)
+        unit, of_unit = (unit_text, None) if not unit_text or line.get("exact") else unit_of("" if named else unit_text)
     except ValueError as error:
         raise RowError("unit", str(error)) from None
     scale, taken = _scale(row, dtype, of_unit, (low, high))
@@ -363,7 +481,8 @@ def _scaling(row: _ListedRow, dtype: str) -> _Scaling:
     if low is not None and high is not None and not low < high:
         raise RowError("low", f"{low:g} is not below the highest value {high:g}; swap or correct them")
     low, high, said = _plausible(column, dtype, (scale, offset), (low, high))
-    taken = "; ".join(note for note in (taken, said) if note)
+    names = f"names of values: {unit_text}" if named else ""
+    taken = "; ".join(note for note in (taken, said, names) if note)
     return _Scaling(scale, offset, low=low, high=high, unit=unit or None, taken=taken)
 
 
@@ -375,13 +494,17 @@ def _scale(
     own = _scale_cell(line)
     if own is not None and own.number == 0:
         raise RowError("scale", "is 0, which would make every reading 0; give the units per count")
-    if own is not None and header & _DIVISORS:
+    if own is not None and line.get("exact"):
+        own = CountFactor(own.number)
+    elif own is not None and header & _DIVISORS:
         own = CountFactor(1 / own.number)
     elif own is not None and header & _MULTIPLIERS:
         own = CountFactor(own.number)
     if (decimals := _whole(line, "decimals")) is not None:
         exponent = decimals if "expon" in row.header("decimals") or "espon" in row.header("decimals") else -decimals
         own = _same(own, CountFactor(10.0**exponent), "decimals")
+    if (by_hand := by_formula(line)[0]) is not None:
+        own = _same(own, CountFactor(by_hand), "formula")
     if of_unit is not None:
         own = _same(own, of_unit, "unit")
     if own is None:
@@ -390,7 +513,9 @@ def _scale(
         said = f"scale {own.number:g} from the unit" if of_unit is not None else ""
         return round(own.number, 12), said
     column = "unit" if of_unit is not None else "scale"
-    gain = _decided(own.number, dtype, *ends) or row.how.gain
+    # Of a negative one the range is upside down.
+    upright = ends if own.number > 0 else tuple(end if end is None else -end for end in reversed(ends))
+    gain = _decided(abs(own.number), dtype, *upright) or row.how.gain
     if not gain:
         raise RowError(
             column,

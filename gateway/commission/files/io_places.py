@@ -16,6 +16,8 @@ _NOUGHT = re.compile(r"0x([0-9a-f]{1,4})")
 _HEX = re.compile(r"(?:16#|&h|\$)([0-9a-f]{1,4})|([0-9a-f]{1,4})h")
 _BARE_HEX = re.compile(r"[0-9a-f]{1,4}")
 _IEC = re.compile(r"%?(?P<area>[imq])(?P<size>[xbwdlf]?)(?P<number>\d{1,5})(?:\.(?P<bit>\d{1,2}))?")
+_GERMAN = re.compile(r"%?([ea])([xbwd]?\d{1,5}(?:\.\d)?)")
+"""Siemens's German mnemonics: E and A where others have I and Q."""
 _TEXT = re.compile(r"(\d{1,6})\.(\d{1,3})([hl]?)")
 _HEADED = re.compile(r"(hr|ir)(\d{1,5})")
 _RANGE = re.compile(r"(.+?)(?:\.\.\.?|…|~|–|—|-|,|;|/|to)(.+)")
@@ -37,12 +39,16 @@ class ListedPlace:
 
 @dataclass(frozen=True, slots=True)
 class Numbering:
-    """How a list's bare numbers are meant: hexadecimal, counted from `first`, references among them or not."""
+    """How a list's bare numbers are meant: hexadecimal, counted from `first`, references among them or not.
+
+    `doubt` says why short ones may be hexadecimal, `either` why long ones may be references or addresses.
+    """
 
     hexadecimal: bool = False
     first: int = 0
     references: bool = True
     doubt: str = ""
+    either: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,6 +119,8 @@ def place_of(cell: AddressCell) -> ListedPlace:
         raise RowError("address", f"{text!r} lies in a data block: {_NO_PLACE[SIEMENS]}")
     if (span := _stretch(plain, cell)) is not None:
         return span
+    if plc == SIEMENS and (german := _GERMAN.fullmatch(plain)):
+        plain = {"e": "i", "a": "q"}[german[1]] + german[2]
     if match := _IEC.fullmatch(plain):
         return _iec(match, text, plc)
     if (match := _BIT.fullmatch(plain)) and not match[1].isalpha():
@@ -148,6 +156,8 @@ def _single(plain: str, cell: AddressCell) -> ListedPlace:
     """A place by whatever notation: holding:100, 40101, 4x101, %MW100, 0x64, or a bare number in a table."""
     text, how, table = cell.text, cell.how, cell.table
     reference = how.references and not how.hexadecimal and len(plain) >= 5 and plain.isdecimal()
+    if reference and how.either and plain[0] in _REFERENCE_TABLES:
+        raise RowError("address", f"{text!r}: {how.either}")
     if ":" in plain or reference:  # fewer digits are no reference number, but a bare address
         with suppress(AddressTextError):
             register = parse_register(plain)

@@ -96,7 +96,7 @@ def factor_of(text: str) -> CountFactor:
             raise ValueError(f"{text!r} is no number; give one such as 0,1 or 0.1, or leave it empty") from None
         # What is written as an operation says which way it goes.
         return CountFactor(factor.number)
-    return CountFactor(round(number, 12), either=number > 1 and number != 1)
+    return CountFactor(round(number, 12), either=abs(number) > 1)
 
 
 def range_of(text: str) -> tuple[float, float] | None:

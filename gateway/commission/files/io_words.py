@@ -79,6 +79,8 @@ COLUMNS: Mapping[str, tuple[str, ...]] = {
         *("engineering unit", "engineering units", "eu", "udm", "u d m", "misura"),
         *("einheit", "physikalische einheit", "unite", "unidad", "unidad de medida"),
     ),
+    "formula": ("formula", "formel", "espressione", "expression"),
+    "unit_id": ("deviceid", "device id", "slave", "slave id", "slave address", "unit id", "modbus id", "slaveid"),
     "negate": ("negate value", "negate"),
     "raw_low": ("raw min", "min raw", "grezzo min", "min grezzo", "raw low", "inizio scala raw", "count min"),
     "raw_high": ("raw max", "max raw", "grezzo max", "max grezzo", "raw high", "fondo scala raw", "count max"),
@@ -250,8 +252,15 @@ _COUNTED = re.compile(r"(\d) (?:registers?|words?|regs?|registri)")
 """`2 registers` in a type's cell."""
 
 
+_SUFFIXED = re.compile(r"(u?int(?:8|16|32|64)|float|double)(be|le|sw|sb)")
+_SUFFIXES = {"be": "ABCD", "le": "DCBA", "sw": "CDAB", "sb": "BADC"}
+"""`uint32sw` and its like in ioBroker's tables: big and little endian, swapped words, swapped bytes."""
+
+
 def type_cell(key: str) -> TypeCell:
     """A type's cell, as `cells.key_of` writes it."""
+    if match := _SUFFIXED.fullmatch(key):
+        return TypeCell("float64" if match[1] == "double" else _TYPES[match[1]], order=_SUFFIXES[match[2]])
     for start in (key, key.replace("32bit", "32 bit").replace("16bit", "16 bit").replace("64bit", "64 bit")):
         if found := type_of(start):
             return TypeCell(found[0], found[1], wide=start not in _WIDTHLESS)

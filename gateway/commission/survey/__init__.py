@@ -9,6 +9,7 @@ from gateway.commission.survey.addresses import (
     reference_of,
 )
 from gateway.commission.survey.bus import SDO_S, probe_bus, scan_can, scan_nodes
+from gateway.commission.survey.models import BASES, scan_models
 from gateway.commission.survey.network import (
     addresses_of,
     connect_sentence,

@@ -21,14 +21,13 @@ from gateway.machine.model import held_news
 from gateway.machine.reading import Scan
 from gateway.settings import HistorianSection
 from gateway.store import Historian, HistorianError, machines, newest_scan, open_historian, reading, to_trace
+from sim.lab.recordings import since_1970
 from sim.sha import Alphabet, Mask, Trace
 
 TOGETHER = 5_000
 """Scans that are put before the disk is waited for: the queues are never full."""
 PATIENCE_S = 120.0
 """How long the disk may take for them."""
-SINCE_1970 = 1e8
-"""s: a clock below it counts from its own beginning, and no row of a historian can have its time."""
 STEPS_STORED = 5
 """Usual steps between rows after which a value that has not changed is stored again."""
 SAME = 1e-6
@@ -125,7 +124,7 @@ def _one_after_another(traces: Sequence[Trace]) -> Trace:
     """
     ordered = sorted(traces, key=lambda trace: float(trace.times[0]))
     for trace in ordered:
-        if trace.times[0] < SINCE_1970:
+        if not since_1970(float(trace.times[0])):
             raise ValueError(
                 f"{trace.origin}: its times count from its own beginning, and a historian's are of days and hours; "
                 "give a recording with dates"

@@ -73,7 +73,7 @@ def skill_rows(
     since: float = -inf,
     report: Callable[[str, float], None] = lambda what, share: None,
 ) -> list[SkillRow]:
-    """What all methods forecast along a trace, for the moments whose outcome was read.
+    """What all methods forecast along a trace, for the moments that came due within it.
 
     `models` are methods of ours: a model and the members beside it. The `others` are asked when the first of ours has
     forecast, at most every `ask_period` s since some of them are slow; every `forecasts.period` s without any of ours.
@@ -191,7 +191,8 @@ def other_methods(
 
 def lacking(trace: Trace, rows: Sequence[SkillRow], horizons: Sequence[float]) -> list[str]:
     """A sentence for the horizons (s) that no forecast along the trace has come due for."""
-    missing = [f"{horizon:g}" for horizon in horizons if all(row.horizon != horizon for row in rows)]
+    read = {row.horizon for row in rows if row.read}
+    missing = [f"{horizon:g}" for horizon in horizons if horizon not in read]
     lasts = f"{trace.times[-1] - trace.times[0]:.4g} s" if trace.times.size else "no time: it has no rows"
     return [f"{trace.name}: no forecast for {', '.join(missing)} s came due; it lasts {lasts}"] if missing else []
 

@@ -84,7 +84,7 @@ def skill_along(
         if learned_offset is not None:
             mean, sigma = learned_offset
             offsets.append({"machine": machine_of(trace), "trace": trace.name, "offset": mean, "sigma": sigma})
-    if not rows:
+    if not any(row.read for row in rows):
         raise ValueError(f"no forecast came due: {'; '.join(notes)}; give longer traces or shorter horizons")
     return SkillAlong(
         found=forecast_skill(rows, [OURS], seed=seed, notes=notes, unit=first.unit), rows=rows, offsets=offsets

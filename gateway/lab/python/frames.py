@@ -6,8 +6,8 @@ Each function calls what the command of its name calls. Bad input raises a Value
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field, replace
-from math import inf
+from dataclasses import asdict, dataclass, field, fields, replace
+from math import inf, isnan
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from time import time as now
@@ -31,7 +31,16 @@ from sim.lab.discrepancy import Diagnosis
 from sim.lab.formats import FoundModel, find_model, write_model_directory
 from sim.lab.judge import ForecastSkill
 from sim.lab.learning.lsha import LshaSettings
-from sim.lab.recordings import ColumnMap, TraceError, channel_uses, listed, load_map, load_traces, parse_map
+from sim.lab.recordings import (
+    ColumnMap,
+    TraceError,
+    channel_uses,
+    listed,
+    load_map,
+    load_traces,
+    parse_map,
+    since_1970,
+)
 from sim.lab.recordings.mapping import Answers, Undecided, draft_map
 from sim.sha import Array, Model, Trace, encoded
 
@@ -46,19 +55,43 @@ _FRAME = Path("recording") / "frame.csv"
 _FROM = "the data frame"
 _CLOCKS = (pd.DatetimeIndex, pd.PeriodIndex, pd.TimedeltaIndex)
 """What an index without a name is when it is a clock."""
-_SINCE_1970 = 1e8
-"""s: a clock beyond it counts since 1970, any other since its beginning."""
 _OPTION = re.compile(r"--([a-z][a-z-]*)")
 
 
-def _several(given: str | Sequence[str]) -> tuple[str, ...]:
-    # A string is a sequence too, of its letters.
-    return tuple(filter(None, (given,) if isinstance(given, str) else given))
+def _several(name: str, given: object) -> tuple[str, ...]:
+    """One text or several. Raises ValueError for what is neither."""
+    several = (given,) if isinstance(given, str) else given
+    if not isinstance(several, list | tuple) or not all(isinstance(each, str) for each in several):
+        raise ValueError(f"{name}={_shown(given)}: give a text, or a list of texts")
+    return tuple(filter(None, several))
 
 
 def _one_of(name: str, given: object, choices: Sequence[str]) -> None:
     if given not in choices:
         raise ValueError(f"{name}={given!r}: is no answer; give {listed(map(repr, choices))}")
+
+
+def _whole(name: str, given: object, least: int = 0) -> None:
+    """Raises ValueError for what is no whole number from `least` on."""
+    if not isinstance(given, int) or isinstance(given, bool) or given < least:
+        raise ValueError(f"{name}={given!r}: give a whole number from {least}")
+
+
+def _seconds(name: str, given: object) -> None:
+    """Raises ValueError for what is no number, or none that can be compared."""
+    if not isinstance(given, int | float) or isinstance(given, bool) or isnan(given):
+        raise ValueError(f"{name}={given!r}: give a number")
+
+
+def _recorded(name: str, given: object) -> None:
+    """Raises ValueError for what `read` has not made."""
+    if not isinstance(given, Recording):
+        raise ValueError(f"{name}={_shown(given)}: give a recording, as read(...) makes it")
+
+
+def _shown(given: object) -> str:
+    """A value as it is named in a sentence: in one line, and of anything large its kind."""
+    return repr(given) if isinstance(given, str | int | float | None) else f"a {type(given).__name__}"
 
 
 def _quiet(what: str, share: float) -> None:
@@ -196,28 +229,39 @@ def read(
     with _said_in_python(""):
         answers = Answers(
             temperature=temperature,
-            current=_several(current),
+            current=_several("current", current),
             running=running,
             time=time,
             dates=dates,
-            on=_several(on),
-            good=_several(good),
+            on=_several("on", on),
+            good=_several("good", good),
             timezone=timezone,
             machine=machine,
             session=session,
             stored=stored,
             duplicates=duplicates,
             clock_back=clock_back,
-            unit=_several(unit),
+            unit=_several("unit", unit),
         )
+    for each in fields(Answers):
+        if not isinstance(own := getattr(answers, each.name), str | tuple):
+            raise TraceError(f"{each.name}={_shown(own)}: give a text")
     if column_map is not None and answers != Answers():
         raise TraceError("a column map says it all; give either column_map or what is to be found out")
+    if not isinstance(source, pd.DataFrame | str | Path) and not _is_paths(source):
+        raise TraceError(f"source={_shown(source)}: give a data frame, a file, a folder, a pattern or a list of files")
+    if column_map is not None and not isinstance(column_map, ColumnMap | str | Path):
+        raise TraceError(f"column_map={_shown(column_map)}: give a map, its file, or a name in config/traces")
     if not isinstance(source, pd.DataFrame):
         return _read(source, column_map, answers, guess=guess, shown="")
     with TemporaryDirectory() as folder:
         path = Path(folder) / _FRAME
         _write(source, path)
         return _read(path, column_map, answers, guess=guess, shown=str(path))
+
+
+def _is_paths(source: object) -> bool:
+    return isinstance(source, list | tuple) and bool(source) and all(isinstance(each, str | Path) for each in source)
 
 
 def _read(
@@ -361,7 +405,9 @@ def learn(
     readings and the `seed`, not on the order of the traces. Raises LearningError (a ValueError) where the recording
     cannot teach a model.
     """
+    _recorded("recording", recording)
     _one_of("method", method, get_args(Method))
+    _whole("seed", seed)
     if settings is not None and method != "lsha":
         raise ValueError('settings belong to method="lsha"; leave them out, or choose that method')
     lsha = (settings or LshaSettings()) if method == "lsha" else None
@@ -374,7 +420,7 @@ def learn(
             recording.traces,
             recording.column_map,
             temperature=signal,
-            drivers=_several(drivers),
+            drivers=_several("drivers", drivers),
             name=name,
             seed=seed,
             lsha=lsha,
@@ -393,7 +439,7 @@ def learn(
 
     if temperature is None or isinstance(temperature, str):
         return one(temperature or recording.temperature)
-    return {signal: one(signal) for signal in temperature}
+    return {signal: one(signal) for signal in _several("temperature", temperature)}
 
 
 def forecast(
@@ -417,6 +463,8 @@ def forecast(
     ValueError for a trace without a signal that the model reads.
     """
     asked = _asked(horizons, period, seed, moments=moments, scan=scan)
+    _seconds("since", since)
+    _seconds("limit", limit)
     chosen = _runnable(model, recording)
     rows = []
     for trace in recording.traces:
@@ -440,8 +488,8 @@ def forecast(
 
 
 def _asked(horizons: Sequence[float], period: float, seed: int, *, moments: int, scan: float) -> ForecastSection:
-    if moments < 1:
-        raise ValueError(f"moments={moments!r}: there is nothing to forecast from; give a whole number from 1")
+    _whole("moments", moments, 1)
+    _seconds("scan", scan)
     if not 0 < scan < inf:
         raise ValueError(f"scan={scan!r}: no scan is so long; give its seconds, above 0")
     wanted = {"horizons": horizons, "period": period, "seed": seed}
@@ -466,6 +514,8 @@ def judge(
     `forecast`. Raises ValueError where no forecast came due.
     """
     asked = _asked(horizons, period, seed, moments=moments, scan=scan)
+    if training is not None:
+        _recorded("training", training)
     along = skill_along(
         [_runnable(model, recording)],
         recording.traces,
@@ -501,6 +551,8 @@ def diagnose(
     `most` effects are named at most. With `out` its folder gets report, pictures and the new model. Raises ValueError
     for a recording without what the model needs.
     """
+    _whole("most", most)
+    _whole("seed", seed)
     chosen = _runnable(model, recording)
     with TemporaryDirectory() as folder:
         where = str(model) if isinstance(model, str | Path) else chosen.sha.name
@@ -543,6 +595,8 @@ def simulate(
     """
     _one_of("policy", policy, get_args(Policy))
     _one_of("start", start, get_args(Start))
+    _whole("runs", runs, 2)
+    _whole("seed", seed)
     chosen = _runnable(model, recording)
     traces = [encoded(trace, chosen.alphabet) for trace in recording.traces]
     rows = simulate_traces(
@@ -572,9 +626,19 @@ def check(
     from gateway.lab.checking.check import answered
     from sim.lab.checking.smc import QuerySettings
 
+    if not isinstance(query, str):
+        raise ValueError(f"query={_shown(query)}: give a text such as 'Pr[<=600](<> Temp >= 80)'")
+    if not isinstance(start, str):
+        raise ValueError(f"start={_shown(start)}: give a text such as 'initial'")
+    if runs is not None:
+        _whole("runs", runs, 1)
+    _whole("seed", seed)
+    if recording is not None:
+        _recorded("recording", recording)
     traces = () if recording is None else recording.traces
     if len(traces) > 1:
         raise ValueError(f"the recording has {len(traces)} traces; a query takes one, whose events drive the runs")
+    _modelled(model)
     if isinstance(model, str | Path):
         found = _found(model, recording)
     else:
@@ -596,7 +660,15 @@ def _found(where: str | Path, recording: Recording | None) -> FoundModel:
     return find_model(where, alphabet=recording.column_map.alphabet, temperature=recording.temperature)
 
 
+def _modelled(model: object) -> None:
+    """Raises ValueError for what is neither a model nor the path of one."""
+    if not isinstance(model, LearnedModel | Model | str | Path):
+        raise ValueError(f"model={_shown(model)}: give a learned model, or the path of one")
+
+
 def _runnable(model: ModelLike, recording: Recording) -> Model:
+    _modelled(model)
+    _recorded("recording", recording)
     if isinstance(model, LearnedModel):
         return model.model
     return model if isinstance(model, Model) else _found(model, recording).runnable()
@@ -604,4 +676,4 @@ def _runnable(model: ModelLike, recording: Recording) -> Model:
 
 def _moments(seconds: Array) -> pd.DatetimeIndex | Array:
     """Times in UTC where they count since 1970, else as they are."""
-    return pd.to_datetime(seconds, unit="s", utc=True) if seconds.size and seconds[0] > _SINCE_1970 else seconds
+    return pd.to_datetime(seconds, unit="s", utc=True) if seconds.size and since_1970(float(seconds[0])) else seconds

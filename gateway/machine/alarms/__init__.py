@@ -1,20 +1,28 @@
 """Alarms by ISA-18.2: their states, and which of them a machine has."""
 
-from gateway.machine.alarms.board import BY_PERSONS, AlarmBoard, AlarmError
-from gateway.machine.alarms.conditions import acknowledge_words, make_conditions, name_of, suppressing_tags
-from gateway.machine.alarms.journal import JournalRow, read_journal
-from gateway.machine.alarms.picture import diagram, state_table, transition_table
-from gateway.machine.alarms.rates import PRIORITIES, alarm_rates
-from gateway.machine.alarms.sensors import SensorWatch, without_faulty
-from gateway.machine.alarms.states import (
-    HIDDEN,
-    LETTERS,
-    MEANINGS,
-    TRANSITIONS,
-    UNSEEN,
-    Alarm,
-    AlarmCondition,
-    AlarmState,
-    Change,
-    possible,
-)
+from typing import TYPE_CHECKING
+
+from sim.doors import opened_at_use
+
+if TYPE_CHECKING:
+    from gateway.machine.alarms.board import AlarmBoard, AlarmError
+    from gateway.machine.alarms.conditions import acknowledge_words, make_conditions, name_of, suppressing_tags
+    from gateway.machine.alarms.journal import JournalRow, read_journal
+    from gateway.machine.alarms.picture import diagram, state_table, transition_table
+    from gateway.machine.alarms.rates import PRIORITIES, alarm_rates
+    from gateway.machine.alarms.sensors import SensorWatch, without_faulty
+    from gateway.machine.alarms.states import (
+        BY_PERSONS,
+        HIDDEN,
+        LETTERS,
+        MEANINGS,
+        TRANSITIONS,
+        UNSEEN,
+        Alarm,
+        AlarmCondition,
+        AlarmState,
+        Change,
+        possible,
+    )
+else:
+    __getattr__ = opened_at_use(__name__)

@@ -10,6 +10,7 @@ from drivers.errors import OneLineError, did_you_mean
 from gateway.machine.alarms.conditions import DRIFTING, OVER_LIMIT, on_tag
 from gateway.machine.alarms.sensors import DISTRUSTED, SensorFault, SensorWatch
 from gateway.machine.alarms.states import (
+    BY_PERSONS,
     CHANGE_WORDS,
     HIDDEN,
     UNSEEN,
@@ -39,15 +40,6 @@ AlarmListener = Callable[[AlarmCondition, Alarm, Alarm], None]
 
 GATEWAY = "the gateway"
 """Who takes an alarm off the shelf when its time is over."""
-BY_PERSONS = {
-    Change.ACKNOWLEDGE: "acknowledged",
-    Change.RESET: "reset",
-    Change.SHELVE: "shelved",
-    Change.UNSHELVE: "unshelved",
-    Change.REMOVE: "removed from service",
-    Change.RETURN: "returned to service",
-}
-"""The changes that persons make, and the word for it when it is done."""
 
 
 class AlarmError(OneLineError, ValueError):

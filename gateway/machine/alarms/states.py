@@ -56,6 +56,16 @@ MEANINGS: Mapping[AlarmState, str] = {
 }
 """What each state says to an operator."""
 
+BY_PERSONS = {
+    Change.ACKNOWLEDGE: "acknowledged",
+    Change.RESET: "reset",
+    Change.SHELVE: "shelved",
+    Change.UNSHELVE: "unshelved",
+    Change.REMOVE: "removed from service",
+    Change.RETURN: "returned to service",
+}
+"""The changes that persons make, and the word for it when it is done."""
+
 CHANGE_WORDS: Mapping[Change, str] = {
     Change.RAISE: "the condition stands, for its on-delay",
     Change.CLEAR: "the condition is over by its deadband, for its off-delay",

@@ -89,12 +89,20 @@ class Member:
     failed: float = 0.0
 
 
-def bands(model: Model, section: ForecastSection, scan_period: float) -> Calibration:
-    """The bands of a model, not yet taught: its own factors at the configured horizons."""
+MEMBER_MEMORY = 5.0
+"""Independent forecasts after which what a member's band has seen fades to 1/e: the mixture has its own on top."""
+
+
+def bands(model: Model, section: ForecastSection, scan_period: float, *, member: bool = True) -> Calibration:
+    """The bands of a model, not yet taught: its own factors at the configured horizons.
+
+    Those of a `member` of an ensemble forget sooner than those that are published.
+    """
     own = model.calibration
     known = sorted(own)
     by_horizon = {h: float(np.interp(h, known, [own[k] for k in known])) if own else 1.0 for h in section.horizons}
-    return calibrate(by_horizon, tolerance=max(5.0, 3.0 * scan_period))
+    memory = {"memory": MEMBER_MEMORY} if member else {}
+    return calibrate(by_horizon, tolerance=max(5.0, 3.0 * scan_period), **memory)
 
 
 def run_job(job: ForecastJob, section: ForecastSection, limit: float, levels: tuple[float, ...]) -> Forecast:
@@ -289,7 +297,7 @@ class Ensemble:
         return {
             "hashes": self.hashes,
             "members": [member.predictor.snapshot() for member in self.members],
-            "credits": {f"{h:g}": uncopied(state.pool) for h, state in self.evidence.items()},
+            "losses": {f"{h:g}": uncopied(state.pool) for h, state in self.evidence.items()},
         }
 
     def restore(self, saved: Mapping[str, Any], now: float) -> bool:
@@ -303,7 +311,8 @@ class Ensemble:
             if snapshot is not None:
                 member.predictor.restore(snapshot, now)
         for horizon, state in self.evidence.items():
-            kept = saved["credits"].get(f"{horizon:g}")
+            # Former versions counted losses in degC, under another name: those cannot be gone on from.
+            kept = saved.get("losses", {}).get(f"{horizon:g}")
             if kept is not None and _settings(kept) == _settings(asdict(state.pool)):
                 contexts = {name: _losses(losses) for name, losses in kept["contexts"].items()}
                 overall = None if kept["overall"] is None else _losses(kept["overall"])

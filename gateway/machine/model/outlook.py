@@ -67,7 +67,7 @@ class Outlook:
         self.ensemble, self.levels = ensemble, levels
         self.latest: Forecast | None = None
         self.made = 0
-        self.calibration: Calibration = bands(predictor.model, section, scan_period)
+        self.calibration: Calibration = bands(predictor.model, section, scan_period, member=ensemble is not None)
         self._task: asyncio.Task[Forecast | MixedForecast] | None = None
         self._usable_s = FRESH_PERIODS * max(section.period, scan_period)
         self._due = -inf

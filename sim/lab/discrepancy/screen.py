@@ -6,7 +6,7 @@ is the log-likelihood ratio of its best strength, 0 where the sign is not physic
 shapes. The screen is conservative: the noise was fitted without the effect and has swallowed some of it.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -163,10 +163,12 @@ def smooth_course(fitted: Fitted) -> Array:
     return out
 
 
-def columns_of(fitted: Fitted, shapes: Sequence[Shape], smooth: Array) -> Array:
-    """(m, c) degC what one unit of strength of each shape does to the windows."""
+def columns_of(
+    fitted: Fitted, shapes: Sequence[Shape], smooth: Array, added: Callable[[Array], Array] | None = None
+) -> Array:
+    """(m, c) degC what one unit of strength of each shape does to the windows; `added` is the fit's `heat_filter`."""
     record, state = fitted.frame.record, fitted.state
-    added = heat_filter(fitted.frame, state)
+    added = heat_filter(fitted.frame, state) if added is None else added
     out = []
     for shape in shapes:
         effects = effects_of(shape.named(1.0), record.model)
@@ -232,17 +234,17 @@ def judged(fitted: Fitted, shapes: tuple[Shape, ...], columns: Array) -> Screen:
     # Columns of unit size: strengths run from degC to 1/s, and one normal matrix of them all would lose its digits.
     scale = np.sqrt(np.mean(columns**2, axis=0))
     scaled = columns / np.where(scale > 1e-12, scale, 1.0)
-    # np.add.at, not a fancy +=, because windows of one cycle share a row and each of them must count.
-    cycles = np.unique(fitted.grid.cycle, return_inverse=True)[1]
-    count, width = int(cycles.max()) + 1, columns.shape[1]
-    parts, shares, before = np.zeros((count, width)), np.zeros((count, width)), np.empty(width)
+    # The cycles follow one another, so that each one's windows lie together.
+    begins = np.flatnonzero(np.diff(fitted.grid.cycle, prepend=-1))
+    width = columns.shape[1]
+    parts, shares, before = np.empty((begins.size, width)), np.empty((begins.size, width)), np.empty(width)
     normal = np.empty((width, width))
     for begin in range(0, width, TOGETHER):
         some = slice(begin, begin + TOGETHER)
         cleaned, weighed, before[some] = projector.clean(scaled[:, some])
         normal[:, some] = scaled.T @ weighed
-        np.add.at(parts[:, some], cycles, cleaned * projector.weighed_residual[:, None])
-        np.add.at(shares[:, some], cycles, cleaned * weighed)
+        parts[:, some] = np.add.reduceat(cleaned * projector.weighed_residual[:, None], begins)
+        shares[:, some] = np.add.reduceat(cleaned * weighed, begins)
     left = np.maximum(np.diag(normal), 0.0)
     visible = np.where((scale > 1e-12) & (before > 0), np.sqrt(left / np.maximum(before, 1e-300)), 0.0)
     return Screen(
@@ -260,14 +262,15 @@ def refined(fitted: Fitted, shape: Shape, strength: float) -> Named:
     """The effect with its shape where the gain is greatest, searched from a shape of the screen."""
     smooth = smooth_course(fitted)
     projector = Projector(fitted)
+    shortest, added = shortest_visible(fitted.frame.record), heat_filter(fitted.frame, fitted.state)
     names = [name for name in shape.entry.candidate.refine if name in shape.params]
     if not names:
         return shape.named(strength)
     best: list[tuple[float, Shape, float]] = []
 
     def loss(point: Array) -> float:
-        trial = _at(shape, names, point, fitted.frame.record)
-        column = columns_of(fitted, [trial], smooth)
+        trial = _at(shape, names, point, fitted.frame.record, shortest)
+        column = columns_of(fitted, [trial], smooth, added)
         _, weighed, _ = projector.clean(column)
         size = float(column[:, 0] @ weighed[:, 0])
         score = float(column[:, 0] @ projector.weighed_residual)
@@ -295,12 +298,12 @@ def refined(fitted: Fitted, shape: Shape, strength: float) -> Named:
     return top.named(value)
 
 
-def _at(shape: Shape, names: Sequence[str], point: Array, record: Record) -> Shape:
+def _at(shape: Shape, names: Sequence[str], point: Array, record: Record, shortest: float) -> Shape:
     """The shape at coordinates of the search: logarithms of times, else steps of a width or of ten, within bounds.
 
-    No time is made shorter than what the record's rows show, and no moment without bounds lies outside of it.
+    No time is made shorter than the `shortest` (s) that the record shows, no moment without bounds lies outside of it.
     """
-    values, shortest = {}, shortest_visible(record)
+    values = {}
     begin, end = float(record.runs.time[0]), float(record.runs.time[-1])
     for name, coordinate in zip(names, point.tolist(), strict=True):
         low, high = shape.entry.candidate.refine[name]

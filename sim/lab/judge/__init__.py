@@ -7,7 +7,7 @@ from sim.doors import opened_at_use
 if TYPE_CHECKING:
     from sim.lab.judge.campaign import CampaignPlan, Progress, conduct, outcomes_by_model, run_here, run_there, unread
     from sim.lab.judge.comparison import NEW, PRESENT, HorizonComparison, compared, verdict_on
-    from sim.lab.judge.differences import Paired, paired, unit_differences
+    from sim.lab.judge.differences import LEAST_FOR_INTERVAL, Paired, paired, unit_differences
     from sim.lab.judge.fitness import (
         Facts,
         FitnessLimits,
@@ -26,7 +26,19 @@ if TYPE_CHECKING:
     from sim.lab.judge.ranking_page import as_plain, draw_ranking, write_page
     from sim.lab.judge.report import CampaignSummary, natural
     from sim.lab.judge.results import TraceResult
-    from sim.lab.judge.rows import NOMINAL, Skill, SkillRow, common, figures, grouped, machine_of, means, skill
+    from sim.lab.judge.rows import (
+        NOMINAL,
+        STRETCHES,
+        Skill,
+        SkillRow,
+        common,
+        figures,
+        grouped,
+        machine_of,
+        means,
+        skill,
+        stretch,
+    )
     from sim.lab.judge.skill_picture import draw_skill
     from sim.lab.judge.stages import Prepared, Wanted, load_stage, prepare, relabelled
     from sim.lab.judge.verdicts import gain, summaries, verdict

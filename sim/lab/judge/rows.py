@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from math import nan
+from math import isnan, nan
 from typing import Any, TypeVar
 
 import numpy as np
@@ -24,16 +24,17 @@ LEAST_FORECASTS = 8.0
 """Independent forecasts at a horizon below which they say nothing."""
 
 STRETCHES: Mapping[str, tuple[float, float]] = {
-    "0-30 min": (0.0, 1800.0),
-    "30-60 min": (1800.0, 3600.0),
-    "later": (3600.0, float("inf")),
+    "0-3 min": (0.0, 180.0),
+    "3-10 min": (180.0, 600.0),
+    "10-30 min": (600.0, 1800.0),
+    "later": (1800.0, float("inf")),
 }
-"""Parts of a trace by the seconds since its start: what is learned online shows from the second on."""
+"""Parts of a trace by the seconds since its start: what a method knows before it has seen this unit, and after."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SkillRow:
-    """The forecast of one `method` for one `horizon` (s), and the `outcome` (degC).
+    """The forecast of one `method` for one `horizon` (s), and the `outcome` (degC; NaN where none was read then).
 
     `origin` is when it was made (s since the trace's first row), `quantiles` (99,) are its law at the levels DENSE.
     """
@@ -45,6 +46,11 @@ class SkillRow:
     origin: float
     outcome: float
     quantiles: Array
+
+    @property
+    def read(self) -> bool:
+        """Whether it has an outcome."""
+        return not isnan(self.outcome)
 
     @property
     def moment(self) -> tuple[str, str, float, float]:
@@ -106,7 +112,7 @@ def figures(
     horizons: Sequence[float],
     made: Iterable[tuple[str, float, Array]],
 ) -> list[SkillRow]:
-    """The rows of what methods forecast along a recording, for the moments whose outcome was read.
+    """The rows of what methods forecast along a recording, for the moments that came due within it.
 
     `made` are (method, absolute s of the origin, (99, H) quantiles in degC for the H `horizons`); over steps longer
     than `gap` (s) nothing is read. Raises ValueError where the trace has no such temperature.
@@ -117,8 +123,9 @@ def figures(
     rows = []
     for method, time, fan in made:
         for column, horizon in enumerate(horizons):
-            outcome = outcomes.at(time + horizon)
-            if outcome is not None and np.all(np.isfinite(fan[:, column])):
+            due = time + horizon
+            outcome = outcomes.at(due)
+            if due <= trace.times[-1] and np.all(np.isfinite(fan[:, column])):
                 rows.append(
                     SkillRow(
                         machine=machine_of(trace),
@@ -126,7 +133,7 @@ def figures(
                         method=method,
                         horizon=horizon,
                         origin=time - float(trace.times[0]),
-                        outcome=outcome,
+                        outcome=nan if outcome is None else outcome,
                         quantiles=fan[:, column],
                     )
                 )
@@ -153,8 +160,12 @@ def means(rows: Iterable[SkillRow], keys: Mapping[str, Callable[[SkillRow], Any]
 
 
 def common(rows: Sequence[SkillRow]) -> list[SkillRow]:
-    """The rows of those moments at which every method has a forecast: no method is judged by easier ones."""
+    """The rows of those moments at which every method has a forecast and which have an outcome.
+
+    No method is judged by easier ones.
+    """
     methods = {row.method for row in rows}
+    rows = [row for row in rows if row.read]
     there: dict[tuple[str, str, float, float], set[str]] = {}
     for row in rows:
         there.setdefault(row.moment, set()).add(row.method)

@@ -1,6 +1,6 @@
 """What forecasts are worth beside persistence and rivals: tables of figures, and plain sentences."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from itertools import product
 from math import floor
@@ -27,7 +27,8 @@ class Worth:
     """A method of ours against the best other one at one `horizon` (s), on one machine or on all of them ("").
 
     `crps` and `best_crps` are the means of both in the temperature's unit; the best has the lowest at that place.
-    `scored` forecasts had an outcome, which overlap and are worth `independent` ones that do not.
+    Of the `due` forecasts, which came due within a trace, `scored` had an outcome; these overlap and are worth
+    `independent` ones that do not.
     """
 
     method: str
@@ -36,6 +37,7 @@ class Worth:
     crps: float
     best: str
     best_crps: float
+    due: int
     scored: int
     independent: float
 
@@ -43,9 +45,10 @@ class Worth:
     def verdict(self) -> Literal["not known", "better", "as good", "worse"]:
         """What the model is: as good as the best other method while neither CRPS is AHEAD times the other's.
 
-        Not known from fewer than LEAST_FORECASTS independent forecasts.
+        Not known from fewer than LEAST_FORECASTS independent forecasts, or where less than LEAST_READ of the moments
+        have an outcome.
         """
-        if self.independent < LEAST_FORECASTS:
+        if self.independent < LEAST_FORECASTS or self.scored < LEAST_READ * self.due:
             return "not known"
         if self.crps > AHEAD * self.best_crps:
             return "worse"
@@ -57,10 +60,15 @@ class Worth:
         own, other = f"{self.crps:.3g}", f"{self.best_crps:.3g}"
         if self.verdict == "not known":
             had = "1 forecast" if self.scored == 1 else f"{self.scored} forecasts"
+            why = (
+                f"{had} had an outcome, worth {_floored(self.independent)} that do not overlap; "
+                f"{LEAST_FORECASTS:g} is the fewest that tell"
+                if self.independent < LEAST_FORECASTS
+                else f"{self.scored} of {self.due} moments have an outcome, which may be the easier ones"
+            )
             return (
                 f"{where} it is not known whether the model is better than {self.best} (CRPS {own} against {other} "
-                f"{unit}): {had} had an outcome, worth {_floored(self.independent)} that do not overlap; "
-                f"{LEAST_FORECASTS:g} is the fewest that tell"
+                f"{unit}): {why}"
             )
         if self.verdict == "better":
             return f"{where} the model is better than {self.best} (CRPS {own} against {other} {unit})"
@@ -115,6 +123,8 @@ def forecast_skill(
         said.append("the methods have no forecast for the same moment, so they cannot be compared")
     found = tables(shared, ours, seed)
     own = grouped(shared, lambda row: (row.method, row.horizon))
+    every = grouped(rows, lambda row: (row.method, row.horizon))
+    said += _unread(every.values(), ours)
     crps: dict[float, dict[str, dict[str, float]]] = {}
     for row in (*found["by horizon"], *found["by machine"]):
         places = crps.setdefault(row["horizon"], {})
@@ -136,6 +146,7 @@ def forecast_skill(
                         crps=here[method],
                         best=best,
                         best_crps=others[best],
+                        due=sum(machine in ("", row.machine) for row in every[method, horizon]),
                         scored=len(made),
                         independent=independent(made),
                     )
@@ -143,11 +154,26 @@ def forecast_skill(
     return ForecastSkill(ours=tuple(ours), tables=found, worth=tuple(worth), notes=tuple(said), unit=unit)
 
 
+def _unread(every: Iterable[Sequence[SkillRow]], ours: Sequence[str]) -> list[str]:
+    """A sentence for each horizon of the first of our methods with moments at which nothing was read."""
+    said = []
+    for rows in every:
+        read = sum(row.read for row in rows)
+        if rows[0].method in ours[:1] and read < len(rows):
+            said.append(
+                f"at {rows[0].horizon:g} s {read} of {len(rows)} moments have an outcome; at the others nothing was "
+                "read: the recording has gaps there, or is stored on change and its column map does not say so"
+            )
+    return said
+
+
 def _floored(count: float) -> str:
     # Rounded to the nearest, 7.97 would read as the fewest that tell.
     return f"{floor(10.0 * count) / 10.0:g}"
 
 
+LEAST_READ = 0.5
+"""Share of the moments that came due which must have an outcome: readings of few moments are no sample of all."""
 AHEAD = 1.05
 """A method is as good as the best other one while its CRPS is at most so many times that one's."""
 

@@ -6,9 +6,9 @@ from math import exp, inf, log, nan
 
 import numpy as np
 
-from sim.engine import Belief, Tracker, compiled, observe, on_event, start, with_inputs
-from sim.forecast import LEVELS, Z90, forecast, weighted
-from sim.lab.learning.outcomes import Outcomes, outcomes_of
+from sim.engine import Belief, compiled, observe, on_event, start, with_inputs
+from sim.forecast import LEVELS, Z90, fans, weighted
+from sim.lab.learning.outcomes import outcomes_of
 from sim.lab.learning.plain import PERSISTENCE
 from sim.scores import crps_quantiles
 from sim.sha import UNKNOWN, Array, Event, Model, PlainMember, Trace, plain_model
@@ -25,7 +25,9 @@ PLAIN_ROWS = 4_000
 """The same of a plain member: what it was worth at training is only where its weight begins."""
 PRIOR = 6.0
 """Independent forecasts at most that a plain member's odds at training count for: another machine is not this one."""
-LEAST_ODDS = 1e-3
+UNSEEN_ODDS, UNSEEN_WIDENING = 10.0, 1.75
+"""Where only later times of the training's own traces were held out, nobody knows how the model fits another day: the
+plain members together have these odds, and all bands are wider by this."""
 LEAST_WIDENING, MOST_WIDENING = 0.5, 5.0
 """Bounds of a factor: what lies outside is a model that does not fit, which a band cannot mend."""
 
@@ -34,7 +36,9 @@ LEAST_WIDENING, MOST_WIDENING = 0.5, 5.0
 class Coverage:
     """What was seen at one `horizon` (s): `forecasts`, worth so many `independent` ones (they overlap), the share
     `covered` by the 90 % band as the model gave it, the `factor` that comes of it, their mean CRPS (degC), and that of
-    `persistence` at the same moments (NaN where none stood beside the model)."""
+    `persistence` at the same moments (NaN where none stood beside the model). `other_days` says whether whole traces or
+    machines were held out; else it was later times of the same ones, and `widening` is for what they cannot tell.
+    """
 
     horizon: float
     forecasts: int
@@ -43,6 +47,12 @@ class Coverage:
     factor: float
     crps: float
     persistence: float = nan
+    other_days: bool = True
+
+    @property
+    def widening(self) -> float:
+        """The factor that a model has: what was seen, and more where nothing was seen of another day."""
+        return self.factor if self.other_days else min(UNSEEN_WIDENING * self.factor, MOST_WIDENING)
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +83,7 @@ def score_forecasts(
     usable = [max(float(trace.times[-1]) - first, 0.0) for trace, first in zip(traces, since, strict=True)]
     every = max(sum(usable) / origins, 1e-9)
     stride = max(sum(trace.times.size for trace in traces) // most_rows, 1)
-    scored: list[Scored] = []
+    seen: list[tuple[Belief, dict[float, float]]] = []
     for trace, first in zip(traces, since, strict=True):
         raw = trace.drawn(tracker.model.temperature)
         outcomes = outcomes_of(trace.times, raw, tracker.model.alphabet.gap)
@@ -91,27 +101,24 @@ def score_forecasts(
             # The filter gets the raw reading, spikes included: on the plant nobody takes them out beforehand.
             belief = observe(tracker, belief, time, value)
             if time >= following and belief.seen:
-                scored += _score(tracker, belief, outcomes, rng)
+                due = {horizon: outcomes.at(time + horizon) for horizon in HORIZONS}
+                seen.append((belief, {horizon: value for horizon, value in due.items() if value is not None}))
                 following = max(following + every, time)
-    return scored
+    judged = [(belief, due) for belief, due in seen if due]
+    found = fans(tracker, [(belief, tuple(due)) for belief, due in judged], rng, runs=RUNS)
+    return [score for (belief, due), fan in zip(judged, found, strict=True) for score in _scores(belief.time, due, fan)]
 
 
-def _score(tracker: Tracker, belief: Belief, readings: Outcomes, rng: np.random.Generator) -> list[Scored]:
-    """The forecast from `belief` at every horizon whose outcome is among the `readings`."""
-    outcomes = {horizon: readings.at(belief.time + horizon) for horizon in HORIZONS}
-    horizons = [horizon for horizon, value in outcomes.items() if value is not None]
-    if not horizons:
-        return []
-    fan = forecast(tracker, belief, horizons, rng, runs=RUNS)
-    low, median, high = (fan.quantiles[LEVELS.index(level)] for level in (0.05, 0.5, 0.95))
+def _scores(time: float, due: Mapping[float, float], fan: Array) -> list[Scored]:
+    """The `fan` (L, H) of a forecast made at `time` (s) against what came true, horizon -> degC."""
+    low, median, high = (fan[LEVELS.index(level)] for level in (0.05, 0.5, 0.95))
     scored = []
-    for column, horizon in enumerate(horizons):
-        error = (outcomes[horizon] or 0.0) - median[column]
+    for column, (horizon, outcome) in enumerate(due.items()):
+        error = outcome - median[column]
         # The law need not be symmetric: an error counts in units of the half of the band on whose side it lies.
         edge = high[column] - median[column] if error >= 0 else median[column] - low[column]
         z = float(Z90 * abs(error) / max(edge, 1e-9))
-        crps = float(crps_quantiles(LEVELS, fan.quantiles[:, column], outcomes[horizon] or 0.0))
-        scored.append(Scored(horizon, belief.time + horizon, z, crps))
+        scored.append(Scored(horizon, time + horizon, z, float(crps_quantiles(LEVELS, fan[:, column], outcome))))
     return scored
 
 
@@ -119,13 +126,16 @@ def _score(tracker: Tracker, belief: Belief, readings: Outcomes, rng: np.random.
 class HeldOutForecasts:
     """What models of the same kind forecast beyond what they were fitted to, and the `plain` members beside them.
 
-    `seed` draws the plain members' runs; the model's are drawn by whoever adds it.
+    `seed` draws the plain members' runs; the model's are drawn by whoever adds it. `other_days` is as in `Coverage`;
+    `machines` has that of each trace that was forecast.
     """
 
     plain: Sequence[PlainMember]
     seed: int
     scored: list[Scored] = field(default_factory=list)
     of_plain: dict[str, list[Scored]] = field(default_factory=dict)
+    other_days: bool = True
+    machines: list[str] = field(default_factory=list)
 
     def add(
         self,
@@ -137,6 +147,7 @@ class HeldOutForecasts:
         origins: int = ORIGINS,
     ) -> None:
         """Score the forecasts of a part (`score_forecasts`), the plain members' along the same traces."""
+        self.machines += [trace.machine for trace in traces]
         self.scored += score_forecasts(model, traces, since, rng, origins=origins)
         for number, member in enumerate(self.plain):
             own = np.random.default_rng((self.seed, number + 1, len(self.scored)))
@@ -149,14 +160,24 @@ class HeldOutForecasts:
     def coverage(self) -> tuple[Coverage, ...]:
         """The model's own coverage and factors, and its CRPS beside persistence's."""
         beside = _mean_crps(self.of_plain.get(PERSISTENCE, []))
-        return tuple(replace(row, persistence=beside.get(row.horizon, nan)) for row in coverage_of(self.scored))
+        return tuple(
+            replace(row, persistence=beside.get(row.horizon, nan), other_days=self.other_days)
+            for row in coverage_of(self.scored)
+        )
 
     @property
     def members(self) -> tuple[PlainMember, ...]:
         """The plain members with their factors, and with their odds against the model at each horizon.
 
-        The odds are those that a pool would have come to over as many independent forecasts, PRIOR at most.
+        The odds are those that a pool would have come to over as many independent forecasts, PRIOR at most. Forecasts
+        of one unit err together: who was better on all of n is so on the next with odds of n + 1 (Laplace's rule of
+        succession), and no odds are above that.
         """
+        kinds = len(set(self.machines))
+        most = 1.0 + (kinds if kinds > 1 else len(self.machines))
+        least = 1.0 / most
+        if not self.other_days:
+            least = most = UNSEEN_ODDS / max(len(self.plain), 1)
         independent = {row.horizon: row.independent for row in self.coverage}
         own = _mean_crps(self.scored)
         members = []
@@ -166,8 +187,9 @@ class HeldOutForecasts:
             for horizon in own.keys() & losses.keys():
                 pair = np.array([own[horizon], losses[horizon]])
                 weight = weighted(np.ones(2), pair / max(pair.min(), 1e-3), min(independent[horizon], PRIOR))
-                odds[horizon] = float(min(max(weight[1] / weight[0], LEAST_ODDS), 1.0 / LEAST_ODDS))
-            factors = {row.horizon: row.factor for row in coverage_of(scored)}
+                odds[horizon] = float(min(max(weight[1] / weight[0], least), most))
+            rows = (replace(row, other_days=self.other_days) for row in coverage_of(scored))
+            factors = {row.horizon: row.widening for row in rows}
             members.append(replace(member, calibration=factors, odds=dict(sorted(odds.items()))))
         return tuple(members)
 

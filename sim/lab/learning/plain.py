@@ -1,8 +1,9 @@
 """Plain members of an ensemble: what the last minutes say by themselves, without events, inputs or targets.
 
-Persistence is a random walk; a damped trend is one under heat with a memory. Both are automata of one location, so that
-they are filtered, drawn and mixed like any model. A learned model carries them (`Model.plain`), since their noise is
-learned from the same traces.
+Persistence is a random walk from the last reading: a mean of the last ones would lag behind on a day that is livelier
+than the training. A damped trend is a walk under heat with a memory, filtered. Both are automata of one location, so
+that they are drawn and mixed like any model. A learned model carries them (`Model.plain`), since their noise is learned
+from the same traces.
 """
 
 from collections.abc import Sequence
@@ -11,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from sim.lab.learning.free_run import FitShape, FreeRunFit
-from sim.lab.learning.noise import fit_noises
+from sim.lab.learning.noise import HORIZONS, NoiseLevels, fit_noises
 from sim.lab.learning.runs import free_runs, sampled
 from sim.sha import SHA, Flow, Location, PlainMember, Trace
 
@@ -51,15 +52,24 @@ def learn_plain(traces: Sequence[Trace], temperature: str) -> tuple[PlainMember,
         start=nothing,
     )
     group = np.zeros(1, dtype=np.intp)
-    noises = fit_noises(runs, shape, fit, group, budget=BUDGET, whole=whole)
-    return tuple(
-        PlainMember(
-            name,
-            noise.sensor,
-            float(noise.process[0]),
-            heat=noise.heat,
-            memory=noise.memory,
-            sensor_memory=noise.sensor_memory,
-        )
-        for name, noise in zip((PERSISTENCE, TREND), noises, strict=False)
+    walk, *trends = fit_noises(runs, shape, fit, group, budget=BUDGET, whole=whole)
+    return (
+        PlainMember(PERSISTENCE, 0.0, _walk_between_readings(walk)),
+        *(
+            PlainMember(
+                TREND,
+                noise.sensor,
+                float(noise.process[0]),
+                heat=noise.heat,
+                memory=noise.memory,
+                sensor_memory=noise.sensor_memory,
+            )
+            for noise in trends[:1]
+        ),
     )
+
+
+def _walk_between_readings(noise: NoiseLevels) -> float:
+    """The walk (degC/sqrt(s)) whose changes are those between two readings over HORIZONS, both of which err."""
+    over = np.array(HORIZONS)
+    return float(np.exp(np.mean(0.5 * np.log(noise.process[0] ** 2 + 2.0 * noise.sensor**2 / over))))

@@ -146,18 +146,17 @@ def fit_stays(model: Model | Tracker, traces: Sequence[Trace]) -> dict[str, Stay
     ends = sum(stay.to is not None for stays in by_location.values() for stay, _ in stays)
     # Sums run over sorted values here and below: in floating point they would depend on the traces' order otherwise.
     typical = max(float(np.sum(np.sort(lengths))) / max(ends, 1), SHORTEST) if lengths else 1.0
+    ahead: dict[str, set[str]] = {location: set() for location in by_location}
+    for edge in tracker.model.sha.edges:
+        if edge.source in ahead and edge.source != edge.target and edge.symbol != UNKNOWN:
+            ahead[edge.source].add(edge.target)
     fitted = {}
     for location in sorted(by_location):
         stays = sorted(
             by_location[location], key=lambda pair: (pair[0].end - pair[0].start, pair[1].name, pair[0].start)
         )
         counts = Counter(stay.to for stay, _ in stays if stay.to is not None)
-        possible = {
-            edge.target
-            for edge in tracker.model.sha.edges
-            if edge.source == location != edge.target and edge.symbol != UNKNOWN and edge.target in by_location
-        }
-        targets = sorted(possible | set(counts))
+        targets = sorted((ahead[location] & by_location.keys()) | set(counts))
         if targets:
             total = sum(counts.values()) + PRIOR_MOVES * len(targets)
             to = {target: (counts[target] + PRIOR_MOVES) / total for target in targets}

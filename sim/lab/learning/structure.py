@@ -57,6 +57,7 @@ def contexts(alphabet: Alphabet) -> Mapping[str, Context]:
     return MappingProxyType({name_of(context, alphabet): context for context in product(*choices)})
 
 
+@lru_cache(maxsize=16)
 def edges(alphabet: Alphabet) -> tuple[Edge, ...]:
     """One edge for each location and symbol, UNKNOWN included: deterministic and input-enabled by construction."""
     moves: list[Edge] = []

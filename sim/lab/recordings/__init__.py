@@ -6,13 +6,12 @@ from sim.doors import opened_at_use
 
 if TYPE_CHECKING:
     from sim.lab.recordings.auto_thresholds import Levels, driven_by, levels_of, round_to, with_thresholds
-    from sim.lab.recordings.cells import SWITCH_WORDS, booleans, decimal_mark, measured, numbers
+    from sim.lab.recordings.cells import RUN_WORDS, SWITCH_WORDS, booleans, decimal_mark, measured, numbers
     from sim.lab.recordings.channel_use import channel_uses
     from sim.lab.recordings.clock import longest_rising, read_clock, to_utc, unroll_midnight
+    from sim.lab.recordings.clock_counts import COUNTS, dated_format, since_1970
     from sim.lab.recordings.clock_words import plain_time
     from sim.lab.recordings.column_map import (
-        SECONDS,
-        SPREADSHEET,
         ClockColumns,
         ColumnMap,
         load_map,

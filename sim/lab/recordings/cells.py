@@ -20,7 +20,11 @@ SWITCH_WORDS: tuple[tuple[tuple[str, ...], tuple[str, ...]], ...] = (
 )
 """Words of two-valued signals that need no declaring, (on, off) by kind: English, Italian, German, French, Spanish."""
 
+RUN_WORDS = frozenset(SWITCH_WORDS[3][0])
+"""Of these the words of a machine that runs."""
 _BLANKS = re.compile(r"(?<=\d)[ '’\xa0\u202f](?=\d{3}(?!\d))")
+_SIGNED = re.compile(r"^([+-])\s+(?=[\d.,])")
+"""A sign that stands apart from its number, as recorders print columns."""
 _GROUPED = {mark: re.compile(rf"[+-]?\d{{1,3}}(?:{re.escape(mark)}\d{{3}})+") for mark in ".,"}
 """Thousands that are set apart by a mark; twice the same mark in a cell can be nothing else."""
 _MEASURED = re.compile(r"([+-]?[\d.,'’\xa0\u202f ]*\d(?:[eE][+-]?\d+)?)\s*([^\d\s].*)")
@@ -44,7 +48,7 @@ def _plain_floats(cells: Sequence[str]) -> Array | None:
 def _number(cell: str, decimal: Decimal) -> float:
     if "_" in cell:
         return np.nan
-    cell = _BLANKS.sub("", cell)
+    cell = _SIGNED.sub(r"\1", _BLANKS.sub("", cell))
     for mark in ".,":
         if cell.count(mark) > 1 and _GROUPED[mark].fullmatch(cell):
             cell = cell.replace(mark, "")

@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from sim.lab.recordings.cells import Decimal, numbers
+from sim.lab.recordings.clock_counts import COUNTS
 from sim.lab.recordings.clock_words import plain_time
-from sim.lab.recordings.column_map import SECONDS, SPREADSHEET, ClockColumns, Names, TimeOfDay
+from sim.lab.recordings.column_map import ClockColumns, Names, TimeOfDay
 from sim.sha import Array, Mask
 
 if TYPE_CHECKING:
@@ -23,8 +24,6 @@ _OFFSET = re.compile(r":.*(?:[Zz]|[+-]\d\d(?::?\d\d)?)\s*$")
 _DATE = 10
 """Characters of a date with its marks."""
 _DAY = 86400.0
-_NOTHING = 25569
-"""Days from a spreadsheet's beginning, 1899-12-30, to 1970."""
 _MIDNIGHT = re.compile(r"(?<=[ T])24(?=[:.]00)")
 """The end of a day, which programs read as no hour of any."""
 
@@ -51,12 +50,9 @@ def read_clock(clock: ClockColumns, columns: Sequence[Sequence[str]], decimal: D
         if not left.size:
             break
         texts = [cells[index] for index in left] if left.size < len(cells) else cells
-        if format_ == SPREADSHEET:
-            # Eight decimals of a day are a millisecond.
-            seconds[left] = np.round((numbers(texts, decimal)[0] - _NOTHING) * _DAY, 3)
-            local[left] = True
-        elif format_ in SECONDS:
-            seconds[left] = numbers(texts, decimal)[0] / SECONDS[format_]
+        if (count := COUNTS.get(format_)) is not None:
+            seconds[left] = count.seconds(numbers(texts, decimal)[0])
+            local[left] = count.local
         else:
             seconds[left], local[left] = _dates(texts, format_)
     if clock.daily:

@@ -32,7 +32,13 @@ _DROPPED = frozenset(word for words in _SMALL_WORDS for word in words.split())
 _HALF = re.compile(r"(?<=\d)\s*([ap])\s?\.?\s?m\b\.?", re.IGNORECASE)
 _ASIDE = re.compile(r"\s*\([^)]*\)\s*$")
 _NO_ZONE = re.compile(r"\b(?:GMT|UTC|Z)(?=[+-]\d)")
-_UTC = re.compile(r"\s*\b(?:GMT|UTC)$")
+_ZONES = {
+    "GMT": "+0000", "UTC": "+0000", "WET": "+0000", "WEST": "+0100", "CET": "+0100", "CEST": "+0200", "MEZ": "+0100",
+    "MESZ": "+0200", "EET": "+0200", "EEST": "+0300", "EST": "-0500", "EDT": "-0400", "CDT": "-0500", "MST": "-0700",
+    "MDT": "-0600", "PST": "-0800", "PDT": "-0700",
+}  # fmt: skip
+"""Zones that have one meaning: CST is of Chicago and of Shanghai, IST and BST are of three each."""
+_ZONE = re.compile(rf"\s*\b({'|'.join(_ZONES)})(?=$| \d{{4}}$)")
 _WORD = re.compile(r"[^\W\d_]{2,}\.?|\bà\b")
 _YEAR_LAST = re.compile(r"^([A-Z][a-z]{2} \d\d?),? (\d\d?:\d\d(?::\d\d(?:\.\d+)?)?(?: [AP]M)?)( [+-]\d{4})? (\d{4})$")
 _ORDINAL = re.compile(r"(?<=\d)(?:\.(?=\s*[^\W\d_])|(?:st|nd|rd|th|er|º|ª)\b)")
@@ -44,7 +50,7 @@ def plain_time(text: str) -> str:
     "Wed Mar 13 2024 09:58:00 GMT+0100 (Central European Standard Time)" is "Mar 13 2024 09:58:00 +0100", and
     "13. Mrz 2024 09:58:00" is "13 Mar 2024 09:58:00". A year behind the time comes before it.
     """
-    text = _UTC.sub(" +0000", _NO_ZONE.sub("", _ASIDE.sub("", text.strip())))
+    text = _ZONE.sub(lambda match: f" {_ZONES[match[1]]}", _NO_ZONE.sub("", _ASIDE.sub("", text.strip())))
     text = _HALF.sub(lambda match: f" {match[1].upper()}M", text)
     text = _ORDINAL.sub("", text)
     months = sum(word[0].rstrip(".").casefold() in _MONTH for word in _WORD.finditer(text))

@@ -22,6 +22,7 @@ from drivers.errors import did_you_mean
 from drivers.named_files import MOST_TOML_BYTES, contents, parse_toml
 from drivers.settings import first_sentence
 from sim.lab.recordings.alphabet_table import DECANTER_AUTO, alphabet_from_table
+from sim.lab.recordings.clock_counts import COUNTS
 from sim.lab.recordings.load_report import TraceError
 from sim.sha import Alphabet
 
@@ -34,17 +35,8 @@ Names = Annotated[tuple[str, ...], BeforeValidator(_listed)]
 """One name or several: the first that the file has is taken."""
 
 
-SECONDS = {
-    "seconds": 1.0, "milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9,
-    "minutes": 1 / 60, "hours": 1 / 3600, "days": 1 / 86400,
-}  # fmt: skip
-"""Formats of a clock that counts, and how many of their units a second has."""
-SPREADSHEET = "spreadsheet days"
-"""The format of a spreadsheet's times: days, and parts of one, since 1899-12-30, in local time."""
-
-
 class _MapPart(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, defer_build=True)
 
 
 class TimeOfDay(_MapPart):
@@ -60,9 +52,8 @@ class TimeOfDay(_MapPart):
 class ClockColumns(_MapPart):
     """One `column`, in one of the `formats`, or a `time_of_day` that rolls over at midnight.
 
-    Formats, tried in order: `seconds`, `milliseconds`, `microseconds`, `nanoseconds`, `minutes`, `hours`, `days`
-    (elapsed or since 1970), `spreadsheet days`, `ISO8601`,
-    or a strptime pattern (months in any of the exporters' languages).
+    Formats, tried in order: a count of COUNTS, `ISO8601`, or a strptime pattern (months in any of the exporters'
+    languages).
     Where the day stands in a column `date` of its own, its cell, a blank and that of `column` are what the formats
     read. A time without an offset is read in `timezone`. A time of day becomes seconds since midnight of the first
     row's day.
@@ -93,10 +84,8 @@ class ClockColumns(_MapPart):
     @classmethod
     def _formats_are_known(cls, formats: tuple[str, ...]) -> tuple[str, ...]:
         for format_ in formats:
-            if format_ not in (*SECONDS, SPREADSHEET, "ISO8601") and "%" not in format_:
-                known = (
-                    f"{', '.join(map(repr, [*SECONDS, SPREADSHEET]))}, 'ISO8601' or a pattern like '%d/%m/%Y %H:%M:%S'"
-                )
+            if format_ not in (*COUNTS, "ISO8601") and "%" not in format_:
+                known = f"{', '.join(map(repr, COUNTS))}, 'ISO8601' or a pattern like '%d/%m/%Y %H:%M:%S'"
                 raise ValueError(f"{format_!r} is no format; give {known}")
         return formats
 

@@ -20,17 +20,27 @@ _VARIED = 10
 _SAME = 1e-6
 _FAR = 0.25
 """Of the range of all other readings: so far a code lies from the readings beside it."""
+_ABSURD = 1e7
+"""Times the usual reading: no quantity of a plant is so large, but what a float holds that nobody has written is."""
+_SLOW = (0.0, -1.0)
+"""What programs write for a temperature that they do not have; it passes these numbers, and does not jump to them."""
 _MOST = 0.5
 """Share of the readings beyond which a value is what the plant does."""
 
 
-def codes_in(values: Array) -> dict[float, int]:
-    """The codes among readings in the order of time, and how often: values of the table that jump out of the others."""
+def codes_in(values: Array, *, slow: bool = False) -> dict[float, int]:
+    """The codes among readings in the order of time, and how often: values of the table that jump out of the others.
+
+    `slow` readings, as of a temperature, have codes that others reach in one step.
+    """
     finite = values[np.isfinite(values)]
     found: dict[float, int] = {}
-    known = np.zeros(finite.shape, dtype=bool)
     least, most = finite.min(initial=np.inf), finite.max(initial=-np.inf)
-    for code in CODES:
+    known = np.zeros(finite.shape, dtype=bool)
+    if max(-least, most) > _ABSURD:
+        usual = float(np.sort(np.abs(finite))[finite.size // 2])
+        known |= np.abs(finite) > _ABSURD * max(1.0, usual)
+    for code in (*CODES, *(_SLOW if slow else ())):
         width = _SAME * max(1.0, abs(code))
         if least - width <= code <= most + width:
             known |= np.abs(finite - code) <= width
@@ -46,7 +56,7 @@ def codes_in(values: Array) -> dict[float, int]:
     varied = np.unique(others).size >= _VARIED
     for code in np.unique(finite[known]).tolist():
         own = finite[known] == code
-        possible = code in POSSIBLE or (-1000.0 < code < 0.0 and others.min() < 0.0)
+        possible = code in POSSIBLE or code in _SLOW or (-1000.0 < code < 0.0 and others.min() < 0.0)
         if possible and not (varied and own.sum() <= _RARE * finite.size):
             continue
         if np.all(away[own] > _FAR * span):

@@ -136,7 +136,10 @@ def _layout(path: Path, column_map: ColumnMap, report: FileReport) -> TextLayout
 
 def _aliases(path: Path, column_map: ColumnMap, signal: str) -> Names:
     """The names under which a signal may come in one file: of a part also those that say the file's own name."""
-    names = column_map.names_of(signal)
+    return _in_file(path, column_map, column_map.names_of(signal))
+
+
+def _in_file(path: Path, column_map: ColumnMap, names: Names) -> Names:
     if not column_map.parts:
         return names
     own = f"{stem_of(path)}/"
@@ -212,10 +215,9 @@ def _convert(
     return values, {f"{name} is {why}": mask for why, mask in faults.items() if mask.any()}
 
 
-def _not_good(header: Sequence[str], place: int, columns: Sequence[Sequence[str]], column_map: ColumnMap) -> Mask:
-    """(n,) the rows whose reading in the column at `place` is not good, by the column that says so."""
+def _not_good(place: int, columns: Sequence[Sequence[str]], places: Sequence[int], column_map: ColumnMap) -> Mask:
+    """(n,) the rows whose reading in the column at `place` is not good, by the one of the quality `places` of it."""
     quality = column_map.quality
-    places = [] if quality is None else _quality_places(header, column_map)
     if quality is None or not places:
         return np.zeros(len(columns[place]), dtype=bool)
     at = next((each for each in places if each > place), places[-1])
@@ -230,21 +232,47 @@ def _distrusted(name: str, values: Array, not_good: Mask) -> dict[str, Mask]:
     return {f"{name} is not of a good quality": mask} if mask.any() else {}
 
 
-def _qualities(chunk: _Chunk, column_map: ColumnMap, report: FileReport) -> set[int]:
+def _quality_places(path: Path, chunk: _Chunk, column_map: ColumnMap, report: FileReport) -> list[int]:
     """The places of the columns that say how good readings are, whose cells are used up by that."""
-    places = _quality_places(chunk.header, column_map)
     names = () if column_map.quality is None else column_map.quality.column
-    # Of parts each has the quality of its own tags.
-    if not (column_map.parts and places):
-        for name in (each for each in names if place_of(chunk.header, (each,)) is None):
+    found = {name: place_of(chunk.header, _in_file(path, column_map, (name,))) for name in names}
+    places = sorted({place for place in found.values() if place is not None})
+    # Of parts each has the quality of its own tags, or one that has none says it of all.
+    if not column_map.parts:
+        for name in (each for each, place in found.items() if place is None):
             report.warn(f"there is no column {name!r}, a quality by the map: no reading is refused by it")
     report.used_cells += sum(_filled(chunk.columns[place]) for place in places)
-    return set(places)
+    return places
 
 
-def _quality_places(header: Sequence[str], column_map: ColumnMap) -> list[int]:
-    names = () if column_map.quality is None else column_map.quality.column
-    return sorted({place for name in names if (place := place_of(header, (name,))) is not None})
+def judged(readings: FileReadings, files: Sequence[FileReport]) -> FileReadings:
+    """The readings without those that a quality in a file of its own calls bad; its word holds until the next one.
+
+    What stands before its first word is judged by none, and is not good.
+    """
+    quality = readings.series.get(_OF_OTHERS)
+    if quality is None:
+        return readings
+    said = readings.times[quality.rows]
+    order = np.argsort(said, kind="stable")
+    words = np.concatenate(([0.0], quality.values[order]))
+    series = {}
+    for name, column in readings.series.items():
+        if name == _OF_OTHERS:
+            continue
+        at = np.searchsorted(said[order], readings.times[column.rows], "right")
+        values, bad = column.values.copy(), column.bad.copy()
+        for reason, mask in _distrusted(name, values, words[at] == 0.0).items():
+            for index, file in enumerate(files):
+                own = column.rows[mask & (readings.files[column.rows] == index)]
+                file.bad(readings.lines[own].tolist(), reason, [])
+            bad |= mask
+        series[name] = Series(column.rows, values, bad)
+    return replace(readings, series=series)
+
+
+_OF_OTHERS = ""
+"""The series of a quality in a file of its own: 1 where the readings of the other files are good, 0 where not."""
 
 
 def _count_faults(report: FileReport, lines: Rows, cells: Sequence[str], faults: Mapping[str, Mask]) -> Mask:
@@ -266,7 +294,8 @@ def _read_wide(path: Path, layout: TextLayout, column_map: ColumnMap, report: Fi
     for chunk in _chunks(path, layout, column_map, report):
         taken = {_needed(chunk.header, names) for names in clock_columns(column_map.clock)}
         taken |= {place for names in column_map.by_column if (place := place_of(chunk.header, names)) is not None}
-        taken |= _qualities(chunk, column_map, report)
+        qualities = _quality_places(path, chunk, column_map, report)
+        taken.update(qualities)
         places = {name: place for name in aliases if (place := place_of(chunk.header, aliases[name])) is not None}
         if column_map.extra:
             others = [index for index in range(len(chunk.header)) if index not in {*taken, *places.values()}]
@@ -277,7 +306,7 @@ def _read_wide(path: Path, layout: TextLayout, column_map: ColumnMap, report: Fi
         for name, place in places.items():
             cells = chunk.columns[place]
             column, faults = _convert(name, signals[name], cells, column_map, report)
-            faults |= _distrusted(name, column, _not_good(chunk.header, place, chunk.columns, column_map))
+            faults |= _distrusted(name, column, _not_good(place, chunk.columns, qualities, column_map))
             # Rows of the chunks before, under headers that did not have it.
             values.setdefault(name, [np.full(each.seconds.size, np.nan) for each in chunks]).append(column)
             own = bad.setdefault(name, [np.zeros(each.seconds.size, dtype=bool) for each in chunks])
@@ -285,7 +314,12 @@ def _read_wide(path: Path, layout: TextLayout, column_map: ColumnMap, report: Fi
             if place in seen:
                 report.cells += _filled(cells)  # one cell read as two signals counts twice
             seen.add(place)
-        for name in values.keys() - places.keys():
+        if column_map.parts and qualities and not places:
+            said = np.array([bool(cell.strip()) for cell in chunk.columns[qualities[0]]], dtype=bool)
+            good = 1.0 - _not_good(qualities[0] - 1, chunk.columns, qualities, column_map)
+            values.setdefault(_OF_OTHERS, []).append(np.where(said, good, np.nan))
+            bad.setdefault(_OF_OTHERS, []).append(np.zeros(said.shape, dtype=bool))
+        for name in values.keys() - places.keys() - {_OF_OTHERS}:
             values[name].append(np.full(chunk.seconds.size, np.nan))
             bad[name].append(np.zeros(chunk.seconds.size, dtype=bool))
         for place in set(range(len(chunk.header))) - seen - taken:
@@ -322,7 +356,8 @@ def _read_long(
         object_at = _needed(header, long.object) if long.objects else None
         taken = {_needed(header, each) for each in clock_columns(column_map.clock)}
         taken |= {place for each in column_map.by_column if (place := place_of(header, each)) is not None}
-        taken |= _qualities(chunk, column_map, report)
+        qualities = _quality_places(path, chunk, column_map, report)
+        taken.update(qualities)
         for place in set(range(len(header))) - taken - {value_at}:
             # What says which reading a row is of is no reading itself.
             report.unused[header[place] or f"column {place + 1}"] += _filled(columns[place])
@@ -330,7 +365,7 @@ def _read_long(
         for index, field in enumerate(map(str.strip, columns[name_at])):
             known = object_at is None or columns[object_at][index].strip() in long.objects
             groups[field if known else ""].append(index)
-        not_good = _not_good(header, value_at, columns, column_map)
+        not_good = _not_good(value_at, columns, qualities, column_map)
         for field, where in groups.items():
             if field not in names:
                 report.aside += len(where)

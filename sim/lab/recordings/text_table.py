@@ -89,7 +89,7 @@ def with_row_names(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list
     first = [row[0] for row in rows if row]
     counts = [int(cell) for cell in first if cell.isdecimal()]
     counted = len(counts) == len(first) > 1 and all(after == before + 1 for before, after in pairwise(counts))
-    longer = all(len(row) == len(header) + 1 for row in rows)
+    longer = all(len(row) == len(header) + 1 for row in rows) and any(row[-1].strip() for row in rows)
     return [UNNAMED, *header] if counted and longer and UNNAMED not in header else list(header)
 
 
@@ -187,6 +187,10 @@ def find_layout(
     if fits:
         shown = [cells for line in lines[skip : skip + _SHOWN_ROWS] if (cells := _header([line], separator)[0])]
         header = tuple(with_row_names(header, shown))
+        kept = header[: _narrower(lines[skip:], separator, len(header))]
+        if kept != header and all(place_of(kept, names) is not None for names in needed):
+            report.warn(f"none of its rows has a cell for {listed(header[len(kept) :])}")
+            header = kept
     named = tuple(told_apart(header))
     if named != tuple(header):
         report.warn(f"columns have the same name; they are told apart as {listed(set(named) - set(header))}")
@@ -200,6 +204,8 @@ def decode_head(path: Path, head: bytes, encoding: str) -> tuple[str, str, str]:
     A byte order mark says more than the map. Raises TraceError for what is no text.
     """
     bom = next((name for mark, name in _BOMS if head.startswith(mark)), None)
+    if bom is None and (unmarked := _unmarked(head)):
+        bom = unmarked
     chosen, note = bom or (encoding if encoding != "auto" else "utf-8"), ""
     try:
         # Incrementally: the head may end in the middle of a character, which is no fault.
@@ -213,6 +219,22 @@ def decode_head(path: Path, head: bytes, encoding: str) -> tuple[str, str, str]:
     if "\x00" in text[:4096] or strange * 20 > len(text[:4096]):
         raise TraceError(f"{path}: this is not a text file; give the CSV, unpacked")
     return chosen, text, note
+
+
+def _narrower(lines: Sequence[str], separator: str, width: int) -> int:
+    """The cells of each row, if all of the plain `lines` have as many and fewer than the header's `width`."""
+    rows = [line for line in lines if line.strip()]
+    counts = {line.count(separator) + 1 for line in rows}
+    narrow = len(rows) > 1 and len(counts) == 1 and not any('"' in line for line in rows)
+    return min(*counts, width) if narrow and min(counts) > 1 else width
+
+
+def _unmarked(head: bytes) -> str:
+    """The encoding of a head whose every other byte is 0, as two bytes a letter are; "" for any other."""
+    first, second = head[:4096:2], head[1:4096:2]
+    halves = {"utf-16-le": (second, first), "utf-16-be": (first, second)}
+    least = len(second) // 2
+    return next((name for name, (zero, rest) in halves.items() if zero.count(0) > least > rest.count(0) * 20), "")
 
 
 def _header(lines: Sequence[str], separator: str) -> tuple[tuple[str, ...], int]:

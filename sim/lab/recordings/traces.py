@@ -12,7 +12,17 @@ from sim.lab.recordings.auto_thresholds import with_gap, with_thresholds
 from sim.lab.recordings.clock import longest_rising, spread_evenly, unroll_midnight
 from sim.lab.recordings.column_map import ByColumn, ColumnMap
 from sim.lab.recordings.load_report import FileReport, LoadReport, TraceError
-from sim.lab.recordings.readings import FileReadings, Rows, Series, Whose, joined, read_file, refuse_rows, select
+from sim.lab.recordings.readings import (
+    FileReadings,
+    Rows,
+    Series,
+    Whose,
+    joined,
+    judged,
+    read_file,
+    refuse_rows,
+    select,
+)
 from sim.lab.recordings.sources import UNPACKING, is_recording, stem_of
 from sim.sha import Alphabet, Array, Mask, Trace, encode, holds_roughly
 
@@ -160,9 +170,9 @@ def _load_group(files: Sequence[FileReport], column_map: ColumnMap) -> list[Trac
     if not parts:
         raise TraceError(files[0].error, None)
     used = [file for file in files if not file.error]
-    return [trace for own in parts.values() for trace in _traces_of(joined(own), column_map, files, used)] or _nothing(
-        used[0].path, column_map.temperature
-    )
+    return [
+        trace for own in parts.values() for trace in _traces_of(judged(joined(own), files), column_map, files, used)
+    ] or _nothing(used[0].path, column_map.temperature)
 
 
 def _nothing(path: Path, name: str) -> list[Trace]:

@@ -7,7 +7,7 @@ UNITS = {
     "℃": "degC",
     "°f": "degF", "degf": "degF", "f": "degF", "deg f": "degF", "ºf": "degF", "fahrenheit": "degF", "℉": "degF",
     "0.1 degc": "0.1 degC", "0.1 °c": "0.1 degC",
-    "k": "K", "kelvin": "K", "°k": "K", "a": "A", "amp": "A", "amps": "A", "ampere": "A", "ma": "mA",
+    "k": "K", "kelvin": "K", "°k": "K", "a": "A", "amp": "A", "amps": "A", "ampere": "A", "amperes": "A", "ma": "mA",
     "milliamps": "mA", "ka": "kA",
     "v": "V", "mv": "mV", "kv": "kV", "kw": "kW", "w": "W", "mw": "MW", "watt": "W", "bar": "bar", "mbar": "mbar",
     "kpa": "kPa",

@@ -189,6 +189,7 @@ def _check_tag(tag: Tag, where: str) -> None:
         ("length", tag.length > _LONGEST_STRING, f"a string has {_LONGEST_STRING} bytes at most; give fewer"),
         ("length", tag.dtype is not DType.STRING and tag.length > 0, "only a string has one; leave it out"),
         ("sentinel", not sentinel_fits(tag), f"{tag.sentinel} is no {tag.dtype}; give a raw number that is"),
+        ("scale_from", bool(tag.scale_from), "the emulated PLC keeps no factors; give the scale itself"),
         ("writable", tag.writable and table in ("input", "discrete"), f"a {table} is read-only; leave it out"),
     ):
         if wrong:

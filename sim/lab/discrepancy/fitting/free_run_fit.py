@@ -17,7 +17,16 @@ from sim.engine import repeat_factor
 from sim.lab.discrepancy.fitting.baseline import TARGET_SPREAD, Frame
 from sim.lab.discrepancy.fitting.course import LATE_TOGETHER, CourseState, at, grid_at, window_sensitivity
 from sim.lab.discrepancy.fitting.named import Named, named_of
-from sim.lab.discrepancy.fitting.noise import LEAST_HEAT, Grid, NoiseModel, Whitener, WindowBelief, fit_noise, vector
+from sim.lab.discrepancy.fitting.noise import (
+    LEAST_HEAT,
+    Derivatives,
+    Grid,
+    NoiseModel,
+    Whitener,
+    WindowBelief,
+    fit_noise,
+    vector,
+)
 from sim.lab.discrepancy.fitting.record import Record
 from sim.lab.discrepancy.fitting.scattering import spans_of
 from sim.sha import Array, Model
@@ -203,13 +212,14 @@ class _Tangent:
     off: Array
 
 
-def _around(frame: Frame, state: CourseState, start: Array, reading: Array) -> _Tangent:
+def _around(frame: Frame, state: CourseState, start: Array, reading: Array, grid: Grid | None = None) -> _Tangent:
+    """The linear problem around a state; `grid` is one that stands for the state's."""
     record = frame.record
     own = sum(frame.count)
     off = np.concatenate([state.parameters[:own] - frame.centre, np.zeros(state.parameters.size - own)])
     return _Tangent(
         state,
-        grid_at(frame, state),
+        grid_at(frame, state) if grid is None else grid,
         reading - record.windowed(state.mean),
         window_sensitivity(frame, state, start),
         off,
@@ -327,10 +337,9 @@ def noise_around(
     columns, prior, off = point.columns[:, :own], frame.prior, point.off[:own]
     grid, spans = point.grid, spans_of(point.grid.heats)
 
-    def cost(trial: NoiseModel) -> tuple[float, Array]:
-        whitener = Whitener(grid, trial, spans=spans)
-        value, slopes = restricted(whitener, columns, point.residual, prior, off)
-        return -value, -slopes
+    def cost(trial: NoiseModel) -> tuple[float, Derivatives]:
+        value, derivatives = restricted(Whitener(grid, trial, spans=spans), columns, point.residual, prior, off)
+        return -value, derivatives
 
     return fit_noise(cost, belief, noise, iterations)
 
@@ -387,10 +396,12 @@ def _newton_steps(
     """A few damped Gauss-Newton steps (Nocedal & Wright 2006, ch. 10): a step limit, then backtracking.
 
     The penalised squares r' V^-1 r + (b - b0)' P (b - b0) go down with every step that is taken. Second derivatives are
-    left out: the free run is linear in most parameters, and its residual is small where it matters.
+    left out: the free run is linear in most parameters, and its residual is small where it matters. The covariance is
+    that of the windows around the first state, or no square could be held against another.
     """
+    first, whitener = point.state, Whitener(point.grid, noise)
     for _ in range(NEWTON):
-        state, whitener = point.state, Whitener(point.grid, noise)
+        state = point.state
         gram = whitener.gram(np.column_stack([point.residual, point.columns]))
         normal = gram[1:, 1:] + np.diag(np.maximum(prior, 1e-12))
         root = lower_root(normal)
@@ -414,10 +425,10 @@ def _newton_steps(
             step = 0.5 * step
         if lost or after > before:
             break
-        point = _around(frame, moved, start, reading)
+        point = _around(frame, moved, start, reading, point.grid)
         if before - after < 0.02:  # a hundredth of a nat: no decision is that fine
             break
-    return point
+    return point if point.state is first else replace(point, grid=grid_at(frame, point.state))
 
 
 def _runs_away(residual: Array, reading: Array) -> bool:
@@ -460,9 +471,11 @@ def lower_root(matrix: Array) -> Array | None:
     return None if failed else np.asarray(root)
 
 
-def restricted(whitener: Whitener, columns: Array, residual: Array, prior: Array, off: Array) -> tuple[float, Array]:
-    """The log-likelihood with the parameters integrated out around the free run (their belief included), and its
-    derivatives by the noise's coordinates (`noise.vector`)."""
+def restricted(
+    whitener: Whitener, columns: Array, residual: Array, prior: Array, off: Array
+) -> tuple[float, Derivatives]:
+    """The log-likelihood with the parameters integrated out around the free run (their belief included), and what makes
+    the slopes of minus that by the noise's coordinates (`noise.vector`), with its average information."""
     # Laplace's integral, exact for the linear problem around the free run: with N = C' V^-1 C + P the parameters'
     # posterior precision and g the score at the state, -2 ln L = ln |V| + ln |N| - ln |P| + misfit - g' N^-1 g.
     gram = whitener.gram(np.column_stack([residual, columns]))
@@ -470,12 +483,21 @@ def restricted(whitener: Whitener, columns: Array, residual: Array, prior: Array
     root = lower_root(gram[1:, 1:] + np.diag(prior))
     if root is None:
         # A candidate that has run away (less cooling than none at all: the free run grows) explains nothing.
-        return -np.inf, np.zeros(vector(whitener.noise).size)
+        size = vector(whitener.noise).size
+        return -np.inf, lambda: (np.zeros(size), np.eye(size))
     best = scipy.linalg.cho_solve((root, True), score)
     misfit = float(gram[0, 0] + off @ (prior * off) - score @ best)
     determinant = 2.0 * float(np.log(np.diag(root)).sum()) - float(np.log(prior).sum())
-    # d ln |N| = tr(N^-1 C' dV^-1 C): the columns C R^-T, with N = R R', each weighed by itself. The misfit's derivative
-    # is that of the residual left by the best parameters, which are where it does not change with them.
-    mixed = scipy.linalg.solve_triangular(root, columns.T, lower=True).T
-    slopes = whitener.slopes(np.column_stack([mixed, residual - columns @ best]))
-    return -0.5 * (whitener.logdet + determinant + misfit), -0.5 * slopes
+
+    def derivatives() -> tuple[Array, Array]:
+        # d ln |N| = tr(N^-1 C' dV^-1 C): the columns C R^-T, with N = R R', each weighed by itself. The misfit's
+        # derivative is that of the residual left by the best parameters, which are where it does not change with them.
+        mixed = scipy.linalg.solve_triangular(root, columns.T, lower=True).T
+        slopes, pulls = whitener.slopes(np.column_stack([mixed, residual - columns @ best]))
+        # The average of observed and expected information needs no trace: D' P D / 2 of the pulls D = dV P r, with P
+        # the inverse covariance that has the parameters taken out.
+        own = slopes.size
+        weighed = whitener.gram(np.column_stack([pulls, mixed]))
+        return 0.5 * slopes, 0.5 * (weighed[:own, :own] - weighed[:own, own:] @ weighed[own:, :own])
+
+    return -0.5 * (whitener.logdet + determinant + misfit), derivatives

@@ -85,9 +85,10 @@ class Grid:
 def decay_and_pull(k: Array, dt: Array) -> tuple[Array, Array]:
     """(e^{-k dt}, what a constant heat of 1 degC/s adds over dt in degC)."""
     # expm1 keeps the digits that 1 - exp loses at small k dt; below 1e-8 the limit dt is exact to rounding.
-    small = k * dt < 1e-8
-    pull = np.where(small, dt, -np.expm1(-k * dt) / np.where(small, 1.0, k))
-    return np.exp(-k * dt), pull
+    passed = k * dt
+    small, lost = passed < 1e-8, -np.expm1(-passed)
+    pull = np.where(small, dt, lost / np.where(small, 1.0, k))
+    return 1.0 - lost, pull
 
 
 class Whitener:
@@ -123,44 +124,56 @@ class Whitener:
         left = self._unscattered(columns)
         return self._band.left(left, self._band.solved(left))
 
-    def slopes(self, columns: Array) -> Array:
-        """The derivative of ln |V| + the sum of c' V^-1 c over the columns c (m, k), by each coordinate of `vector`."""
+    def slopes(self, columns: Array) -> tuple[Array, Array]:
+        """(the derivative of ln |V| + the sum of c' V^-1 c over the columns c (m, k), by each coordinate of `vector`;
+        (m, coordinates) dV V^-1 times the last column)."""
         # d(c' V^-1 c) = -(V^-1 c)' dV V^-1 c, and the derivative of ln |V| takes the columns of Z so from that of
         # ln |V0|: all of them are V0^-1 times something. In the states X that these stand for, dV0 is -X' dQ X with Q
         # the states' own precision, of whose band alone the products of X are needed.
         grid, noise, band, scattering = self.grid, self.noise, self._band, self._scattering
-        unscattered, others = self._unscattered(columns), scattering.others_besides()
+        strengths, others = (
+            scattering.solve(scattering.across(columns, band.halved(columns))),
+            scattering.others_besides(),
+        )
+        unscattered = columns - scattering.times(strengths)
         dense = np.column_stack([scattering.times(others), unscattered])
         states = band.solved(dense)
-        size, products = (
-            float(np.sum(band.left(dense, states) ** 2)),
-            _products(states, states, self._precision.shape[0]),
-        )
+        left = band.left(dense, states)
+        size, products = float(np.sum(left**2)), _products(states, states, self._precision.shape[0])
         inverse = scattering.inner_inverse()
         for piece in scattering.solved():
             mixed = inverse[piece.columns, piece.columns]
-            left = band.left(piece.own, piece.states)
-            size += float(np.sum(left * (left @ mixed)))
+            weighed = band.left(piece.own, piece.states)
+            size += float(np.sum(weighed * (weighed @ mixed)))
             rows = slice(band.states * piece.rows.start, band.states * piece.rows.stop)
             products[:, rows] += _products(
                 piece.states @ mixed, np.vstack([piece.states, piece.after]), products.shape[0]
             )
         alike = np.diag(inverse) + np.sum(others[: inverse.shape[0]] ** 2, axis=1)
-        cycles = scattering.solve(scattering.across(columns, band.halved(columns)))[: inverse.shape[0]]
-        point, logdet, out = vector(noise), self._unscattered_logdet(self._precision, self._prior_logdet, noise), []
+        cycles = np.vstack([strengths[: inverse.shape[0]], np.zeros((others.shape[1], columns.shape[1]))])
+        point, logdet = vector(noise), self._unscattered_logdet(self._precision, self._prior_logdet, noise)
+        out, pulls, forced = np.empty(point.size), np.empty((grid.dt.size, point.size)), np.zeros((states.shape[0], 0))
+        of_states = [number for number in range(point.size) if number not in (SENSOR, CYCLE)]
         for number in range(point.size):
             if number == CYCLE:
-                out.append(2.0 * float(np.sum(1.0 - alike) - np.sum(cycles**2)))
+                out[number] = 2.0 * float(np.sum(1.0 - alike) - np.sum(cycles**2))
+                pulls[:, number] = 2.0 * scattering.times(cycles[:, -1:])[:, 0]
                 continue
             trial = noise_of(point + SLOPE_STEP * (np.arange(point.size) == number))
             if number == SENSOR:
                 moved, prior, change = self._precision, self._prior_logdet, -2.0 * noise.sensor**2 * size
+                pulls[:, number] = 2.0 * noise.sensor**2 * left[:, -1]
             else:
                 rough = self._rough if number != MEMORY else disturbance_step(trial.memory, grid.k, grid.dt)
                 moved, prior = _precision(grid, trial, rough)
-                change = float(np.sum((moved - self._precision) * products)) / SLOPE_STEP
-            out.append(change + (self._unscattered_logdet(moved, prior, trial) - logdet) / SLOPE_STEP)
-        return np.array(out)
+                by_step = (moved - self._precision) / SLOPE_STEP
+                change = float(np.sum(by_step * products))
+                forced = np.column_stack([forced, _banded_times(by_step, states[:, -1])])
+            out[number] = change + (self._unscattered_logdet(moved, prior, trial) - logdet) / SLOPE_STEP
+        # dV0 V^-1 c = -H Q^-1 dQ X.
+        solved = scipy.linalg.solveh_banded(self._precision, forced, lower=True, check_finite=False)
+        pulls[:, of_states] = -sum(solved[part :: band.states] for part in range(0, band.states, 2))
+        return out, pulls
 
     @staticmethod
     def _unscattered_logdet(precision: Array, prior_logdet: float, noise: NoiseModel) -> float:
@@ -240,6 +253,13 @@ SENSOR, CYCLE, MEMORY, LASTS = 0, 3, 4, 7
 """Places in `vector`; from LASTS on stands the error that lasts."""
 SLOPE_STEP = 1e-4
 """By how much a coordinate is moved for the derivatives of the banded precision and of its determinant."""
+LONGEST_STEP, HALVINGS = 1.5, 6
+"""How far a step may move a coordinate (a factor of 4 or so), and how often it is halved where it leads up."""
+ENOUGH = 0.01
+"""Nats that a step must promise: no decision is that fine."""
+
+Derivatives = Callable[[], tuple[Array, Array]]
+"""What makes slopes (c,) and information (c, c) of a log-likelihood by the noise's coordinates."""
 
 
 def _given(precision: Array, noise: NoiseModel) -> Array:
@@ -250,6 +270,16 @@ def _given(precision: Array, noise: NoiseModel) -> Array:
         posterior[2, ::3] += weight
         posterior[0, 2::3] += weight
     return posterior
+
+
+def _banded_times(band: Array, column: Array) -> Array:
+    """(n,) a symmetric band (d + 1, n) in lower form times a column (n,)."""
+    out, n = band[0] * column, column.size
+    for down in range(1, band.shape[0]):
+        part = band[down, : n - down]
+        out[: n - down] += part * column[down:]
+        out[down:] += part * column[: n - down]
+    return np.asarray(out)
 
 
 def _products(left: Array, right: Array, rows: int) -> Array:
@@ -385,37 +415,49 @@ def noise_of(point: Array) -> NoiseModel:
 
 
 def fit_noise(
-    objective: Callable[[NoiseModel], tuple[float, Array]],
+    objective: Callable[[NoiseModel], tuple[float, Derivatives]],
     belief: WindowBelief,
     begin: NoiseModel,
     iterations: int = 12,
 ) -> tuple[NoiseModel, float]:
     """(the noise of least `objective` (minus a log-likelihood) plus the belief's, and that sum), from `begin`.
 
-    The objective comes with its derivatives by the coordinates of `vector`.
+    The objective comes with what makes its derivatives by the coordinates of `vector`. Newton's steps within bounds,
+    with the average information (Gilmour, Thompson & Cullis 1995) for the second derivatives: it is never indefinite,
+    and knows at once how far apart the curvatures lie, which a quasi-Newton search has to find out anew in each fit.
     """
     centre = vector(belief.centre)
     spread = np.array([*belief.spread, 1.0, belief.still, *(belief.lasts if centre.size > LASTS else ())])
-    start = vector(begin)
 
-    def cost(point: Array) -> tuple[float, Array]:
-        value, slopes = objective(noise_of(point))
-        off = (point - centre) / spread
-        return value + 0.5 * float(np.sum(off**2)), slopes + off / spread
+    def cost(point: Array) -> tuple[float, Derivatives]:
+        value, derivatives = objective(noise_of(point))
+        return value + 0.5 * float(np.sum(((point - centre) / spread) ** 2)), derivatives
 
-    # Few iterations are enough, since the fit comes back here with better parameters.
-    bounds = [(value - 4.0, value + 4.0) for value in centre]
-    bounds[0] = max(bounds[0][0], float(np.log(max(belief.least, 1e-12)))), bounds[0][1]
-    bounds[3] = bounds[3][0], MOST_SCATTER
-    bounds[4] = SHORTEST, max(LONGEST, centre[4])
+    low, high = centre - 4.0, centre + 4.0
+    low[SENSOR] = max(low[SENSOR], float(np.log(max(belief.least, 1e-12))))
+    high[CYCLE] = MOST_SCATTER
+    low[MEMORY], high[MEMORY] = SHORTEST, max(LONGEST, centre[MEMORY])
     if centre.size > LASTS:
-        bounds[LASTS + 1] = BRIEFEST, SLOWEST
-    optimum = scipy.optimize.minimize(
-        cost,
-        np.clip(start, [low for low, _ in bounds], [high for _, high in bounds]),
-        method="L-BFGS-B",
-        jac=True,
-        bounds=bounds,
-        options={"maxiter": iterations, "ftol": 2e-6},
-    )
-    return noise_of(optimum.x), float(optimum.fun)
+        low[LASTS + 1], high[LASTS + 1] = BRIEFEST, SLOWEST
+    point = np.clip(vector(begin), low, high)
+    value, derivatives = cost(point)
+    # Few iterations are enough, since the fit comes back here with better parameters.
+    for _ in range(iterations):
+        slopes, information = derivatives()
+        slopes, information = slopes + (point - centre) / spread**2, information + np.diag(spread**-2.0)
+        free = ~(((point <= low) & (slopes > 0)) | ((point >= high) & (slopes < 0)))
+        step = np.zeros(point.size)
+        step[free] = -np.linalg.solve(information[np.ix_(free, free)], slopes[free])
+        step *= min(1.0, LONGEST_STEP / max(float(np.max(np.abs(step))), LONGEST_STEP))
+        if -0.5 * float(slopes @ step) < ENOUGH:
+            break
+        for _half in range(HALVINGS):
+            moved = np.clip(point + step, low, high)
+            after, derivatives = cost(moved)
+            if after < value:
+                break
+            step = 0.5 * step
+        else:
+            break
+        point, value = moved, after
+    return noise_of(point), value

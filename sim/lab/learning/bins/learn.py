@@ -203,7 +203,7 @@ def learn_bins(
         # JSON has no NaN: a figure for which there were too few data is left out of the model's file.
         scores={name: value for name, value in figures.items() if np.isfinite(value)},
     )
-    factors = {row.horizon: row.factor for row in coverage}
+    factors = {row.horizon: row.widening for row in coverage}
     model = replace(fitted.model, calibration=factors, plain=forecasts.members, provenance=provenance)
     return Learned(
         model=model,
@@ -328,6 +328,7 @@ def _held_out_forecasts(
     rng = np.random.default_rng(seed)
     forecasts = HeldOutForecasts(learn_plain(traces, temperature), seed)
     for part in splits(traces):
+        forecasts.other_days = part.held is not None
         # A part of the data may teach nothing although the whole does: the other parts then judge alone.
         try:
             runs, base = _ground(part.known, alphabet, temperature)

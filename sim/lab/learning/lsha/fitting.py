@@ -455,6 +455,7 @@ def bands(
     rank = np.searchsorted(usable, runs.trace)
     forecasts = HeldOutForecasts(learn_plain(traces, temperature), seed)
     for part in splits(read):
+        forecasts.other_days = part.held is not None
         # The same parts as those of `splits`, in knots: all but the traces held out, or the time before the cut, where
         # a run that goes on beyond it ends.
         known = runs.time < np.asarray(part.since)[rank] if part.held is None else ~np.isin(rank, list(part.held))

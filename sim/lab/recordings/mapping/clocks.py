@@ -11,7 +11,7 @@ from typing import Literal
 
 import numpy as np
 
-from sim.lab.recordings import SECONDS, SPREADSHEET, ClockColumns, plain_time, read_clock, unroll_midnight
+from sim.lab.recordings import COUNTS, ClockColumns, dated_format, plain_time, read_clock, since_1970, unroll_midnight
 from sim.sha import Array
 
 Order = Literal["year", "day", "month"]
@@ -29,12 +29,6 @@ _TIMES = (
     "%I:%M:%S %p", "%I:%M:%S.%f %p", "%I:%M %p",
 )  # fmt: skip
 _BETWEEN = (" ", "T", ", ", "  ", "_", " - ")
-_EPOCHS = (
-    ("seconds", 1e9, 4e9),
-    ("milliseconds", 1e12, 4e12),
-    ("microseconds", 1e15, 4e15),
-    ("nanoseconds", 1e18, 4e18),
-)
 _COUNTED = {
     "s": "seconds", "sec": "seconds", "seconds": "seconds", "ms": "milliseconds", "msec": "milliseconds",
     "milliseconds": "milliseconds", "us": "microseconds", "µs": "microseconds", "ns": "nanoseconds", "min": "minutes",
@@ -42,8 +36,6 @@ _COUNTED = {
 }  # fmt: skip
 """Units of elapsed time as headers write them."""
 _WORDS = re.compile(r"[^\W\d_]+")
-_SPREADSHEET_DAYS = (20_000.0, 80_000.0)
-"""Days since 1899-12-30 of the years 1954 to 2119."""
 _COMPACT = "%Y%m%d%H%M%S"
 _ROUNDED = re.compile(r"\d[.,]\d+[eE]\+?\d\d$")
 _CHECKED = 400
@@ -67,7 +59,7 @@ class FoundClock:
     @property
     def zoned(self) -> bool:
         """Whether the formats themselves name a zone, or count since 1970."""
-        return any("%z" in each or each in SECONDS for each in self.formats)
+        return any("%z" in each or (each in COUNTS and not COUNTS[each].local) for each in self.formats)
 
 
 def _fits(text: str, format_: str) -> bool:
@@ -199,7 +191,7 @@ def is_rounded(cell: str) -> bool:
 
 
 def counted_clock(place: int, values: Array, header: str, *, named: bool) -> FoundClock | None:
-    """A column of numbers as a clock: since 1970 by its size, a spreadsheet's days, or elapsed if its header says so.
+    """A column of numbers as a clock: a date by its size, or elapsed if its header says so and it begins near 0.
 
     It may fall where a machine or a session follows another, but not as readings do.
     """
@@ -210,18 +202,16 @@ def counted_clock(place: int, values: Array, header: str, *, named: bool) -> Fou
     in_order = bool(np.all(steps >= 0) or np.all(steps <= 0))
     if not in_order and not (named and float((steps < 0).mean()) <= _MOST_FALLS):
         return None
-    for format_, low, high in _EPOCHS:
-        if low <= finite.min() and finite.max() < high:
-            return FoundClock(place, (format_,), "year", values / SECONDS[format_])
-    low, high = _SPREADSHEET_DAYS
-    if named and low <= finite.min() and finite.max() < high and np.any(finite % 1):
-        return FoundClock(place, (SPREADSHEET,), "year", (values - low) * 86400.0)
+    if dated := dated_format(finite, named=named):
+        return FoundClock(place, (dated,), "year", COUNTS[dated].seconds(values))
     if not named or not (in_order or _begins_anew(finite)):
         return None
     # The last word that is a unit: Time (ms), elapsed_min, t [h]; without one, seconds.
     units = [_COUNTED[word] for word in _WORDS.findall(header.casefold()) if word in _COUNTED]
     format_ = units[-1] if units else "seconds"
-    return FoundClock(place, (format_,), "year", values / SECONDS[format_])
+    times = COUNTS[format_].seconds(values)
+    # So large an elapsed time is a count from a beginning that is not known.
+    return None if since_1970(float(np.nanmin(times))) else FoundClock(place, (format_,), "year", times)
 
 
 def _begins_anew(counts: Array) -> bool:

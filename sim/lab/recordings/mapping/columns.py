@@ -48,6 +48,8 @@ class FoundColumn:
     offset: float = 0.0
     measured: bool = False
     bad: tuple[float, ...] = ()
+    beyond: int = 0
+    """Readings of a temperature that no bearing reaches."""
 
     @property
     def moves(self) -> bool:

@@ -10,6 +10,7 @@ import numpy as np
 from drivers.errors import did_you_mean
 from sim.lab.recordings import (
     KEPT,
+    RUN_WORDS,
     ClockColumns,
     TraceError,
     booleans,
@@ -18,6 +19,7 @@ from sim.lab.recordings import (
     listed,
     numbers,
     read_clock,
+    since_1970,
     unroll_midnight,
 )
 from sim.lab.recordings.mapping.answers import NONE, Answers, Undecided
@@ -49,8 +51,8 @@ _REST_IN_KELVIN = (240.0, 330.0)
 """Where a temperature that nobody calls kelvin rests if it is; no bearing rests at 240 degC."""
 _HOTTEST_REST = 150.0
 """degC above which no bearing stands still."""
-_HOTTEST = 300.0
-"""degC that no bearing reaches: its grease burns before."""
+COLDEST, HOTTEST = -80.0, 300.0
+"""degC that no bearing reaches: its grease burns before, and no plant stands in such a cold."""
 _IDLE = 0.05
 """Of its most, a current below which no motor turns anything."""
 _ALONGSIDE = 0.98
@@ -113,14 +115,15 @@ def clock_of(table: FoundTable, answers: Answers) -> FoundClock:
         times = found[place][0].times
         still = bool(np.all(times[np.isfinite(times)] == times[np.isfinite(times)][0]))
         counted = found[place][0].order == "year" and found[place][0].formats[0].endswith(_COUNTS) and not still
-        counted &= not times[np.isfinite(times)][0] > 1e9
+        counted &= not since_1970(float(times[np.isfinite(times)][0]))
         return 4 * named_time(table.header[place]) + 2 * (not counted) - 8 * still
 
     best = max(map(score, found))
     rivals = [place for place in found if score(place) == best]
-    first = found[rivals[0]][0].times
     # Columns that tell the same instants, in another zone or another form, are no rivals: steps are compared.
-    same = [p for p in rivals if np.allclose(np.diff(found[p][0].times), np.diff(first), atol=1.0, equal_nan=True)]
+    shown = min(found[place][0].times.size for place in rivals)
+    steps = {place: np.diff(found[place][0].times[:shown]) for place in rivals}
+    same = [p for p in rivals if np.allclose(steps[p], steps[rivals[0]], atol=1.0, equal_nan=True)]
     if len(same) < len(rivals) and not answers.time:
         raise Undecided(table.path, "columns that may be the clock", "time", [table.header[place] for place in rivals])
     _check_one_column(table, found[rivals[0]][0])
@@ -328,7 +331,7 @@ def _switch(
             where,
             "running",
             direct,
-            lambda column: running_score(column.name),
+            lambda column: _runs(column, load),
             reasons,
             settle=lambda rivals: _of_load(rivals, load),
         )
@@ -351,6 +354,12 @@ def _switch(
             guess=candidates[0].header if len(candidates) == 1 else "",
         )
     return None, None
+
+
+def _runs(switch: FoundColumn, load: FoundColumn | None) -> int:
+    """How much a switch says by its name that the machine runs; where no name does, words that go with the load do."""
+    said = any(cell.casefold() in RUN_WORDS for cell in set(switch.cells))
+    return running_score(switch.name) or int(said and (load is None or _of_load([switch], load) is not None))
 
 
 def _of_load(switches: Sequence[FoundColumn], load: FoundColumn | None) -> FoundColumn | None:
@@ -424,7 +433,7 @@ def check_temperature(
     whole = bool(np.all(finite % 1 == 0))
     kelvin = _REST_IN_KELVIN[0] < low < _REST_IN_KELVIN[1]
     # Whole numbers that no bearing reaches are tenths, whatever unit the header names.
-    tenths = whole and (low > _HOTTEST_REST or high > _HOTTEST)
+    tenths = whole and (low > _HOTTEST_REST or high > HOTTEST)
     if (low > _HOTTEST_REST and not temperature.unit) or tenths:
         likely = "K" if kelvin and not whole else "0.1 degC" if whole else ""
         choices = [*(["K"] if kelvin else []), *(["0.1 degC"] if whole else []), "degC"]

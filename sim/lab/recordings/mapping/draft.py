@@ -25,6 +25,8 @@ from sim.lab.recordings.mapping.answers import Answers
 from sim.lab.recordings.mapping.clocks import FoundClock
 from sim.lab.recordings.mapping.columns import FoundColumn, column_of, decimal_of
 from sim.lab.recordings.mapping.decide import (
+    COLDEST,
+    HOTTEST,
     Parts,
     check_temperature,
     clock_of,
@@ -37,11 +39,20 @@ from sim.lab.recordings.mapping.folder import one_table
 from sim.lab.recordings.mapping.quality import FoundQuality, quality_of
 from sim.lab.recordings.mapping.rows import Rows, Stored, apart, rows_of, stored_of
 from sim.lab.recordings.mapping.table import FoundTable, find_table, with_rows
-from sim.lab.recordings.mapping.words import current_score, load_score, named_name, named_unit, named_value
+from sim.lab.recordings.mapping.words import (
+    current_score,
+    load_score,
+    named_entity,
+    named_name,
+    named_unit,
+    named_value,
+)
 from sim.sha import Alphabet, Array, Bins, Trace
 
 RUNNING = "Running"
 """The name of the switch that is derived where no column says whether the machine runs."""
+_RARE = 0.05
+"""Share of the readings that may lie beyond what a bearing reaches: more of them are of something hotter."""
 _SHOWN = 30
 """Columns that are named in a comment because they say nothing usable."""
 
@@ -138,7 +149,7 @@ def draft_map(path: Path, answers: Answers, names: Mapping[str, str] | None = No
     )
     # The current's levels, the usual step and the codes are those of all rows, which the map itself reads.
     traces, report = _loaded(path, _text(found))
-    coded = [_with_codes(column, traces) for column in columns]
+    coded = [_with_codes(column, traces, slow=column.name == parts.temperature.name) for column in columns]
     if any(now is not before for now, before in zip(coded, columns, strict=True)):
         found = replace(found, columns=coded)
         traces, report = _loaded(path, _text(found))
@@ -182,6 +193,11 @@ def _conclusions(found: _Found) -> list[str]:
                 f"map's bad = "
                 f"[{numbers}] refuses them"
             )
+        if column.beyond:
+            said.append(
+                f"{column.beyond} readings of {column.header!r} are below {COLDEST:g} or above {HOTTEST:g} degC, which "
+                "no bearing is; the map's low and high refuse them"
+            )
     unused = [column.header for column in found.columns if column.kind not in ("number", "switch")]
     if unused:
         said.append(f"columns that are not used, as they hold neither numbers nor a switch: {listed(unused, _SHOWN)}")
@@ -205,16 +221,27 @@ def _columns(
         cells.setdefault(row[long.name], []).append(row[long.value])
         own.setdefault(row[long.name], []).append(time)
         if long.unit is not None and row[long.unit]:
-            units.setdefault(row[long.name], known_unit(row[long.unit]))
+            unit = known_unit(row[long.unit])
+            if units.setdefault(row[long.name], unit) != unit:
+                raise TraceError(
+                    f"{table.path}: readings of {row[long.name]!r} are in {units[row[long.name]] or 'no unit'} and in "
+                    f"{row[long.unit]}: a signal has one unit; export it in one"
+                )
     found = [column_of(name, name, units.get(name, ""), each, decimal) for name, each in cells.items() if name]
     return found, [np.array(each) for name, each in own.items() if name], decimal
 
 
-def _with_codes(column: FoundColumn, traces: Sequence[Trace]) -> FoundColumn:
-    """With the codes of all rows, which the sample may not have."""
-    if column.kind != "number" or (column.scale, column.offset) != (1.0, 0.0):
+def _with_codes(column: FoundColumn, traces: Sequence[Trace], *, slow: bool) -> FoundColumn:
+    """With the codes of all rows, which the sample may not have; a temperature's also with what no bearing reaches."""
+    read = [trace.signals[column.name] for trace in traces if column.name in trace.signals]
+    if column.kind != "number" or not read:
         return column
-    codes = {code for trace in traces if column.name in trace.signals for code in codes_in(trace.signals[column.name])}
+    if slow and (beyond := int(sum(np.sum((own < COLDEST) | (own > HOTTEST)) for own in read))):
+        every = sum(int(np.isfinite(own).sum()) for own in read)
+        column = replace(column, beyond=beyond) if beyond <= _RARE * every else column
+    if (column.scale, column.offset) != (1.0, 0.0):
+        return column
+    codes = {code for own in read for code in codes_in(own, slow=slow)}
     if codes <= set(column.bad):
         return column
     return replace(column, bad=(*column.bad, *sorted(codes - set(column.bad))))
@@ -224,15 +251,17 @@ def _long_form(table: FoundTable, clock: FoundClock) -> _LongForm | None:
     """The columns of names and values, if the file has one row a reading; None for a wide one."""
     others = [place for place in range(len(table.header)) if place != clock.place]
     values = [place for place in others if named_value(table.header[place])]
+    if not values and any(map(named_entity, table.header)):
+        values = [place for place in others if table.header[place].casefold() == "state"]
     words = {place: Counter(table.column(place)) for place in others if place not in values}
-    # Names come again and again; numbers, qualities and comments are none.
-    names = [
+    # Names come again and again; numbers, qualities and comments are none, but where nothing else names.
+    named = [
         place
         for place, distinct in words.items()
-        if named_name(table.header[place])
-        and sum(not _plain_number(word) for word in distinct) > len(distinct) / 2
-        and len(distinct) <= max(len(table.rows) / 2, 1)
+        if named_name(table.header[place]) and len(distinct) <= max(len(table.rows) / 2, 1)
     ]
+    names = [p for p in named if sum(not _plain_number(word) for word in words[p]) > len(words[p]) / 2]
+    names = names or [p for p in named if len(words[p]) > 1 and all(word.isdigit() for word in words[p])]
     if len(values) != 1 or not names:
         return None
     name = max(names, key=lambda place: (len(words[place]), place))
@@ -343,6 +372,7 @@ def _signal(column: FoundColumn, parts: Parts, stored: Stored) -> str:
         keys += [f"offset = {column.offset!r}"] if column.offset else []
         unit = column.unit or ("degC" if column is parts.temperature else "")
         keys += [f"unit = {_quoted(unit)}"] if unit else []
+        keys += [f"low = {COLDEST:g}", f"high = {HOTTEST:g}"] if column.beyond else []
         keys += [f"bad = [{', '.join(map(_exact, column.bad))}]"] if column.bad else []
     if stored.on_change and stored.own.get(column.header, stored.silence) != stored.silence:
         keys.append(f"silence = {_exact(stored.own[column.header])}")

@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from sim.lab.recordings import TraceError, folded, listed, stem_of
 from sim.lab.recordings.mapping.answers import Answers
 from sim.lab.recordings.mapping.clocks import FoundClock
 from sim.lab.recordings.mapping.decide import clock_of, seconds_of
+from sim.lab.recordings.mapping.quality import is_quality
 from sim.lab.recordings.mapping.table import FoundTable, find_table
 
 
@@ -40,15 +42,23 @@ def one_table(folder: Path, files: Sequence[Path], answers: Answers) -> tuple[Fo
                 f"recording together; "
                 "give each its own map"
             )
-    # A name that files share is a column of one recording; where one row of numbers only is under it, of one tag each.
+    # A name that files share is a column of one recording; where one row of numbers only is under it, of one tag each,
+    # if their times are not those of days one after another.
     seen = Counter(folded(name) for table in tables for name in set(table.header))
-    single = all(sum(map(bool, table.header)) <= 2 + (clock.date is not None) for table in tables)
+    owned = [
+        [place for place, name in enumerate(table.header) if name and place not in (own.place, own.date)]
+        for table, own in zip(tables, clocks, strict=True)
+    ]
+    single = all(
+        sum(not is_quality(table, place) for place in own) <= 1 for table, own in zip(tables, owned, strict=True)
+    )
+    # One tag a file come row by row in turn; parts one after another, as the clock that is set back goes in each.
+    times = [seconds_of(table, own)[0] for table, own in zip(tables, clocks, strict=True)]
+    order = np.argsort(list(map(np.nanmin, times)), kind="stable").tolist()
+    single &= any(np.nanmin(times[after]) < np.nanmax(times[before]) for before, after in pairwise(order))
     clock_name, date = first.header[clock.place], None if clock.date is None else first.header[clock.date]
     names: list[str] = [clock_name, *([] if date is None else [date])]
     rows: list[tuple[float, int, dict[str, str]]] = []
-    # One tag a file come row by row in turn; parts one after another, as the clock that is set back goes in each.
-    begins = [np.nanmin(seconds_of(table, own)[0]) for table, own in zip(tables, clocks, strict=True)]
-    order = np.argsort(begins, kind="stable").tolist()
     titles: dict[str, str] = {}
     units: dict[str, str] = {}
     for number, (table, own) in enumerate(zip(tables, clocks, strict=True)):
@@ -61,7 +71,7 @@ def one_table(folder: Path, files: Sequence[Path], answers: Answers) -> tuple[Fo
             titles.setdefault(key, stem_of(table.path) if shared else table.titles[place])
             units.setdefault(key, table.units[place])
             keys.append(key)
-        for row, time in zip(table.rows, seconds_of(table, own)[0].tolist(), strict=True):
+        for row, time in zip(table.rows, times[number].tolist(), strict=True):
             rows.append((time, order.index(number), dict(zip(keys, row, strict=True))))
     rows.sort(key=(lambda row: (np.isnan(row[0]), row[0])) if single else (lambda row: (False, row[1])))
     table = replace(

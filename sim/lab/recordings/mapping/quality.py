@@ -27,6 +27,9 @@ _BAD = re.compile(
     re.IGNORECASE,
 )
 """Words that are never taken for good ones unless a person says so."""
+_STATUS = re.compile(r"status$", re.IGNORECASE)
+_TOLD = re.compile(r"\{?(?:good|ok|bad|uncertain|gut|schlecht|unsicher|valid|invalid|stale)\b.*", re.IGNORECASE)
+"""Words of a status that is a quality, and not that of a machine."""
 _MOST_WORDS = 30
 """Words that a quality may have: more are notes or readings."""
 
@@ -52,8 +55,8 @@ def quality_of(
         return FoundQuality()
     words = {
         place: Counter(filter(None, table.column(place)))
-        for place, name in enumerate(table.header)
-        if place not in taken and (_NAMED.search(name) or _NAMED.search(table.titles[place]))
+        for place in range(len(table.header))
+        if place not in taken and is_quality(table, place)
     }
     named = [place for place, own in words.items() if 0 < len(own) <= _MOST_WORDS]
     readings = [p for p in range(len(table.header)) if p not in taken and p not in named] if value is None else [value]
@@ -61,6 +64,9 @@ def quality_of(
     # One that stands in rows of its own, as in a file beside, says nothing of the others.
     places = tuple(place for place in named if any(beside[place]))
     apart = [table.header[place] for place in named if place not in places]
+    if not places and len(apart) == 1 and _is_of_all(table, named[0]):
+        places, apart = (named[0],), []
+        beside[named[0]] = [cell for cell in table.column(named[0]) if cell]
     if apart and not places:
         raise Undecided(
             table.path,
@@ -99,6 +105,21 @@ def quality_of(
     if apart:
         said += f"{'; ' if said else ''}{listed(map(repr, apart))} stand in rows without readings and are not used"
     return FoundQuality(places, tuple(good), said)
+
+
+def is_quality(table: FoundTable, place: int) -> bool:
+    """Whether a column is called after a quality, or is a status that says nothing but how good readings are."""
+    if _NAMED.search(table.header[place]) or _NAMED.search(table.titles[place]):
+        return True
+    words = {cell.casefold() for cell in table.column(place) if cell}
+    return bool(words) and _STATUS.search(table.header[place]) is not None and all(map(_TOLD.fullmatch, words))
+
+
+def _is_of_all(table: FoundTable, place: int) -> bool:
+    """Whether a quality is a file of its own, named after no other: then it is of the readings of all others."""
+    own, _, value = table.header[place].partition("/")
+    others = {name.partition("/")[0].casefold() for name in table.header if "/" in name} - {own.casefold()}
+    return bool(table.parts and value) and not any(other in own.casefold() for other in others)
 
 
 def _beside(table: FoundTable, place: int, named: Sequence[int], readings: Sequence[int]) -> list[str]:

@@ -7,7 +7,7 @@ from itertools import pairwise, product
 
 import numpy as np
 
-from sim.lab.recordings import listed, longest_rising, numbers, to_utc
+from sim.lab.recordings import TraceError, listed, longest_rising, numbers, to_utc
 from sim.lab.recordings.mapping.answers import Answers, Undecided
 from sim.lab.recordings.mapping.clocks import FoundClock
 from sim.lab.recordings.mapping.columns import FoundColumn
@@ -44,6 +44,7 @@ _APART = 0.2
 """The smallest moves beside the usual one: of noise a tenth, beyond a deadband nearly as large."""
 _FEW_SOON = 0.05
 """Share of steps, at least, that come sooner, or there is one usual step and no longest silence."""
+_HALF_DAY = 43200.0
 _MARGIN = 1.5
 """Of the longest silence that is seen: another export of the same recorder has a somewhat longer one."""
 _WIDE_MARGIN = 3.0
@@ -237,7 +238,17 @@ def _back(table: FoundTable, times: Array, inside: Array, answers: Answers) -> s
     lost = sum(int((~longest_rising(times[inside == code])).sum()) for code in np.unique(inside))
     if lost <= _FEW * times.size:
         return "refuse"
-    anew = falls < times.size / 10 and float(np.median(_steps(times, inside))) > 0
+    steps = _steps(times, inside)
+    usual = float(np.median(steps))
+    # Over noon and midnight: twelve hours less the step that was made.
+    if falls and np.all(np.abs(steps[steps < 0] + _HALF_DAY) <= _LONG_STEPS * abs(usual)):
+        raise TraceError(
+            f"{table.path}: the clock goes back by twelve hours {falls} times: its hours are those of half a day, and "
+            "nothing says which half; export it with 24 hours, or with AM and PM"
+        )
+    # A ring is written over from its beginning on: what follows the fall ends where the file begins.
+    ring = falls == 1 and 0 < float(times[0] - times[-1]) <= _LONG_STEPS * usual
+    anew = falls < times.size / 10 and usual > 0 and not ring
     at = int(np.flatnonzero(np.diff(times) < 0)[0]) + 1
     raise Undecided(
         table.path,
@@ -264,15 +275,25 @@ def _duplicates(table: FoundTable, clock: FoundClock, times: Array, inside: Arra
     )
     if unequal <= _FEW * times.size:
         return "agree"
-    if inside.max(initial=0) == 0 and (count := _rows_a_time(times)) > 1 and _goes_on(rows, count):
+    lost = _lost_part(times)
+    if inside.max(initial=0) == 0 and lost and (count := _rows_a_time(times)) > 1 and _goes_on(rows, count):
         return "spread"
     raise Undecided(
         table.path,
         f"{unequal} of {times.size} rows have the time of another row and other readings, and no column tells "
-        f"machines apart; if the clock only lost its seconds, they are spread",
+        f"machines apart{'; if the clock only lost its seconds, they are spread' if lost else ''}",
         "duplicates",
-        ["average", "last", "spread"],
+        ["average", "last", *(["spread"] if lost else [])],
     )
+
+
+def _lost_part(times: Array) -> bool:
+    """Whether the clock may have lost what stands behind its seconds, minutes or hours: one step of it is one of those.
+
+    A clock that shows 10 and 20 s would show 15 s.
+    """
+    steps = np.diff(np.unique(times))
+    return bool(steps.size) and bool(np.isin(np.median(steps), (1.0, 60.0, 3600.0)))
 
 
 def _rows_a_time(times: Array) -> int:

@@ -13,6 +13,7 @@ from sim.lab.recordings import (
     UNITS,
     UNNAMED,
     TraceError,
+    dated_format,
     decode_head,
     folded,
     head_of,
@@ -26,8 +27,8 @@ from sim.lab.recordings.mapping.clocks import is_rounded, is_time, pure_date, pu
 from sim.lab.recordings.mapping.words import bare_unit, named_time
 
 _HEAD = 1 << 20
-_SINCE_1970 = (10, 13, 16, 19)
-"""Digits of a time since 1970 in s, ms, us and ns."""
+_RULED = frozenset(" \t,;|-=+_\r\n")
+"""Marks of a line that is blank, or drawn under the names as databases print them."""
 _SHOWN_ROWS = 5
 """Rows under a header that show whether they are numbered."""
 _SEARCHED = 60
@@ -64,7 +65,7 @@ def find_table(path: Path) -> FoundTable:
     lines = text.splitlines()
     if len(head) == _HEAD:
         lines.pop()  # cut in the middle
-    usable = [(number, line) for number, line in enumerate(lines) if line.strip() and not line.startswith("#")]
+    usable = [(at, line) for at, line in enumerate(lines) if not line.startswith("#") and set(line) - _RULED]
     # The separator under which most of the first rows have the same number of cells, and most of them.
     best: tuple[int, str, list[list[str]]] = (0, "", [])
     for name, mark in SEPARATORS.items():
@@ -82,7 +83,7 @@ def find_table(path: Path) -> FoundTable:
     separator, rows = best[1], best[2]
     if not separator:
         raise TraceError(f"{path}: no separator of , ; tab | makes columns of its lines; give a CSV with a header")
-    first = next((place for place, row in enumerate(rows) if _is_data(row)), None)
+    first = _first_data(rows)
     if first is None:
         first = next((place for place, row in enumerate(rows) if place and _mostly_numbers(row)), None)
     if first is None:
@@ -95,12 +96,14 @@ def find_table(path: Path) -> FoundTable:
     width = len(rows[first])
     named = next((place + 1 for place, row in enumerate(rows[:first]) if row[0].casefold() == "#names"), None)
     header_at, units = first - 1 if named is None else named, [""] * width
-    above = rows[header_at]
-    if named is None and header_at and _is_units(above) and len(rows[header_at - 1]) >= len(above):
-        units = [UNITS.get(bare_unit(cell), "") for cell in above] + [""] * (width - len(above))
-        header_at -= 1
-    # Between names and readings there may be rows of addresses and types, which leave the clock's columns blank.
-    while named is None and header_at and len(rows[header_at - 1]) == width and not rows[header_at][0]:
+    # Between names and readings there may be rows of units, and of addresses and types, which leave the clock's columns
+    # blank or name it alone.
+    while named is None and header_at:
+        above, before = rows[header_at], rows[header_at - 1]
+        if not any(units) and _is_units(above) and len(before) >= len(above):
+            units = [UNITS.get(bare_unit(cell), "") for cell in above] + [""] * (width - len(above))
+        elif len(before) != width or (above[0] and any(above[1:])):
+            break
         header_at -= 1
     header = rows[header_at][:width]
     if width > 1 and len(header) < width:
@@ -136,6 +139,18 @@ def find_table(path: Path) -> FoundTable:
         units=(*units[:width], *[""] * more),
         rows=tuple(sample),
     )
+
+
+def _first_data(rows: Sequence[Sequence[str]]) -> int | None:
+    """Where the readings begin: the first row of the usual width with readings, the next row being such too.
+
+    Lines before the header may hold a date as well, as of when an export was made.
+    """
+    found = [place for place, row in enumerate(rows) if _is_data(row)]
+    widths = [len(rows[place]) for place in found]
+    usual = max(set(widths), key=widths.count, default=0)
+    own = [place for place in found if len(rows[place]) == usual]
+    return next((place for place in own if place + 1 in own or place == own[-1]), None)
 
 
 def _no_data(path: Path, rows: Sequence[Sequence[str]]) -> str:
@@ -204,7 +219,7 @@ def _is_data(row: Sequence[str]) -> bool:
     """Whether a row holds readings: a date, or numbers and nothing that a header has."""
     if len(row) < 2:
         return False
-    if any(is_time(cell) or pure_date(cell) or pure_time(cell) or _since_1970(cell) for cell in row):
+    if any(is_time(cell) or pure_date(cell) or pure_time(cell) or _is_dated(cell) for cell in row):
         return True
     filled = [cell for cell in row if cell]
     return bool(row[0]) and len(filled) > 1 and all(_numeric(cell) for cell in filled)
@@ -224,9 +239,9 @@ def _mostly_numbers(row: Sequence[str]) -> bool:
     return len(filled) > 1 and 2 * sum(map(_numeric, filled)) > len(filled)
 
 
-def _since_1970(cell: str) -> bool:
+def _is_dated(cell: str) -> bool:
     digits = cell.replace(".", "").replace(",", "") if cell.count(".") > 2 or cell.count(",") > 2 else cell
-    return digits.isdigit() and len(digits) in _SINCE_1970
+    return digits.isdigit() and bool(dated_format(np.array([float(digits)]), named=False))
 
 
 def _numeric(cell: str) -> bool:
@@ -234,6 +249,7 @@ def _numeric(cell: str) -> bool:
 
 
 def _is_units(row: Sequence[str]) -> bool:
-    """Whether a row under the header says units: at least one that is known, and nothing that is long."""
+    """Whether a row under the header says units: one that is known and nothing that is long, or several."""
     filled = [bare_unit(cell) for cell in row if cell]
-    return any(cell in UNITS for cell in filled) and all(len(cell) <= 6 for cell in filled)
+    known = sum(cell in UNITS for cell in filled)
+    return known > 1 or (known == 1 and all(len(cell) <= 6 for cell in filled))

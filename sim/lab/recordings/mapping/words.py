@@ -8,7 +8,7 @@ from sim.lab.recordings import KEPT, known_unit
 # JI101
 # and SI101 are a temperature, a current, a power and a speed by ISA 5.1.
 _TEMPERATURE = re.compile(
-    r"temp(?!o\b|s\b)|°c|degc|thermo|(?:^|[:./ ])t_|_t$|"
+    r"temp(?!o\b|s\b)|°c|degc|celsius|thermo|(?:^|[:./ ])t[iet]?[ctr]?_|_t$|"
     r"(?-i:^T(?=[A-Z][a-z]|\d|_|BRG|BEA|LAG|CUSC|PAL))|\bt\d|_temp|"
     r"(?:^|[:./_-])t[iet]?[ctr]?[-_]?\d|tempér|coolant|warm|wärme",
     re.IGNORECASE,
@@ -20,7 +20,8 @@ _NOT_BEARING = re.compile(
     re.IGNORECASE,
 )
 _CURRENT = re.compile(
-    r"(?:^|[:./_-])i[it][-_]?\d|current|strom(?!ung)|corrente|corriente|courant|intensit|assorb|amp(?!l)|\bi[_ ]|^i\d|"
+    r"(?:^|[:./_-])i[it][-_]?\d|(?:^|[:./ ])i[it]_|"
+    r"current|strom(?!ung)|corrente|corriente|courant|intensit|assorb|amp(?!l)|\bi[_ ]|^i\d|"
     r"_i$|_i_|stromaufn",
     re.IGNORECASE,
 )
@@ -31,11 +32,11 @@ _RUNNING = re.compile(
 )
 _ALARM = re.compile(r"alarm|allarm|fault|stör|guasto|défaut|fallo|error|quality|qualit|valid", re.IGNORECASE)
 _TIME = re.compile(
-    r"time|elapsed|^t_(?:ms|s|sec|min|h)$|zeit|datum|date|data\b|\bora\b|tempo\b|heure|horodat|temps|fecha|hora|stamp|\bt\b|\bts\b|clock|epoch|\bsec",
+    r"time|elapsed|^x_value$|^t_(?:ms|s|sec|min|h)$|zeit|datum|date|data\b|\bora\b|tempo\b|heure|horodat|temps|fecha|hora|stamp|\bt\b|\bts\b|clock|epoch|\bsec",
     re.IGNORECASE,
 )
 _NAME = re.compile(
-    r"^(?:.*(?:name|tag|variable|field|point|signal|series|metric|parameter|channel|messstelle|nome|nom|nombre|bezeichn|"
+    r"^(?:.*(?:name|tag|variable|field|point|signal|series|metric|parameter|channel|entity|alias|property|measurement|messstelle|nome|nom|nombre|bezeichn|"
     r"punto|sensor|item|descri|beschreib|label|libell).*)$",
     re.IGNORECASE,
 )
@@ -46,7 +47,8 @@ _VALUE = re.compile(
 )
 _BRACKETED = re.compile(r"\s*[\[({]\s*([^\])}]*)\s*[\])}]\s*$")
 _IN_NAME = re.compile(
-    r"(?:[_ .,;:/]|(?<=[_ ])in )(?P<unit>deg ?[CFcf]|[°º]\s?[CFK]|℃|Kelvin|kelvin|Celsius|rpm|[kM]?W|m?bar|kPa|"
+    r"(?:[_ .,;:/]|(?<=[_ ])in )(?P<unit>deg ?[CFcf]|[°º]\s?[CFK]|℃|[Kk]elvin|[Cc]elsius|[Ff]ahrenheit|"
+    r"[Aa]mp(?:s|eres?)?|rpm|[kM]?W|m?bar|kPa|"
     r"[mk]?A|k?V|Nm|Hz|%|[CFK])$"
 )
 _LOAD = re.compile(
@@ -165,6 +167,11 @@ def named_unit(name: str) -> bool:
 def named_time(name: str) -> bool:
     """Whether a header speaks of time."""
     return _TIME.search(name) is not None
+
+
+def named_entity(name: str) -> bool:
+    """Whether a header speaks of a home automation's entities, whose readings are called states."""
+    return name.casefold() in ("entity_id", "entity")
 
 
 def named_name(name: str) -> bool:

@@ -279,8 +279,7 @@ class SemiMarkov:
         """The runs of these rows leave their stay: next location, its m, its inputs, how long it lasts."""
         if not rows.size:
             return
-        u = rng.random(rows.size)
-        state.location[rows] = (u[:, None] >= self.chain.cumulative[state.location[rows]]).sum(axis=1)
+        state.location[rows] = self.chain.next_locations(state.location[rows], rng.random(rows.size))
         state.entered[rows] = state.leaves[rows]
         state.stays[rows] += 1
         for place in _visited(state.location[rows]):

@@ -1,0 +1,121 @@
+"""What a command loads before it begins, its help included: the libraries that it may need, and none besides."""
+
+import json
+import os
+import re
+import subprocess
+import sys
+
+STEPS: tuple[tuple[frozenset[str], str], ...] = (
+    (frozenset(), "emulate docs completion"),
+    (
+        frozenset({"pydantic", "asyncio"}),
+        """reload run alarm-list alarm-show alarm-acknowledge alarm-shelve alarm-unshelve alarm-remove-from-service
+        alarm-return alarm-reset alarm-journal alarm-rates historian-export historian-query historian-tables
+        plc-codegen plc-doctor plc-probe plc-read plc-scan plc-served trace-can""",
+    ),
+    (frozenset({"rich", "argon2"}), "status top plc-watch user-add user-list user-password user-remove"),
+    (frozenset({"tomlkit"}), "machine-add machine-list machine-remove plc-bind plc-import plc-soak"),
+    (
+        frozenset({"cryptography", "sqlite3"}),
+        """certificates config-diff config-history config-rollback backup restore support plc-arm plc-audit plc-check
+        plc-disarm plc-plan plc-report plc-test""",
+    ),
+    (
+        frozenset({"numpy"}),
+        """historian-import init model-promote model-prove model-show model-simulate plc-guess plc-replay plc-verify
+        trace-map trace-show trace-synth""",
+    ),
+    (frozenset({"lark"}), "trace-ingest"),
+    (
+        frozenset({"scipy"}),
+        """demo diagnose model-check model-correct model-cycles model-export model-fleet model-lineage model-learn
+        model-rank model-regress model-retrain model-shadow model-skill model-tune model-validate""",
+    ),
+)
+"""What the commands of a step may load beside what those of the steps before may; their order is that of loading."""
+HEAVY = [
+    "aalpy",
+    "argon2",
+    "asammdf",
+    "asyncio",
+    "asyncua",
+    "can",
+    "canopen",
+    "cantools",
+    "cryptography",
+    "lark",
+    "matplotlib",
+    "numba",
+    "numpy",
+    "paho",
+    "pandas",
+    "psycopg",
+    "pyarrow",
+    "pydantic",
+    "pymodbus",
+    "rich",
+    "scipy",
+    "sklearn",
+    "sqlite3",
+    "starlette",
+    "tomlkit",
+    "uvicorn",
+    "xgboost",
+]
+"""Libraries that cost more than a help text."""
+PROGRAM = """
+import json, sys
+import click
+from gateway.cli.main import main
+from gateway.entry import LazyGroup
+
+def leaf(path):
+    command, context = main, None
+    for name in path:
+        context = click.Context(command, parent=context)
+        command = command.get_command(context, name)
+    return command.get_help(click.Context(command, info_name=path[-1], parent=context))
+
+def paths(group, before=()):
+    for name in (*group.table, *group.commands):
+        inner = group.commands.get(name)
+        if isinstance(inner, LazyGroup):
+            yield from paths(inner, (*before, name))
+        else:
+            yield (*before, name)
+
+order, heavy = json.loads(sys.argv[1])
+known = {"-".join(path): path for path in paths(main)}
+loaded = {}
+for name in (*order, *sorted(set(known) - set(order))):
+    leaf(known[name])
+    loaded[name] = [each for each in heavy if each in sys.modules]
+print(json.dumps(loaded))
+"""
+
+
+def dearest(report: str, most: int = 10) -> list[str]:
+    """The modules of an import-time report that took longest by themselves, with the microseconds."""
+    rows = re.findall(r"^import time:\s+(\d+) \|\s+\d+ \|\s+(\S+)$", report, re.MULTILINE)
+    return [f"{name}: {micros}" for micros, name in sorted(rows, key=lambda row: -int(row[0]))[:most]]
+
+
+def test_a_leaf_loads_no_library_that_it_has_no_use_for() -> None:
+    order = [name for _, names in STEPS for name in names.split()]
+    command = [sys.executable, "-P", "-X", "importtime", "-c", PROGRAM, json.dumps([order, HEAVY])]
+    environment = {**os.environ, "PYDANTIC_DISABLE_PLUGINS": "__all__"}
+    done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
+    print("dearest imports of all commands together (us):", *dearest(done.stderr), sep="\n  ")
+    assert done.returncode == 0, done.stderr[-2000:]
+    loaded: dict[str, list[str]] = json.loads(done.stdout)
+    assert sorted(loaded) == sorted(order), "a command without a place in STEPS, or a place without a command"
+    may: set[str] = set()
+    for step, names in STEPS:
+        may |= step
+        assert {name: sorted({*loaded[name]} - may) for name in names.split()} == {name: [] for name in names.split()}
+
+
+def test_the_dearest_imports_are_told_by_their_own_time() -> None:
+    report = "import time:        7 |         90 | a\nimport time:       80 |         80 |   a.b\n"
+    assert dearest(report) == ["a.b: 80", "a: 7"]
