@@ -111,6 +111,11 @@ def test_what_cannot_be_served_beside_the_devices_registers_is_refused_at_the_st
         other = replace(config, serve=config.serve.model_copy(update={"address": address}))
         with pytest.raises(ConfigError, match=rf"plant\.toml: serve\.address: .*{words}"):
             served_rows(other)
+    first = config.links[0]
+    tags = [replace(tag, scale_from="holding:9") if tag.name == CURRENT else tag for tag in first.map.tags]
+    scaled = replace(config, links=(replace(first, map=replace(first.map, tags=tuple(tags))),))
+    with pytest.raises(ConfigError, match=f"{CURRENT} has its scale from a register, which a peer cannot know"):
+        served_rows(scaled)
 
 
 def test_the_table_is_printed_for_people_for_programs_and_for_a_peers_import(tmp_path: Path) -> None:

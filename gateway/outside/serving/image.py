@@ -65,6 +65,11 @@ def served_rows(config: Config) -> tuple[ServedRow, ...]:
         reason = f"{address} leaves no room for {len(device.tags)} tags; give a lower one"
         raise ConfigError([f"{config.path}: serve.address: {reason}"])
     for tag in device.tags:
+        if tag.scale_from:
+            # A peer would scale it by a factor of its own reading, of another moment or of none.
+            reason = f"tags: {tag.name} has its scale from a register, which a peer cannot know"
+            problems.append(f"{device.path}: {reason}; leave [serve] out, or give the tag a scale of its own")
+            continue
         try:
             table, start, count = place(tag)
         except AddressError as error:
