@@ -282,8 +282,8 @@ def historian_full(stand: Stand) -> int:
     stand.rig.plant.write_text(whole, encoding="utf-8")
     config = load_config(stand.rig.plant)
     before = stand.plc.ready["epoch"] - 3600.0
-    store, tag = open_historian(stand.rig.historian, max_mb=FULL_MB), config.watched[0]
-    historian = store.of(config.map.name, config.map.tags)
+    store, tag = open_historian(stand.rig.historian, max_mb=FULL_MB), config.watched_temperatures[0]
+    historian = store.view(config.map.name, config.map.tags)
     for first in range(0, OLD_ROWS, 1000):
         times = [before + 0.05 * number for number in range(first, first + 1000)]
         historian.put("scans", [(moment, 0.01, 0) for moment in times])

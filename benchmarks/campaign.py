@@ -35,7 +35,7 @@ from sim.lab.workers import parallel
 from sim.plant.scenarios import SCENARIOS, scenario
 from sim.sha.automaton import Input, Location
 from sim.sha.events import encode
-from sim.sha.flows import RELAXING
+from sim.sha.flows import RELAXING_FLOWS
 from sim.sha.model import Model
 from sim.sha.trace import Trace
 
@@ -60,7 +60,7 @@ def models(folder: Path) -> dict[str, Model]:
 
 
 def _driven(location: Location) -> Location:
-    if location.flow.kind not in RELAXING:
+    if location.flow.kind not in RELAXING_FLOWS:
         return location
     inputs = (Input("Assorbimento", 0.02, 150.0),)
     return replace(location, flow=replace(location.flow, kind="driven", inputs=inputs))

@@ -20,7 +20,7 @@ import click
 from benchmarks.figures import Figure, give, shares
 from drivers.can.bus.access import open_bus
 from drivers.can.driver import open_can
-from drivers.can.protection import Protection, protected
+from drivers.can.protection import Protection, protect_frame
 from drivers.tag import DType, Tag
 from gateway.settings.devices import load_device
 
@@ -174,7 +174,7 @@ async def garbage(
             number, data = payload(rng)
             bus.send(can.Message(arbitration_id=number, is_extended_id=False, data=data))
             if place % 20 == 0:
-                true = protected(guard, place // 20, body)
+                true = protect_frame(guard, place // 20, body)
                 bus.send(can.Message(arbitration_id=0x130, is_extended_id=False, data=true))
                 await asyncio.sleep(0)
                 for sample in await driver.read(device.tags):

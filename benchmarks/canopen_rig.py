@@ -16,7 +16,7 @@ import click
 
 from benchmarks.fault_matrix import PAUSE_S, PERIOD, TOLERANCE_S, Matrix, Seen, suffered, table
 from gateway.demo.can_bus import can_hub
-from sim.plc.program.faults import ONLY_AT
+from sim.plc.program.faults import FAULT_FACES
 from sim.plc.record.recording import PlcRecording
 from sim.sha.trace import Trace
 from tests.rig.pair import ROOT, Rig, make_rig, restless_trace
@@ -33,7 +33,7 @@ WRITES = (1, 6)
 def with_every_kind(rows: Mapping[str, Mapping[str, Any]], face: str) -> Mapping[str, Mapping[str, Any]]:
     """The rows, and each fault of a face alone that has none of them, at its defaults."""
     named = {row["kind"] for row in rows.values()}
-    others = [kind for kind, faces in ONLY_AT.items() if kind not in named and face in faces]
+    others = [kind for kind, faces in FAULT_FACES.items() if kind not in named and face in faces]
     return {**rows, **{kind: {"kind": kind, "duration": 1.0} for kind in others}}
 
 

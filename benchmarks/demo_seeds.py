@@ -2,7 +2,7 @@
 
 `python -m benchmarks.demo_seeds [--seeds 20] [--histories 4] [--json FILE]`: the alarms are scored on one day for each
 seed, in which the bearing runs to its limit and nobody acts. It is the demonstration without its processes: the
-gateway's own predictor, bands and ensemble follow the day scan by scan (`forecasts_along`), with the demonstration's
+gateway's own predictor, bands and ensemble follow the day scan by scan (`forecast_trace`), with the demonstration's
 periods. A day has one richer feed that is harmless, and one heat. The models are learned from histories of three days;
 the days take turns with them (`--histories` as many as seeds: each day has its own, as in the demonstration).
 """
@@ -20,12 +20,12 @@ from rich.box import SIMPLE
 from rich.console import Console
 from rich.table import Table
 
-from gateway.console import shipped
-from gateway.demo.lead_time import AHEAD_S, AlarmScore, chances_along, first_reached, rivals, score
+from gateway.console import shipped_file
+from gateway.demo.lead_time import AHEAD_S, AlarmScore, first_crossing, forecast_chances, rivals, score
 from gateway.demo.prepare import LEAST_FORECAST_S, P_LIMIT, PLANT_LIMIT, pace
-from gateway.lab.learning.learn import learn_from
+from gateway.lab.learning.learn import learn_traces
 from sim.lab.recordings import load_map
-from sim.plant import heat_day_uncontrolled, heat_history
+from sim.plant import heat_history, uncontrolled_heat_day
 from sim.sha import Model, Trace, encode
 
 FORECASTS = (("forecast", AHEAD_S, P_LIMIT), ("forecast, 10 % in 5 min", 300.0, 0.1))
@@ -35,17 +35,17 @@ FORECASTS = (("forecast", AHEAD_S, P_LIMIT), ("forecast, 10 % in 5 min", 300.0, 
 @cache
 def learned(seed: int) -> Model:
     """The model of one history."""
-    column_map = load_map(shipped("traces", "decanter"))
+    column_map = load_map(shipped_file("traces", "decanter"))
     days = [replace(trace, events=encode(trace, column_map.alphabet)) for trace in heat_history(seed)]
-    return learn_from(days, column_map, name="demo", seed=seed, report=lambda *_: None).model
+    return learn_traces(days, column_map, name="demo", seed=seed, report=lambda *_: None).model
 
 
 def scores_of(model: Model, day: Trace) -> list[AlarmScore]:
     """Every alarm's score on one day."""
     _, speed, scan_period = pace(day, None)
     period = max(10.0, 5 * scan_period, LEAST_FORECAST_S * speed)
-    reached = first_reached(day, model.temperature, PLANT_LIMIT)
-    forecasts = chances_along(model, day, limit=PLANT_LIMIT, period=period, scan_period=scan_period)
+    reached = first_crossing(day, model.temperature, PLANT_LIMIT)
+    forecasts = forecast_chances(model, day, limit=PLANT_LIMIT, period=period, scan_period=scan_period)
     others = rivals(
         model,
         day,
@@ -112,7 +112,7 @@ def main(seeds: int, first: int, histories: int, path: Path | None) -> None:
     by_name: dict[str, list[AlarmScore]] = {}
     every: list[dict[str, Any]] = []
     for seed in range(first, first + seeds):
-        day = heat_day_uncontrolled(seed)
+        day = uncontrolled_heat_day(seed)
         scored = scores_of(learned(first + (seed - first) % histories), day)
         for each in scored:
             by_name.setdefault(each.name, []).append(each)

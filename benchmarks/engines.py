@@ -27,7 +27,7 @@ from sim.engine.schedules import Schedule, schedule
 from sim.engine.simulation import simulate
 from sim.engine.tracker import compile_model
 from sim.forecast.fan import Forecast, forecast
-from sim.lab.checking.smc.answers import prepared
+from sim.lab.checking.smc.answers import prepare_question
 from sim.lab.checking.smc.runs import LARGEST, sampler
 from sim.sha.automaton import Distribution, Effect, Flow
 from sim.sha.model import Model
@@ -187,7 +187,7 @@ def checked(repeats: int) -> list[Figure]:
         samplers = []
         for world in (begun.world, replace(begun.world, tracker=tracker)):
             own = replace(begun, world=world)
-            samplers.append(sampler(world, (prepared(question(limit, SECONDS, low), own),), 1))
+            samplers.append(sampler(world, (prepare_question(question(limit, SECONDS, low), own),), 1))
         # Past the small chunks; from then on each call draws one chunk of the largest size.
         verdicts = [each.draw(2 * LARGEST).astype(float) for each in samplers]
         works = (partial(each.draw, LARGEST) for each in samplers)

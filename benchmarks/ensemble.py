@@ -25,10 +25,19 @@ from sim.engine.tracker import Tracker, compile_model
 from sim.forecast.calibration import Calibration, calibrate, factors
 from sim.forecast.calibration import issue as issue_bands
 from sim.forecast.calibration import settle as settle_bands
-from sim.forecast.ensemble import DENSE, Pool, PoolEvidence, issue_pool, mixture, settle_pool, thinned, weights
-from sim.forecast.fan import LEVELS, Forecast, forecast
+from sim.forecast.ensemble import (
+    DENSE_LEVELS,
+    Pool,
+    PoolEvidence,
+    issue_pool,
+    mixture,
+    settle_pool,
+    thin_levels,
+    weights,
+)
+from sim.forecast.fan import FAN_LEVELS, Forecast, forecast
 from sim.lab.learning.bins.learn import learn_bins
-from sim.lab.learning.outcomes import outcomes_of
+from sim.lab.learning.outcomes import clean_readings
 from sim.plant.decanter import DecanterPlant
 from sim.plant.scenarios import production
 from sim.scores import block_bootstrap, coverage, crps_quantiles
@@ -108,7 +117,7 @@ def follow(case: Case, runs: int, seed: int) -> tuple[list[Scheme], Array]:
     events, upcoming, last = [*trace.events, Event(inf, UNKNOWN)], 0, dict[int, str]()
     due = float(trace.times[0]) + case.every
     readings = trace.signals[name]
-    known = outcomes_of(trace.times, trace.signals[name], case.models[0].alphabet.gap)
+    known = clean_readings(trace.times, trace.signals[name], case.models[0].alphabet.gap)
     for row, (time, value) in enumerate(zip(trace.times.tolist(), readings.tolist(), strict=True)):
         while events[upcoming].time <= time:
             event, upcoming = events[upcoming], upcoming + 1
@@ -124,7 +133,7 @@ def follow(case: Case, runs: int, seed: int) -> tuple[list[Scheme], Array]:
                 way.evidence[horizon] = settle_pool(kept, horizon, time, value, case.every / 2)
         if time >= due and all(one.belief.seen for one in followers):
             due = time + case.every
-            outcome = [nan if (at := known.at(time + horizon)) is None else at for horizon in case.horizons]
+            outcome = [nan if (at := known.interpolate(time + horizon)) is None else at for horizon in case.horizons]
             made = [_made(one, case.horizons, runs, (seed, row, n)) for n, one in enumerate(followers)]
             _mix(ways, made, contexts(alphabet, last))
             outcomes.append(outcome)
@@ -145,8 +154,10 @@ def _begin(model: Model, trace: Trace, horizons: Sequence[float]) -> Follower:
 
 def _made(one: Follower, horizons: Sequence[float], runs: int, seed: tuple[int, ...]) -> Forecast:
     rng = np.random.default_rng(seed)
-    found = forecast(one.tracker, one.belief, horizons, rng, runs=runs, calibration=factors(one.bands), levels=DENSE)
-    one.bands = issue_bands(one.bands, thinned(found, LEVELS))
+    found = forecast(
+        one.tracker, one.belief, horizons, rng, runs=runs, calibration=factors(one.bands), levels=DENSE_LEVELS
+    )
+    one.bands = issue_bands(one.bands, thin_levels(found, FAN_LEVELS))
     return found
 
 
@@ -154,7 +165,7 @@ def _mix(ways: Sequence[Scheme], made: Sequence[Forecast], context: Mapping[str,
     for way in ways:
         here = context[way.context]
         shares = [weights(kept.pool, here) for kept in way.evidence.values()]
-        way.fans.append(mixture(made, shares, LEVELS).quantiles)
+        way.fans.append(mixture(made, shares, FAN_LEVELS).quantiles)
         for horizon, kept in way.evidence.items():
             way.evidence[horizon] = issue_pool(kept, horizon, here, made)
 
@@ -167,7 +178,7 @@ def figures(case: Case, runs: int, seed: int) -> list[Figure]:
         there = np.isfinite(outcomes[:, column])
         outcome = outcomes[there, column]
         fans = {way.name: np.array(way.fans)[there][:, :, column] for way in ways}
-        scores = {name: crps_quantiles(LEVELS, fan, outcome) for name, fan in fans.items()}
+        scores = {name: crps_quantiles(FAN_LEVELS, fan, outcome) for name, fan in fans.items()}
         best = min(("model 1 alone", "model 2 alone"), key=lambda name: float(scores[name].mean()))
         for name, score in scores.items():
             block = max(round(horizon / case.every), 1) * 4

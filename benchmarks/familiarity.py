@@ -65,7 +65,7 @@ Cycle = tuple[Trace, CyclePoints]
 
 def cycles_of(trace: Trace) -> list[Cycle]:
     """Each cycle with its points; the last one of a log has no end."""
-    source = PointSource.of(DECANTER, FIRST)
+    source = PointSource.for_alphabet(DECANTER, FIRST)
     cycles = split_cycles(trace, DECANTER, gap=DECANTER.gap)[:-1]
     points = [cycle_points(trace, source, begin=float(cycle.times[0]), end=float(cycle.times[-1])) for cycle in cycles]
     return [(cycle, each) for cycle, each in zip(cycles, points, strict=True) if len(each.times)]

@@ -24,7 +24,7 @@ from drivers.tag import Quality, Sample
 from gateway.machine.reading.quality import STALE_PERIODS
 from gateway.store.read_back import reading, samples, stored_rows
 from sim.plc.program.faults import FAULTS as KINDS
-from sim.plc.program.faults import shown_at
+from sim.plc.program.faults import face_shows
 from sim.plc.record.judge import wrong_good
 from sim.plc.record.recording import PlcRecording, RequestRow, read_recording
 from tests.rig.pair import MAP, PATIENCE_S, TEMPERATURE, Gateway, Plc, Rig, brief, make_rig, restless_trace
@@ -69,7 +69,7 @@ _ROWS: Mapping[str, Mapping[str, Any]] = {
 _NAMED = {row["kind"] for row in _ROWS.values()}
 FAULTS: Mapping[str, Mapping[str, Any]] = {
     **_ROWS,
-    **{kind: {"kind": kind, "duration": 1.0} for kind in KINDS if kind not in _NAMED and shown_at(kind, "tcp")},
+    **{kind: {"kind": kind, "duration": 1.0} for kind in KINDS if kind not in _NAMED and face_shows(kind, "tcp")},
 }
 """What is ordered from the PLC, by the row's name: each of its faults that any face can show, at its defaults unless
 it has a row above. One frozen register behind a living heartbeat is not among them: nothing but a tag's own

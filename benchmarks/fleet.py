@@ -26,7 +26,7 @@ import click
 import numpy as np
 
 from benchmarks.figures import Figure, give
-from sim.lab.learning import FALSE_FINDING_CHANCE, GroupTargets, outstanding
+from sim.lab.learning import FALSE_FINDING_CHANCE, GroupTargets, find_outliers
 from sim.lab.recordings import write_trace
 from sim.plant import production
 from sim.plant.decanter import DecanterPlant
@@ -96,7 +96,7 @@ def law(sizes: list[int], fleets: int, seed: int) -> list[Figure]:
     """False findings of ordinary fleets beside the stated rate, and how often an odd machine is named."""
     rng, figures = np.random.default_rng(seed), list[Figure]()
     for size in sizes:
-        found = [outstanding(drawn(rng, size, {})) for _ in range(fleets)]
+        found = [find_outliers(drawn(rng, size, {})) for _ in range(fleets)]
         rate = 100.0 * float(np.mean([bool(each) for each in found]))
         figures.append(
             Figure(f"{size} machines alike: fleets with a finding", rate, "%", "stated", 100.0 * FALSE_FINDING_CHANCE)
@@ -104,7 +104,7 @@ def law(sizes: list[int], fleets: int, seed: int) -> list[Figure]:
         for where, shares in ODD.items():
             for degrees in DEGREES:
                 odd = {group: share * degrees for group, share in shares.items()}
-                found = [outstanding(drawn(rng, size, odd)) for _ in range(max(fleets // 10, 1))]
+                found = [find_outliers(drawn(rng, size, odd)) for _ in range(max(fleets // 10, 1))]
                 named = 100.0 * float(np.mean(["m000" in each for each in found]))
                 others = 100.0 * float(np.mean([bool(set(each) - {"m000"}) for each in found]))
                 figures.append(Figure(f"  odd {where}, {degrees:g} degC: named", named, "%", "others", others))

@@ -18,7 +18,7 @@ from rich.table import Table
 from benchmarks.figures import Figure, best, give
 from sim.lab.checking.language.parse import parse_query
 from sim.lab.checking.query.tree import Probability
-from sim.lab.checking.smc.answers import QuerySettings, answer, prepared
+from sim.lab.checking.smc.answers import QuerySettings, answer, prepare_question
 from sim.lab.checking.smc.runs import sampler
 from sim.lab.checking.smc.start import initial
 from sim.sha.automaton import Distribution, Flow
@@ -70,7 +70,7 @@ def along_traces(model: Model, formulas: int, rng: np.random.Generator) -> Figur
         path = random_path(rng, BOUND, whole=True)
         trace, course = traced_course(rng, BOUND, needed(path, BOUND))
         start = initial(model, trace)
-        verdict = sampler(start.world, (prepared(Probability(BOUND, path), start),), 0).draw(1)[0, 0]
+        verdict = sampler(start.world, (prepare_question(Probability(BOUND, path), start),), 0).draw(1)[0, 0]
         wrong += bool(verdict) != holds(path, course, Fraction(BOUND))
     return Figure("random formulas along traces: wrong verdicts", wrong, "", "formulas", formulas)
 

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.figures import Figure, give
-from drivers.codec import decode, encode, registers_needed
+from drivers.codec import decode, encode, register_count
 from drivers.errors import EncodingError
 from drivers.tag import DType, Order, Quality, Tag
 from gateway.commission.encodings.advice import Advice, advise
@@ -132,7 +132,7 @@ def signal(rng: np.random.Generator) -> Signal:
         dtype = draw(rng, TYPES)
         is_float = dtype in (DType.FLOAT32, DType.FLOAT64)
         scale, offset = (1.0, 0.0) if is_float else (draw(rng, SCALES), draw(rng, OFFSETS))
-        several = registers_needed(Tag("", "", dtype)) > 1
+        several = register_count(Tag("", "", dtype)) > 1
         orders = {Order.ABCD: 0.45, Order.CDAB: 0.4, Order.DCBA: 0.08, Order.BADC: 0.07}
         order = draw(rng, orders) if several else draw(rng, {Order.ABCD: 0.96, Order.BADC: 0.04})
         grain = draw(rng, FLOAT_GRAINS if is_float else GRAINS)
@@ -163,7 +163,7 @@ class Memory:
         self.moving: list[tuple[int, Signal]] = []
         self.states: list[int] = []
         self.same_kind = draw(rng, NEIGHBOURS) == "same kind"
-        width = registers_needed(one.signal.tag)
+        width = register_count(one.signal.tag)
         for first, last in (
             (one.address - AROUND, one.address),
             (one.address + width, one.address + width + AROUND),
@@ -184,7 +184,7 @@ class Memory:
                 self.states += [at] * (kind == "states")
                 return at + 1
             drawn = signal(self.rng)
-        width = registers_needed(drawn.tag)
+        width = register_count(drawn.tag)
         if at + width > last:
             return self._neighbour(at, last)
         self.signals.append((at, drawn))
@@ -245,13 +245,13 @@ def is_right(found: EncodingCandidate, one: Case, rng: np.random.Generator) -> b
     anything but 0 (a counter of 32 bits that stays below 65536).
     """
     told, drawn = found.tag(), one.signal
-    truth = registers_needed(drawn.tag)
+    truth = register_count(drawn.tag)
     first = found.address - one.address
-    if first < 0 or first + registers_needed(told) > truth:
+    if first < 0 or first + register_count(told) > truth:
         return False
     for value in (drawn.low, drawn.high, *rng.uniform(drawn.low, drawn.high, 100)):
         words = encode(drawn.tag, float(value))
-        said, quality, _ = decode(told, words[first : first + registers_needed(told)])
+        said, quality, _ = decode(told, words[first : first + register_count(told)])
         wanted = decoded(drawn.tag, words)
         if quality.is_bad or abs(float(said or 0.0) - wanted) > 1e-6 * max(1.0, abs(wanted)):
             return False
@@ -265,7 +265,7 @@ def reads_right(found: EncodingCandidate, memory: Memory) -> bool:
     its neighbour's make the same number. No reading ever tells such two apart.
     """
     told, signal = found.tag(), memory.case.signal
-    width = registers_needed(told)
+    width = register_count(told)
     for _ in range(LATER):
         wanted = memory.moved_on(signal.draw(memory.rng))
         words = [memory.words.get(at, -1) for at in range(found.address, found.address + width)]
@@ -336,8 +336,8 @@ def verdict(seed: int) -> Verdict:
         one=one,
         two=two,
         reads=reads,
-        asked=not advice.settled,
-        overconfident=advice.settled and not one,
+        asked=not advice.is_settled,
+        overconfident=advice.is_settled and not one,
         deluded=deluded,
         described=described,
     )

@@ -153,7 +153,7 @@ def written() -> int:
 def one_day(path: Path, tags: Sequence[Tag], course: Course, former: Path | None) -> tuple[float, float]:
     """Write a course; gives bytes a day of the historian and of layout 1 (0 without `former`)."""
     opened = open_historian(path, max_mb=100_000.0)
-    historian = opened.of("decanter", tags)
+    historian = opened.view("decanter", tags)
     left_out = frozenset({"PlcHeartbeat"})
     keeper = Keeper({tag.name: tag for tag in tags}, 5.0, left_out)
     store = FormerStore(former, [tag.name for tag in tags]) if former else None
@@ -225,7 +225,7 @@ def amplification(folder: Path, tags: Sequence[Tag], seconds: float) -> tuple[fl
     course = Course(tags, 10.0, seconds)
     path = folder / "ten.sqlite"
     opened = open_historian(path)
-    historian = opened.of("decanter", tags)
+    historian = opened.view("decanter", tags)
     keeper = Keeper({tag.name: tag for tag in tags}, 5.0, frozenset({"PlcHeartbeat"}))
     batches = list(course.batches(keeper))
     historian.flush()
@@ -252,7 +252,7 @@ def side_by_side(folder: Path, machines: int, seconds: int) -> tuple[float, floa
     """
     path, rng = folder / f"machines{machines}.sqlite", np.random.default_rng(5)
     historian, names = open_historian(path, max_mb=100_000.0), [f"Tag{number}" for number in range(10)]
-    views = [historian.of(f"machine {number}") for number in range(machines)]
+    views = [historian.view(f"machine {number}") for number in range(machines)]
     course = np.round(60.0 + np.cumsum(rng.normal(0.0, 0.05, (seconds * 10, 10)), axis=0), 2).tolist()
     begin = process_time()
     for scan in range(seconds * 10):

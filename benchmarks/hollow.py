@@ -15,7 +15,7 @@ from pathlib import Path
 import click
 import numpy as np
 
-from sim.lab.recordings import channel_uses, levels_of, load_map, load_traces
+from sim.lab.recordings import channel_uses, find_levels, load_map, load_traces
 from sim.sha import DECANTER, Alphabet, Bins, Trace, encode
 
 ROOT = Path(__file__).parents[1]
@@ -69,7 +69,7 @@ def hollowness(traces: Sequence[Trace], signal: str, thresholds: tuple[float, ..
 
 def moved(traces: Sequence[Trace], signal: str, repeats: int, rng: np.random.Generator) -> tuple[float, float]:
     """(share of resamples with as many thresholds, spread of those thresholds as a share of the signal's range)."""
-    whole = levels_of(traces, signal, 30.0).thresholds
+    whole = find_levels(traces, signal, 30.0).thresholds
     values = np.concatenate([trace.signals[signal] for trace in traces if signal in trace.signals])
     span = float(np.ptp(np.nanquantile(values, (0.01, 0.99))))
     drawn = []
@@ -81,7 +81,7 @@ def moved(traces: Sequence[Trace], signal: str, repeats: int, rng: np.random.Gen
             for index in rng.integers(0, len(blocks), len(blocks)) if blocks else ():
                 rows = blocks[index]
                 pieces.append(Trace(trace.name, trace.times[rows], {signal: trace.signals[signal][rows]}))
-        drawn.append(levels_of(pieces, signal, 30.0).thresholds)
+        drawn.append(find_levels(pieces, signal, 30.0).thresholds)
     same = np.array([cuts for cuts in drawn if len(cuts) == len(whole)])
     if not len(whole) or not same.size:
         return len(same) / repeats, 0.0
@@ -98,7 +98,7 @@ def main(as_json: bool, repeats: int, seed: int) -> None:
     rows = []
     for name, (traces, signal) in recorded().items():
         plant = hollowness(traces, signal, PLANT)
-        auto = hollowness(traces, signal, levels_of(traces, signal, 30.0).thresholds)
+        auto = hollowness(traces, signal, find_levels(traces, signal, 30.0).thresholds)
         encoded = Alphabet((Bins(signal, PLANT, ("A_0", "A_1", "A_2", "A_3")),))
         with_events = [Trace(each.name, each.times, each.signals, encode(each, encoded), each.bad) for each in traces]
         warned = any(use.sentence for use in channel_uses(with_events, encoded))

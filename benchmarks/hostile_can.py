@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 from benchmarks.hostile_tally import Tally
 from drivers.can.frame import CanFrame
-from drivers.can.protection import Protection, protected
+from drivers.can.protection import Protection, protect_frame
 from drivers.can.reception import MessageRules, Reception
 from drivers.canopen.channel import SdoChannel
 from drivers.canopen.place import ObjectPlace
@@ -44,7 +44,7 @@ async def can_frames(_link: str, rng: random.Random, tally: Tally) -> None:
     begin = rng.randrange(256)
     for number in range(FRAMES):
         now = number * _PERIOD_S
-        frame = protected(guard, begin + number, bytes(3) + number.to_bytes(2, "little") + rng.randbytes(3))
+        frame = protect_frame(guard, begin + number, bytes(3) + number.to_bytes(2, "little") + rng.randbytes(3))
         sent.append(frame)
         numbers[frame] = number
         habit = rng.choice(habits) if rng.random() < share else ""
@@ -132,7 +132,7 @@ class HostileNode:
 
     def _put(self, answer: bytes) -> None:
         if self.channel is not None:
-            self.channel.heard(answer)
+            self.channel.receive(answer)
 
     def _answer(self, frame: bytes) -> bytes:
         command, place = frame[0], _place(frame)

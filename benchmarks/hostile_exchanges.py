@@ -81,10 +81,10 @@ class _ToWire(asyncio.Protocol):
         self._wire = wire
 
     def data_received(self, data: bytes) -> None:
-        self._wire.heard(data)
+        self._wire.receive(data)
 
     def connection_lost(self, exc: Exception | None) -> None:
-        self._wire.broken("the port is gone")
+        self._wire.note_loss("the port is gone")
 
 
 def _settings(link: str, rng: random.Random) -> dict[str, Any]:

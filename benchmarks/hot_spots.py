@@ -24,7 +24,7 @@ from benchmarks.figures import Figure, give
 from benchmarks.processes import ROOT, learned_model, plant_file, software_plc, until_usable
 
 STAGES = {
-    "waiting for the tick": "gateway.machine.reading.scan:_awaited",
+    "waiting for the tick": "gateway.machine.reading.scan:_await_next",
     "reading the device": "drivers.modbus.driver:ModbusDriver.read",
     "quality": "gateway.machine.reading.quality:judge",
     "alarms": "gateway.machine.alarms.board:AlarmBoard._step",

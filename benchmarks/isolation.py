@@ -42,7 +42,7 @@ from gateway.outside.status import GatewayLine
 from gateway.store import reading, samples, stored_rows
 from sim.artefacts.model_json import model_text
 from sim.lab.recordings.trace_file import write_trace
-from sim.plc.program.faults import shown_at
+from sim.plc.program.faults import face_shows
 from sim.plc.record.judge import wrong_good
 from sim.plc.record.recording import read_recording
 from sim.sha.trace import Array
@@ -112,7 +112,7 @@ def faults_over(link: str) -> Mapping[str, Mapping[str, Any]]:
     return {
         name: fault
         for name, fault in all_of_them.items()
-        if name not in _NOT_A_UNITS and shown_at(str(fault["kind"]), face)
+        if name not in _NOT_A_UNITS and face_shows(str(fault["kind"]), face)
     }
 
 

@@ -21,15 +21,15 @@ import click
 import numpy as np
 
 from benchmarks.figures import Figure, give
-from sim.engine.open_loop_run import measured, open_loop
+from sim.engine.open_loop_run import open_loop, readings
 from sim.lab.learning.lsha.evidence import PooledEvidence, same_distribution
 from sim.lab.learning.lsha.flow_hypotheses import Flowing, choose_flow
-from sim.lab.learning.lsha.hypothesis import hypothesis_of
+from sim.lab.learning.lsha.hypothesis import build_hypothesis
 from sim.lab.learning.lsha.learn import learn_lsha
 from sim.lab.learning.lsha.settings import LshaSettings
 from sim.lab.learning.lsha.structures import choose_structure
-from sim.lab.learning.lsha.teacher import Teacher, teacher_of
-from sim.lab.learning.lsha.words import classes_of
+from sim.lab.learning.lsha.teacher import Teacher, make_teacher
+from sim.lab.learning.lsha.words import build_classes
 from sim.sha.automaton import transitions
 from sim.sha.events import Alphabet, Bins, Switch, encode
 from sim.sha.trace import Trace
@@ -166,7 +166,7 @@ def found_again(automaton: Automaton, traces: Sequence[Trace], others: Sequence[
     chosen = LshaSettings()
     teacher, flowing = _flowing(traces, chosen)
     structure, _ = choose_structure(teacher, flowing.sample, chosen)
-    hypothesis = hypothesis_of(teacher, structure, complete=True)
+    hypothesis = build_hypothesis(teacher, structure, complete=True)
     after = {key: target for key, (target, _) in hypothesis.observed.items()} | dict(hypothesis.default)
     pairs = _met(automaton, after, traces)
     minimal = automaton.minimal()
@@ -196,7 +196,7 @@ def _met(
 
 
 def _flowing(traces: Sequence[Trace], settings: LshaSettings) -> tuple[Teacher, Flowing]:
-    teacher = teacher_of(traces, PLANT, "T", settings.n_min, settings.split)
+    teacher = make_teacher(traces, PLANT, "T", settings.n_min, settings.split)
     return teacher, choose_flow(teacher, settings.default_flow, settings.alpha, settings.n_min)[0]
 
 
@@ -233,7 +233,7 @@ def learned_from(automaton: Automaton, traces: Sequence[Trace], others: Sequence
                 off.append(abs((law.params["mu"] if law else np.nan) - automaton.target[state]))
     errors = []
     for trace in others:
-        times, values = measured(trace, "T")
+        times, values = readings(trace, "T")
         run = open_loop(replace(model, calibration={}), trace, "resync")
         errors.append(run.mean[np.searchsorted(run.times, times, side="right") - 1] - values)
     return LearnedAgain(
@@ -261,8 +261,8 @@ def query_p(difference: float, rng: np.random.Generator, kind: str = "exponentia
     }
     settings = LshaSettings(default_flow=kind)
     teacher, flowing = _flowing(traces_of(Automaton(after, targets), rng), settings)
-    classes = classes_of(teacher.words, "context")
-    pooled = flowing.sample.pooled(classes.of_state, len(classes), settings.n_min)
+    classes = build_classes(teacher.words, "context")
+    pooled = flowing.sample.pool_classes(classes.of_state, len(classes), settings.n_min)
     low, middle = (_evidence(pooled, classes.keys, level) for level in (0, 1))
     return same_distribution(low, middle, 0.0).p
 
@@ -272,7 +272,7 @@ def _evidence(pooled: Sequence[PooledEvidence], keys: Sequence[object], level: i
     mine = [one for one, key in zip(pooled, keys, strict=True) if getattr(key, "context", None) == (1, level)]
     whole = mine[0]
     for one in mine[1:]:
-        whole = whole.joined(one)
+        whole = whole.merge(one)
     return whole
 
 

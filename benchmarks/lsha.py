@@ -23,7 +23,7 @@ import numpy as np
 from benchmarks.figures import Figure, best, give
 from benchmarks.known_automata import SCATTER, Family, found_again, query_p, random_automaton, traces_of
 from sim.artefacts.model_json import model_text
-from sim.engine.open_loop_run import measured, open_loop
+from sim.engine.open_loop_run import open_loop, readings
 from sim.lab.learning.bins.learn import learn_bins
 from sim.lab.learning.lsha.learn import LearnedLsha, learn_lsha
 from sim.lab.recordings.column_map import load_map
@@ -60,7 +60,7 @@ def held_out(traces: Sequence[Trace], learner: Learner, temperature: str) -> tup
 
 
 def _error(model: Model, trace: Trace, temperature: str) -> np.ndarray:
-    times, values = measured(trace, temperature)
+    times, values = readings(trace, temperature)
     run = open_loop(replace(model, calibration={}), trace, "resync")
     row = np.searchsorted(run.times, times, side="right") - 1
     return np.asarray(run.mean[row] - values)
@@ -68,7 +68,7 @@ def _error(model: Model, trace: Trace, temperature: str) -> np.ndarray:
 
 def persistence(traces: Sequence[Trace], temperature: str) -> tuple[float, float]:
     """(MAE, RMSE) of what stays as it was at the first reading."""
-    values = [measured(trace, temperature)[1] for trace in traces]
+    values = [readings(trace, temperature)[1] for trace in traces]
     return _figures(np.concatenate([column - column[0] for column in values]))
 
 
@@ -88,9 +88,9 @@ def table(traces: Sequence[Trace], alphabet: Alphabet, temperature: str) -> tupl
         begins = [(event.time, levels[event.symbol]) for event in trace.events if event.symbol in levels]
         since, level = np.array(begins).T
         turn = np.sign(np.diff(level, prepend=level[:1]))
-        row = np.maximum(np.searchsorted(since, measured(trace, temperature)[0], side="right") - 1, 0)
+        row = np.maximum(np.searchsorted(since, readings(trace, temperature)[0], side="right") - 1, 0)
         keys.append(np.column_stack([level[row], turn[row]]))
-    values = [measured(trace, temperature)[1] for trace in traces]
+    values = [readings(trace, temperature)[1] for trace in traces]
     errors: list[np.ndarray] = []
     for number, own in enumerate(keys):
         others = [each for each in range(len(traces)) if each % FOLDS != number % FOLDS]

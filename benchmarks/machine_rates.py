@@ -12,9 +12,9 @@ import click
 import numpy as np
 
 from benchmarks.figures import Figure, give
-from gateway.machine.model import forecasts_along
+from gateway.machine.model import forecast_trace
 from gateway.settings import EnsembleSection, ForecastSection
-from sim.forecast import LEVELS
+from sim.forecast import FAN_LEVELS
 from sim.lab.learning.bins import learn_bins
 from sim.sha import DECANTER, Model, Trace
 from tests.learning.plants import Truth, simulate
@@ -36,14 +36,14 @@ def scored(model: Model, traces: list[Trace]) -> list[tuple[float, float, bool]]
     """(horizon, error in degC, held by the 90 % band) of every forecast along the traces."""
     found = []
     for trace in traces:
-        for forecast in forecasts_along(
-            [model], trace, FORECASTS, ensemble=EnsembleSection(), scan_period=PERIOD, levels=LEVELS
+        for forecast in forecast_trace(
+            [model], trace, FORECASTS, ensemble=EnsembleSection(), scan_period=PERIOD, levels=FAN_LEVELS
         ):
             for number, horizon in enumerate(HORIZONS):
                 row = int(np.searchsorted(trace.times, forecast.time + horizon))
                 if row < trace.times.size:
                     low, middle, high = (
-                        float(forecast.quantiles[LEVELS.index(level), number]) for level in (0.05, 0.5, 0.95)
+                        float(forecast.quantiles[FAN_LEVELS.index(level), number]) for level in (0.05, 0.5, 0.95)
                     )
                     outcome = trace.signals["T"][row]
                     found.append((horizon, abs(float(outcome - middle)), bool(low <= outcome <= high)))

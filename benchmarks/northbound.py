@@ -50,7 +50,7 @@ class FullPlant:
         self.supervisor = Supervisor()
         self.store: Historian = open_historian(path, supervisor=self.supervisor)
         for machine in self.machines:
-            self.store.of(machine, [Tag(tag, "holding:0", unit="degC") for tag in self.tags])
+            self.store.view(machine, [Tag(tag, "holding:0", unit="degC") for tag in self.tags])
 
     def now(self) -> float:
         return BEGIN + self.second
@@ -59,7 +59,7 @@ class FullPlant:
         """One scan: every reading has changed."""
         time = self.now()
         rows = [(tag, time, self.second + 0.5, int(Quality.GOOD), time - 0.01) for tag in self.tags]
-        view = self.store.of(machine)
+        view = self.store.view(machine)
         view.put("scans", [(time, 0.01, 0)])
         view.put("samples", rows)
 
@@ -145,7 +145,7 @@ async def measured(folder: Path, machines: int, tags: int, outage: int, live: fl
                 SparkplugSink(row, None, tags=lambda: no_tags, now=plant.now, acknowledge=lambda *_: None),
                 path=plant.store.path,
                 machines=lambda: plant.machines,
-                view=plant.store.of,
+                view=plant.store.view,
                 now=plant.now,
                 tables=("samples",),
                 backlog=1e9,

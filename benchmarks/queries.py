@@ -16,7 +16,7 @@ from benchmarks.figures import Figure, best, give
 from sim.lab.checking.language.parse import parse_query
 from sim.lab.checking.query.symbolic import decide
 from sim.lab.checking.query.tree import Symbolic
-from sim.lab.checking.smc.rules.estimation import Draw, mixture_interval, one_or_two_sided, to_half_width
+from sim.lab.checking.smc.rules.estimation import Draw, mixture_interval, to_half_width, uppaal_interval
 from sim.lab.checking.smc.rules.paired import compare
 from sim.lab.checking.smc.rules.sprt import acceptance, expected_runs, sprt, wald_test
 from sim.sha.automaton import SHA, Edge, Flow, Location
@@ -24,7 +24,7 @@ from sim.sha.trace import Array
 
 Interval = Callable[[Array, NDArray[np.int_], float], tuple[Array, Array]]
 LEVEL, EPSILON = 0.95, 0.05
-RULES: dict[str, Interval] = {"sequential Clopper-Pearson": one_or_two_sided, "anytime-valid": mixture_interval}
+RULES: dict[str, Interval] = {"sequential Clopper-Pearson": uppaal_interval, "anytime-valid": mixture_interval}
 ASKED = "Pr[<=444](<> Temp >= 80 && (q_1 || q_2 || !q_3)) >= 0.9"
 PLACES, EDGES = 300, 30_000
 

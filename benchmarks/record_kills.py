@@ -57,7 +57,7 @@ def write(folder: str, first: int, promises: Connection) -> None:
     """Write until killed, numbers from `first` on, and say each that is promised."""
     path = Path(folder)
     audit, store = open_audit(path / "audit.sqlite"), open_historian(path / "historian.sqlite")
-    view = store.of("one", [Tag("t", "holding:0", unit="degC")])
+    view = store.view("one", [Tag("t", "holding:0", unit="degC")])
     number = first
     while True:
         for _ in range(ROWS):

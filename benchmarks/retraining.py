@@ -49,7 +49,7 @@ def write_historian(path: Path, trace: Trace) -> None:
     """The historian of a gateway that has scanned a trace, row by row."""
     store = open_historian(path)
     tags = [Tag(name, f"holding:{number}") for number, name in enumerate(trace.signals)]
-    historian, keeper = store.of("decanter", tags), Keeper({tag.name: tag for tag in tags}, 5.0)
+    historian, keeper = store.view("decanter", tags), Keeper({tag.name: tag for tag in tags}, 5.0)
     historian.put("runs", [(float(trace.times[0]), TEMPERATURE, "", 1.0, 5.0)])
     columns = {name: column.tolist() for name, column in trace.signals.items()}
     for row, time in enumerate(trace.times.tolist()):

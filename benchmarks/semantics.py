@@ -15,8 +15,8 @@ import click
 import numpy as np
 
 from benchmarks.figures import Figure, give
-from sim.lab.judge.differences import Paired, paired
-from sim.lab.judge.free_run import HeldOutFold, held_out
+from sim.lab.judge.differences import Paired, compare_pairs
+from sim.lab.judge.free_run import HeldOutFold, score_fold
 from sim.lab.judge.semantics import side_by_side
 from sim.lab.learning.bins.learn import learn_bins
 from sim.lab.recordings.column_map import load_map
@@ -37,7 +37,7 @@ def compare(known: Sequence[Trace], asked: Sequence[Trace], alphabet: Alphabet, 
     encoded = [replace(trace, events=encode(trace, alphabet)) for trace in known]
     model = learn_bins(encoded, alphabet, temperature, seed=seed).model
     both = side_by_side(model, encoded, seed=seed)
-    return {name: [held_out(one, trace) for trace in asked] for name, one in both.items()}
+    return {name: [score_fold(one, trace) for trace in asked] for name, one in both.items()}
 
 
 def scenarios(seed: int, count: int) -> Scores:
@@ -67,7 +67,9 @@ def skab(seed: int) -> Scores:
 def gain(scores: Scores, measure: str, seed: int) -> Paired:
     """(thesis - own) of one measure, paired by trace; above 0 where carrying the temperature is better."""
     pairs = zip(scores["resampled"], scores["carried"], strict=True)
-    return paired([getattr(old, measure) - getattr(new, measure) for old, new in pairs], np.random.default_rng(seed))
+    return compare_pairs(
+        [getattr(old, measure) - getattr(new, measure) for old, new in pairs], np.random.default_rng(seed)
+    )
 
 
 def figures_of(what: str, scores: Scores, seed: int) -> list[Figure]:

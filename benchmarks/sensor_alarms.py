@@ -16,7 +16,7 @@ from benchmarks.figures import Figure, give
 from drivers.tag import Quality, Sample
 from gateway.machine.alarms import SensorWatch
 from gateway.machine.reading import Scan
-from gateway.settings.alarm_kinds import FAULT
+from gateway.settings.alarm_kinds import FAULT_THRESHOLD
 from sim.lab.recordings import load_map, load_traces
 from sim.plant import SCENARIOS, production, scenario
 from sim.sha import Array
@@ -42,7 +42,7 @@ def follow(times: Array, readings: dict[str, Array], *, limit: float = LIMIT) ->
         for name, value in watch.take(Scan(row, time, samples, 0, 0.0)).items():
             if value is None:
                 continue
-            if value > (limit if name.startswith("rising") else FAULT):
+            if value > (limit if name.startswith("rising") else FAULT_THRESHOLD):
                 if name not in standing:
                     yield time, name
                 standing.add(name)

@@ -11,7 +11,7 @@ import numpy as np
 from benchmarks.figures import Figure, best, give
 from sim.engine.moment_equations import moments
 from sim.engine.schedules import Schedule, schedule
-from sim.engine.simulation import CHUNK, simulate
+from sim.engine.simulation import CHUNK_RUNS, simulate
 from sim.sha.automaton import SHA, Distribution, Edge, Flow, Location
 from sim.sha.trace import Event
 
@@ -52,10 +52,10 @@ def measure(name: str, steps: Schedule, runs: int, repeats: int, rng: np.random.
     moving = steps.dt > 0
     stays = np.bincount(steps.stay, weights=moving)
     normals = int(moving.sum() + np.count_nonzero(stays > 1))  # one a step, and one a stay that has several steps
-    out, row = np.zeros((steps.times.size, runs)), np.empty(CHUNK)
+    out, row = np.zeros((steps.times.size, runs)), np.empty(CHUNK_RUNS)
     speed = runs / best(lambda: simulate(steps, 18.2, runs, rng, out=out), repeats)
     fresh = runs / best(lambda: simulate(steps, 18.2, runs, rng), repeats)
-    limit = CHUNK / best(lambda: [rng.standard_normal(out=row) for _ in range(normals)], repeats)
+    limit = CHUNK_RUNS / best(lambda: [rng.standard_normal(out=row) for _ in range(normals)], repeats)
     closed = 1e3 * best(lambda: moments(steps, 18.2), repeats)
     what = f"simulation, {steps.times.size} outputs"
     return [
@@ -73,7 +73,7 @@ def measure(name: str, steps: Schedule, runs: int, repeats: int, rng: np.random.
 @click.option("--seed", default=1, show_default=True, help="Seed of the events and the runs.")
 def main(as_json: bool, quick: bool, repeats: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
-    runs = {"events": (5 if quick else 20) * CHUNK, "dense": (1 if quick else 4) * CHUNK}
+    runs = {"events": (5 if quick else 20) * CHUNK_RUNS, "dense": (1 if quick else 4) * CHUNK_RUNS}
     found = [measure(name, steps, runs[name], 2 if quick else repeats, rng) for name, steps in cases(rng).items()]
     give("simulation, 47 events in 444 s", [figure for some in found for figure in some], as_json=as_json)
 

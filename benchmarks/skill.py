@@ -26,23 +26,23 @@ from joblib import Parallel, delayed
 
 from benchmarks.figures import Figure, give
 from gateway.console import table
-from gateway.lab.judging.figures import rivals_room, scanned, skill_rows
+from gateway.lab.judging.figures import rivals_room, scan_trace, skill_rows
 from gateway.settings import ForecastSection
 from sim.lab.judge import (
-    AHEAD,
-    LEAST_FOR_INTERVAL,
-    STRETCHES,
+    MAX_CRPS_RATIO,
+    MIN_INTERVAL_DIFFERENCES,
+    TRACE_PARTS_S,
     PastForecaster,
     Skill,
     SkillRow,
     common,
     draw_skill,
-    grouped,
+    group_rows,
     persist,
     skill,
     stretch,
     tables,
-    trained,
+    train_rival,
 )
 from sim.lab.learning import PERSISTENCE
 from sim.lab.learning.bins import learn_bins
@@ -134,13 +134,13 @@ def fitted(fold: Fold, methods: Sequence[str], pace: Pace) -> tuple[dict[str, Pa
     rivals = {rival.name: rival for rival in known_rivals()}
     alphabet, temperature = fold.column_map.alphabet, fold.column_map.temperature
     wanted = [name for name in methods if name in rivals]
-    past = [scanned(trace, temperature, alphabet, pace.scans) for trace in fold.training] if wanted else []
+    past = [scan_trace(trace, temperature, alphabet, pace.scans) for trace in fold.training] if wanted else []
     made: dict[str, PastForecaster] = {}
     notes = []
     for name in methods:
         try:
             if name in rivals:
-                made[name] = trained(rivals[name], past, HORIZONS)
+                made[name] = train_rival(rivals[name], past, HORIZONS)
             elif name == PERSISTENCE:
                 made[name] = partial(persist, horizons=HORIZONS)
         except (ImportError, ValueError) as error:
@@ -216,7 +216,7 @@ def cells(rows: Mapping[str, Sequence[SkillRow]], *, by_machine: bool) -> Cells:
     """The figures of each method in each set at each horizon, of all machines or of each."""
     found: dict[tuple[str, float, str], dict[str, Skill]] = {}
     for title, own in rows.items():
-        parts = grouped(own, lambda row: (row.horizon, row.machine if by_machine else "", row.method))
+        parts = group_rows(own, lambda row: (row.horizon, row.machine if by_machine else "", row.method))
         for (horizon, machine, method), part in sorted(parts.items(), key=lambda item: item[0][0]):
             found.setdefault((title, horizon, machine), {})[method] = skill(part)
     return found
@@ -235,10 +235,10 @@ def verdict(found: Cells, ours: Sequence[str], figure: str) -> str:
             if method in own and set(own) - set(OURS)
         ]
         near, better = (
-            sum(value <= AHEAD * least for value, least in pairs),
+            sum(value <= MAX_CRPS_RATIO * least for value, least in pairs),
             sum(value < least for value, least in pairs),
         )
-        parts.append(f"{method} within {AHEAD:g} of it in {near} of {len(pairs)}, better in {better}")
+        parts.append(f"{method} within {MAX_CRPS_RATIO:g} of it in {near} of {len(pairs)}, better in {better}")
     return f"{figure.upper()} against the best other method: {'; '.join(parts)}"
 
 
@@ -269,19 +269,19 @@ def ratio(rows: Sequence[SkillRow], method: str, seed: int = 0) -> Ratio | None:
 
     The interval is the percentile bootstrap over machines: forecasts of one are not independent.
     """
-    by_method = grouped(rows, lambda row: row.method)
+    by_method = group_rows(rows, lambda row: row.method)
     if method not in by_method or not set(by_method) - set(OURS):
         return None
     whole = {name: skill(own) for name, own in by_method.items()}
     others = [name for name in whole if name not in OURS]
     best = min(others, key=lambda name: whole[name].crps)
     own, their = (
-        {machine: skill(part).crps for machine, part in grouped(by_method[name], lambda row: row.machine).items()}
+        {machine: skill(part).crps for machine, part in group_rows(by_method[name], lambda row: row.machine).items()}
         for name in (method, best)
     )
     pairs = np.array([(own[machine], their[machine]) for machine in own])
     low = high = float("nan")
-    if len(pairs) >= LEAST_FOR_INTERVAL:
+    if len(pairs) >= MIN_INTERVAL_DIFFERENCES:
         sums = pairs[np.random.default_rng(seed).integers(0, len(pairs), (RESAMPLES, len(pairs)))].sum(axis=1)
         low, high = np.quantile(sums[:, 0] / sums[:, 1], [0.05, 0.95]).tolist()
     covering = [whole[name].half_width for name in others if whole[name].coverage >= COVERS]
@@ -302,7 +302,7 @@ def show_ratios(rows: Mapping[str, Sequence[SkillRow]], ours: Sequence[str]) -> 
     lines: list[list[object]] = []
     for title, own in rows.items():
         horizons = sorted({row.horizon for row in own})
-        for horizon, part in ((horizon, part) for horizon in horizons for part in ("all", *STRETCHES)):
+        for horizon, part in ((horizon, part) for horizon in horizons for part in ("all", *TRACE_PARTS_S)):
             chosen = [row for row in own if row.horizon == horizon and part in ("all", stretch(row))]
             for method in ours:
                 if (found := ratio(chosen, method)) is not None:

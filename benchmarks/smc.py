@@ -28,7 +28,7 @@ from rich.table import Table
 from benchmarks.figures import Figure, give
 from benchmarks.simulation import EVENTS, ROWS, SECONDS, SYMBOLS, plant
 from sim.lab.checking.query.tree import Compare, Eventually, Number, Probability, Quantity, TimeSpan
-from sim.lab.checking.smc.answers import Answer, QuerySettings, Start, answer, prepared
+from sim.lab.checking.smc.answers import Answer, QuerySettings, Start, answer, prepare_question
 from sim.lab.checking.smc.paths.known_events import Known
 from sim.lab.checking.smc.runs import LARGEST, Sampler, sampler
 from sim.lab.checking.smc.start import initial
@@ -152,7 +152,7 @@ def speeds(runs: int, repeats: int) -> list[Figure]:
         program = compiled(Path(folder))
         for name, k, low, limit in (("events", 0.004, SECONDS, 32.0), ("dense", 0.045, 0.0, 45.0)):
             start = speed_start(k)
-            one = prepared(question(limit, SECONDS, low), start)
+            one = prepare_question(question(limit, SECONDS, low), start)
             drawn = sampler(start.world, (one,), 1)
             drawn.draw(2 * LARGEST)  # past the small chunks
             own = runs / min(processor_time(partial(drawn.draw, runs)) for _ in range(repeats))
@@ -178,7 +178,7 @@ def passage_speeds(program: Path | None, runs: int, repeats: int) -> list[Figure
     asked, samplers = question(62.0, 1800.0), {}
     for name, known in (("known events", True), ("unknown events", False)):
         start = relaxing_start(known)
-        samplers[name] = sampler(start.world, (prepared(asked, start),), 1)
+        samplers[name] = sampler(start.world, (prepare_question(asked, start),), 1)
         samplers[name].draw(2 * LARGEST)  # past the small chunks
     steps, rng = _moving(samplers["known events"]), np.random.Generator(np.random.SFC64(1))
     block = np.empty(LARGEST)

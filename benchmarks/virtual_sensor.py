@@ -21,7 +21,7 @@ from drivers.tag import Quality, Sample
 from gateway.machine.model.along import recorded_scans
 from gateway.machine.model.outlook import Outlook
 from gateway.machine.model.predict import Predictor
-from gateway.machine.model.twin import TwinBearing, combined
+from gateway.machine.model.twin import TwinBearing, combine
 from gateway.machine.reading import Scan
 from gateway.settings import ForecastSection
 from sim.forecast import Z90
@@ -77,7 +77,7 @@ async def failures(
         if p.reset:
             outlook.void()
         outlook.begin(scan.time, known=p.known and p.inputs_good, measured=p.measured)
-        await outlook.finished()
+        await outlook.finish()
         outlook.collect()
         if scan.time < begin or p.measured is None or not p.known:
             continue
@@ -94,12 +94,12 @@ async def failures(
             if said.reset:
                 break  # the state of the plant is not known: the gateway gives up
             if seconds >= due[0] and read is not None and said.mean is not None and said.high is not None:
-                half = (said.high - said.mean) * outlook.widening(seconds)
+                half = (said.high - said.mean) * outlook.band_factor(seconds)
                 after, mean = due.pop(0), said.mean
                 rows.append((after, read, p.measured, mean - half, mean + half))
                 told = None if twin is None else twin.estimate(later.time, scan.time, later.good(twin.twin))
                 if told is not None:
-                    both = combined(mean, half / Z90, told)
+                    both = combine(mean, half / Z90, told)
                     mean, half = both.mean, Z90 * both.sigma
                 helped.append((after, read, p.measured, mean - half, mean + half))
     return rows, helped

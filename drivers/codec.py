@@ -4,8 +4,8 @@ A reading never raises: what the device sent is data, and data that means nothin
 to be written that does not fit raises EncodingError before anything is sent.
 
 Bytes in a wrong order are numbers too, mostly such as nobody measures. What tells them apart is here, once, for
-readings and for `plc guess`: a float beyond MEASURABLE is never believed; a rarer one (_RARE) is not as long as another
-order makes a usual number of the same registers.
+readings and for `plc guess`: a float beyond MEASURABLE_MAGNITUDES is never believed; a rarer one
+(_PLAUSIBLE_MAGNITUDES) is not as long as another order makes a usual number of the same registers.
 """
 
 import math
@@ -42,12 +42,13 @@ _BIT_HOLDERS = frozenset({DType.BOOL, DType.UINT16, DType.INT16})
 # A limit is met by the value nearest to it: float32 rounds by up to 2**-24 of the value, scaling by less.
 _LIMIT_SLACK = 2.0**-23
 _LARGEST = sys.float_info.max
-MEASURABLE = (1e-30, 1e30)
+MEASURABLE_MAGNITUDES = (1e-30, 1e30)
 """The magnitudes of measured numbers, in whatever unit, beside 0 itself: the radius of an electron in km is 3e-18, the
 mass of the sun in kg 2e30. A float that is smaller (subnormal ones are) or larger is bytes in another order."""
-_RARE = (1e-6, 1e12)
-"""Magnitudes of a float beyond which another order is asked, and _USUAL, those that it must have to be believed."""
-_USUAL = (1e-3, 1e6)
+_PLAUSIBLE_MAGNITUDES = (1e-6, 1e12)
+"""Magnitudes of a float beyond which another order is asked, and _USUAL_MAGNITUDES, those that it must have to be
+believed."""
+_USUAL_MAGNITUDES = (1e-3, 1e6)
 # The commonest first.
 _SEVERAL_REGISTERS = (Order.ABCD, Order.CDAB, Order.BADC, Order.DCBA)
 _ONE_REGISTER = (Order.ABCD, Order.BADC)
@@ -63,7 +64,7 @@ def integer_range(dtype: DType) -> tuple[int, int] | None:
     return (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1) if signed else (0, 2**bits - 1)
 
 
-def registers_needed(tag: Tag) -> int:
+def register_count(tag: Tag) -> int:
     """How many 16-bit registers the tag covers (1..). Raises AddressError for a bit or a length that cannot be."""
     if tag.bit is not None:
         if tag.dtype not in _BIT_HOLDERS:
@@ -88,7 +89,7 @@ def decode(tag: Tag, registers: Sequence[int], *, one_order: bool = False) -> Re
     code of this type) and DATA_ENCODING_INVALID (a float that nobody measures, or that looks swapped) give None.
     `one_order`: the bytes come from where no other order is possible, so that none is suspected.
     """
-    needed = registers_needed(tag)
+    needed = register_count(tag)
     if len(registers) != needed:
         return None, Quality.DECODING_ERROR, f"{len(registers)} registers for a {tag.dtype}, which has {needed}"
     # The registers' bytes, most significant first.
@@ -107,10 +108,10 @@ def decode(tag: Tag, registers: Sequence[int], *, one_order: bool = False) -> Re
     if raw is None:
         return None, Quality.DECODING_ERROR, reason
     # The sentinel is a raw number: it is looked for before scale and offset.
-    if tag.sentinel is not None and (said := _sentinel_of(tag, raw)) is not None:
+    if tag.sentinel is not None and (said := _find_sentinel(tag, raw)) is not None:
         return None, Quality.NO_DATA, _not_available(said)
     # Other orders are looked at for what cannot be, not for each of the many readings that can.
-    looks = partial(_looks_swapped, tag, () if one_order else registers)
+    looks = partial(_order_hint, tag, () if one_order else registers)
     if not math.isfinite(raw):
         # What a device sends on purpose has nothing but zeros behind its first register.
         return None, Quality.SENSOR_FAILURE, f"the device sent {raw}{looks() if any(payload[2:]) else ''}"
@@ -138,7 +139,7 @@ def reader(tag: Tag) -> Callable[[Sequence[int]], Reading]:
     An integer of one register is read here as long as it is plainly good; all else is `decode`'s, which stays the
     definition of both.
     """
-    if tag.dtype not in _INTEGERS or tag.bit is not None or tag.labels or registers_needed(tag) != 1:
+    if tag.dtype not in _INTEGERS or tag.bit is not None or tag.labels or register_count(tag) != 1:
         return partial(decode, tag)
     (bits, signed), swapped, sentinel = _INTEGERS[tag.dtype], _endian(tag) == "<", tag.sentinel
     mask, sign = (1 << bits) - 1, 1 << bits - 1 if signed else 1 << bits
@@ -199,7 +200,7 @@ def encode(tag: Tag, value: Value) -> list[int]:
     A labelled value may be given by its label. Raises EncodingError for a wrong type, a value out of the type's or the
     tag's range, NaN or infinity, a number that would read as "not available", and one bit of a register.
     """
-    registers_needed(tag)
+    register_count(tag)
     if tag.bit is not None:
         raise EncodingError(f"{tag.name}: one bit of a register cannot be written without touching the other fifteen")
     if tag.dtype is DType.STRING:
@@ -231,7 +232,7 @@ def _swaps_words(tag: Tag) -> bool:
 
 def _unmeasurable(number: float) -> str:
     """The number and why nobody measures it; "" for one that may be measured. Both zeros may."""
-    low, high = MEASURABLE
+    low, high = MEASURABLE_MAGNITUDES
     if number == 0 or low <= abs(number) <= high:
         return ""
     return f"{_short(number)}, {'smaller' if abs(number) < low else 'larger'} than anything measured"
@@ -242,9 +243,9 @@ def _is_rare(tag: Tag, raw: float) -> bool:
 
     A lowest plausible value above 0 is the word of somebody who expects small ones; a highest one that is large, large.
     """
-    if abs(raw) < _RARE[0]:
+    if abs(raw) < _PLAUSIBLE_MAGNITUDES[0]:
         return raw != 0 and not (tag.low is not None and tag.low > 0)
-    return abs(raw) > _RARE[1] and not (tag.high is not None and tag.high > _RARE[1])
+    return abs(raw) > _PLAUSIBLE_MAGNITUDES[1] and not (tag.high is not None and tag.high > _PLAUSIBLE_MAGNITUDES[1])
 
 
 def _has_empty_end(tag: Tag, payload: bytes) -> bool:
@@ -281,12 +282,14 @@ def other_order(tag: Tag, registers: Sequence[int], believed: Callable[[float], 
     return f"the {swapped} look swapped: as {order} it reads {_short(value)}"
 
 
-def _looks_swapped(tag: Tag, registers: Sequence[int]) -> str:
+def _order_hint(tag: Tag, registers: Sequence[int]) -> str:
     """What `other_order` says of usual numbers in the tag's range, to be added to a reason; "" if none."""
     if not registers:
         return ""
     reason = other_order(
-        tag, registers, lambda value: _USUAL[0] <= abs(value) <= _USUAL[1] and _broken_limit(tag, value) is None
+        tag,
+        registers,
+        lambda value: _USUAL_MAGNITUDES[0] <= abs(value) <= _USUAL_MAGNITUDES[1] and _broken_limit(tag, value) is None,
     )
     return reason and f"; {reason}"
 
@@ -310,7 +313,7 @@ def _text_bytes(tag: Tag, value: Value) -> bytes:
         raise EncodingError(f"{tag.name}: {len(text)} characters do not fit in {tag.length}")
     if b"\0" in text:
         raise EncodingError(f"{tag.name}: a NUL character would cut the text short")
-    return text.ljust(2 * registers_needed(tag), b"\0")
+    return text.ljust(2 * register_count(tag), b"\0")
 
 
 def _number_bytes(tag: Tag, value: Value) -> bytes:
@@ -333,7 +336,7 @@ def _number_bytes(tag: Tag, value: Value) -> bytes:
         raise EncodingError(f"{tag.name}: {value!r} is beyond any number that a device holds")
     if tag.dtype in _FLOATS:
         # What is smaller than anything measured is a remainder of somebody's arithmetic, and would not be believed.
-        raw = math.copysign(0.0, raw) if abs(raw) < MEASURABLE[0] else float(raw)
+        raw = math.copysign(0.0, raw) if abs(raw) < MEASURABLE_MAGNITUDES[0] else float(raw)
         try:
             payload = struct.pack(_FLOATS[tag.dtype], raw)
         except OverflowError:
@@ -354,7 +357,7 @@ def _number_bytes(tag: Tag, value: Value) -> bytes:
             payload = (count % (1 << bits)).to_bytes(max(2, bits // 8), "big")
     # Read back as a device would: what was rounded may have become the very number that says "not available".
     stored, _ = _RAW[tag.dtype](tag, payload)
-    if stored is not None and (said := _sentinel_of(tag, stored)) is not None:
+    if stored is not None and (said := _find_sentinel(tag, stored)) is not None:
         raise EncodingError(f'{tag.name}: {value!r} is stored as {said}, which says "not available"')
     return payload
 
@@ -385,7 +388,7 @@ _RAW: dict[DType, Callable[[Tag, bytes], tuple[int | float | None, str]]] = {
 }
 
 
-def _sentinel_of(tag: Tag, raw: int | float) -> int | float | None:
+def _find_sentinel(tag: Tag, raw: int | float) -> int | float | None:
     """The sentinel that a raw number is: itself, a signed one's unsigned pattern, as manuals print -32768 as 0x8000, or
     what a float32 makes of it."""
     for sentinel in tag.sentinels:

@@ -14,7 +14,7 @@ class Connections:
     def __init__(self) -> None:
         self._at: dict[Hashable, Any] = {}
 
-    def at(self, place: Hashable, make: Callable[[], Any]) -> Any:
+    def obtain(self, place: Hashable, make: Callable[[], Any]) -> Any:
         """What is shared at the place, made by the first who asks."""
         if place not in self._at:
             self._at[place] = make()

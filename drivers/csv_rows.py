@@ -50,7 +50,7 @@ def numbered_rows(lines: Iterable[str]) -> Iterator[tuple[int, list[str]]]:
 
     try:
         for cells in csv.reader(feed(), strict=True):
-            yield number - inside + 1, unguarded(cells)
+            yield number - inside + 1, strip_guards(cells)
             inside = 0
     except csv.Error as error:
         raise CsvRowError(number - inside + 1, str(error)) from None
@@ -62,15 +62,15 @@ def write_rows(sink: TextSink, rows: Iterable[Iterable[object]]) -> None:
     The one owner of writing CSV. Open the file with `newline=""`. Raises OSError.
     """
     writer = csv.writer(sink, lineterminator="\n")
-    writer.writerows([_guarded(cell) if isinstance(cell, str) else cell for cell in row] for row in rows)
+    writer.writerows([_guard(cell) if isinstance(cell, str) else cell for cell in row] for row in rows)
 
 
-def unguarded(cells: Sequence[str]) -> list[str]:
+def strip_guards(cells: Sequence[str]) -> list[str]:
     """Cells as they were before they were written by `write_rows`."""
     return [_GUARDED.sub("", cell) if "'" in cell else cell for cell in cells]
 
 
-def _guarded(text: str) -> str:
+def _guard(text: str) -> str:
     return text if _UNGUARDED.search(text) is None or _numbers(text) else _UNGUARDED.sub("'", text)
 
 

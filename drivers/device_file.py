@@ -15,7 +15,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, field_valida
 
 from drivers.derived import Derived
 from drivers.driver import DRIVERS
-from drivers.settings import ConfigError, Label, Name, Section, checked, read_toml
+from drivers.settings import ConfigError, Label, Name, Section, read_toml, validate_section
 from drivers.tag import DType, Order, Tag
 
 LONGEST_TEXT = 4096
@@ -66,7 +66,7 @@ class DeviceTable(BaseModel):
 
     @field_validator("driver")
     @classmethod
-    def _known(cls, driver: str) -> str:
+    def _check_driver(cls, driver: str) -> str:
         if driver not in DRIVERS:
             raise ValueError(f"{driver!r} is no driver; give one of {', '.join(sorted(DRIVERS))}")
         return driver
@@ -254,7 +254,7 @@ def read_device_file(path: Path) -> DeviceFile:
     data = read_toml(path)
     if "tags" not in data and not _OF_A_PLANT.isdisjoint(data):
         raise ConfigError([f"{path}: is a plant file and no device file; give it with --config"])
-    content = checked(DeviceFile, data, path)
+    content = validate_section(DeviceFile, data, path)
     content, problems_of_groups = _grouped(content)
     # What no single key shows: doubled names, ranges upside down, a heartbeat that is no tag, a block without CRC.
     names = [row.name for row in content.tags]
@@ -274,7 +274,7 @@ def read_device_file(path: Path) -> DeviceFile:
     problems += [
         f"tags[{index}].period: {row.name!r} has one, and {why}; take it out"
         for index, row in enumerate(content.tags)
-        if row.period and (why := _unpaced(row, content.device))
+        if row.period and (why := _period_problem(row, content.device))
     ]
     problems += [
         f"tags[{index}].scale_from: {row.name!r} has one, and {why}; take it out"
@@ -330,7 +330,7 @@ def _grouped(content: DeviceFile) -> tuple[DeviceFile, list[str]]:
     return content.model_copy(update={"tags": rows}), problems
 
 
-def _unpaced(tag: TagTable, device: DeviceTable) -> str:
+def _period_problem(tag: TagTable, device: DeviceTable) -> str:
     """Why a tag has no period of its own; "" where it may have one."""
     if tag.name == device.heartbeat:
         return "the heartbeat is read with every scan"

@@ -145,7 +145,7 @@ class Cautions(Protocol):
 class Hears(Protocol):
     """A driver of a device that speaks by itself."""
 
-    def heard_for(self, tags: Sequence[Tag]) -> Mapping[str, float]:
+    def validity_seconds(self, tags: Sequence[Tag]) -> Mapping[str, float]:
         """Seconds for which what was heard last is good, by tag; without the tags that are asked for."""
         ...
 
@@ -190,7 +190,7 @@ DRIVERS: dict[str, Capabilities] = {
     ),
     "canopen": Capabilities(
         opens="drivers.canopen.driver:open_canopen",
-        identifies="drivers.canopen.options:node_at",
+        identifies="drivers.canopen.options:node_identity",
         surveys="drivers.canopen.survey:open_survey",
         speaks=True,
         nodes=True,
@@ -202,10 +202,10 @@ DRIVERS: dict[str, Capabilities] = {
     "modbus": Capabilities(
         opens="drivers.modbus.driver:open_modbus",
         surveys="drivers.modbus.survey:open_survey",
-        plans="drivers.modbus.preview:planned",
+        plans="drivers.modbus.preview:plan_requests",
         locates="drivers.modbus.address:place_of_tag",
-        shares="drivers.modbus.settings:place_at",
-        identifies="drivers.modbus.settings:device_at",
+        shares="drivers.modbus.settings:shared_place",
+        identifies="drivers.modbus.settings:device_identity",
         registers=True,
         units=True,
         block="words",
@@ -265,7 +265,7 @@ def capabilities(driver: str) -> Capabilities:
         raise DriverError(f"unknown driver {driver!r}: known are {', '.join(sorted(DRIVERS))}") from None
 
 
-def link_of(driver: str, settings: Mapping[str, Any]) -> str:
+def link_name(driver: str, settings: Mapping[str, Any]) -> str:
     """The name that `--link` would give to a driver with these settings: a key of LINKS, or the driver's own name."""
     own = {name: link for name, link in LINKS.items() if link.driver == driver}
     for name, link in own.items():

@@ -33,13 +33,13 @@ class LinkFault(Enum):
     OTHER = "other"
 
 
-LONGEST = 1000
+MAX_SENTENCE_CHARACTERS = 1000
 """Characters of a sentence."""
 
 
 def one_line(text: str) -> str:
     """The text with every character that is not printable as its escape (`\\n`, `\\x1b`)."""
-    # As `sim.strict_json.escaped` does, which the arithmetic of sim takes: that imports nothing of this floor.
+    # As `sim.strict_json.escape_text` does, which the arithmetic of sim takes: that imports nothing of this floor.
     if text.isprintable():
         return text
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in text)
@@ -51,7 +51,11 @@ def one_sentence(text: str) -> str:
     What is wrong stands before it, what would be right behind.
     """
     line = one_line(text)
-    return line if len(line) <= LONGEST else f"{line[: LONGEST // 2]} ... {line[-LONGEST // 2 :]}"
+    return (
+        line
+        if len(line) <= MAX_SENTENCE_CHARACTERS
+        else f"{line[: MAX_SENTENCE_CHARACTERS // 2]} ... {line[-MAX_SENTENCE_CHARACTERS // 2 :]}"
+    )
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:

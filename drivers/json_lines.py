@@ -20,7 +20,7 @@ class NoObject(OneLineError, ValueError):
     """A line that holds no JSON object; the sentence goes into the reply."""
 
 
-def parsed(line: str | bytes, example: str = '{"command": "status"}') -> dict[str, Any]:
+def parse_object(line: str | bytes, example: str = '{"command": "status"}') -> dict[str, Any]:
     """The object that a line holds; `example` is one that would be right. Raises NoObject."""
     try:
         text = line.decode() if isinstance(line, bytes) else line
@@ -43,7 +43,7 @@ def _no_constant(name: str) -> float:
     raise ValueError(f"{name} is no JSON number")
 
 
-def packed(message: Mapping[str, Any]) -> bytes:
+def format_object(message: Mapping[str, Any]) -> bytes:
     """An object as a line. ASCII throughout: half a surrogate pair that came in by an escape can go out again."""
     return json.dumps(message).encode() + b"\n"
 
@@ -64,13 +64,15 @@ async def serve(
             try:
                 line = await reader.readline()
             except ValueError:  # beyond the limit: where the next line begins is not known any more
-                writer.write(packed({"ok": False, "reason": "the line is too long for a request; give a shorter one"}))
+                writer.write(
+                    format_object({"ok": False, "reason": "the line is too long for a request; give a shorter one"})
+                )
                 await writer.drain()
                 break
             if not line:
                 break
             if line.strip():
-                writer.write(packed(await answer(line)))
+                writer.write(format_object(await answer(line)))
                 await writer.drain()
     except (OSError, asyncio.CancelledError):
         pass  # the client has gone, or the process stops: nobody waits for an answer

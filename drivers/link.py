@@ -15,7 +15,7 @@ from drivers.supervision import Supervisor
 
 C = TypeVar("C")
 
-PROMPT = 4
+UNDOUBLED_CONNECTIONS = 4
 """So many connections that a peer takes and never answers are given up by the rule alone: it may be starting up."""
 HESITATIONS_S = (0.0, 0.0, 0.6, 1.2, 2.4, 3.0)
 """Seconds before the first question on a connection, by how many in a row before it brought no answer."""
@@ -59,7 +59,7 @@ class Link(Generic[C]):
     """Keeps one connection up between `open` and `close`, by one task of its own, which the `supervisor` keeps going.
 
     `connect` makes a connection or raises DriverError or OSError; it is cancelled at `connect_deadline`. `disconnect`
-    lets one go, at once. The user of the link takes `connection`, and reports each exchange over it with `answered`,
+    lets one go, at once. The user of the link takes `connection`, and reports each exchange over it with `note_answer`,
     `failed` or `lost`; reports about a connection that was already replaced are ignored.
     """
 
@@ -123,13 +123,13 @@ class Link(Generic[C]):
         self._wake.set()
 
     def rest(self) -> None:
-        """Let the connection go and make no other one before `renewed`: others may have it meanwhile."""
+        """Let the connection go and make no other one before `renew`: others may have it meanwhile."""
         connection, self._connection = self._connection, None
         if connection is not None:
             self._resting, self._reason = True, "closed until the next reading"
             self._disconnect(connection)
 
-    async def renewed(self) -> C | None:
+    async def renew(self) -> C | None:
         """The connection; where there is none the outcome of an attempt that is made now, or is under way."""
         ended, self._resting = self._ended, False
         while self._connection is None and self._ended == ended and self._task is not None:
@@ -171,7 +171,7 @@ class Link(Generic[C]):
         A PLC whose program stands still collects the connections in its system, and has to serve them all when it
         wakes. The one that is open is answered then, so that holding on to it costs no time.
         """
-        doublings = min(max(0, self._silent_in_a_row - PROMPT), MOST_DOUBLINGS)
+        doublings = min(max(0, self._silent_in_a_row - UNDOUBLED_CONNECTIONS), MOST_DOUBLINGS)
         return float(self._dead_peer.max_silence * 2.0**doublings)
 
     @property
@@ -194,7 +194,7 @@ class Link(Generic[C]):
         """True while the connections before this one, and this one so far, were taken and never answered."""
         return self._silent_in_a_row > 0 and not self._proven
 
-    def answered(self, connection: C) -> None:
+    def note_answer(self, connection: C) -> None:
         """A valid reply has come over this connection."""
         if connection is self._connection:
             if not self._proven and self._hesitated and self._silent_in_a_row:
@@ -211,7 +211,7 @@ class Link(Generic[C]):
         self._silence += waited
         rule = self._dead_peer
         # A millisecond early: `patience` lets the last wait end with the silence, and a timer may end just before it.
-        many = self._failures >= rule.max_failures and self._silent_in_a_row <= PROMPT
+        many = self._failures >= rule.max_failures and self._silent_in_a_row <= UNDOUBLED_CONNECTIONS
         if many or self._silence >= self._longest_silence - 1e-3:
             self._counts["dead_peers"] += 1
             self._silent_in_a_row += 1

@@ -28,7 +28,7 @@ _DIGITS = re.compile(rf"\d{{{MOST_DIGITS + 1},}}", re.ASCII)
 
 
 @contextmanager
-def writing(path: str | Path) -> Iterator[None]:
+def name_write_errors(path: str | Path) -> Iterator[None]:
     """Names the file in an OSError that has none: a disk that is full says so when bytes go out, not on opening."""
     try:
         yield
@@ -49,7 +49,7 @@ def regular(path: Path) -> Path:
     return path
 
 
-def place_of(path: Path) -> Path:
+def normal_path(path: Path) -> Path:
     """The whole path without `..`, by the name alone: nothing has to be there."""
     return Path(os.path.normpath(path.absolute()))
 
@@ -64,7 +64,7 @@ def contents(path: Path, most: int = MOST_BYTES) -> bytes:
     return data
 
 
-def text_of(data: bytes) -> str:
+def decode_text(data: bytes) -> str:
     """What other people's programs write: UTF-8 where the bytes are, UTF-16 where they say so, else Windows-1252.
 
     A byte that even that has no sign for becomes the sign for one; what is meant by it, nobody knows.

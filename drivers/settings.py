@@ -99,7 +99,8 @@ Name = Annotated[str, Field(min_length=1, max_length=200), AfterValidator(_a_nam
 Label = Annotated[str, Field(max_length=200), AfterValidator(_a_name)]
 """What stands beside a number, as a unit: as a name is, or nothing."""
 FilePath = Annotated[Path, Field(strict=False), AfterValidator(_in_its_home)]
-"""A path, relative to the file that names it: `checked` makes it complete where it knows that file's folder."""
+"""A path, relative to the file that names it: `validate_section` makes it complete where it knows that file's
+folder."""
 Line = Annotated[str, Field(min_length=1, max_length=200), AfterValidator(_one_line)]
 """A person or a reason: one line of 1 to 200 printable characters."""
 
@@ -155,7 +156,7 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise ConfigError([f"{path}: is not TOML: {error}; correct that place"]) from None
 
 
-def checked(section: type[S], data: Mapping[str, Any], file: Path | str, *, home: Path | None = None) -> S:
+def validate_section(section: type[S], data: Mapping[str, Any], file: Path | str, *, home: Path | None = None) -> S:
     """`data` as a `section`, from a file or a place in it. Raises ConfigError, one sentence for each thing wrong.
 
     With the folder `home` each FilePath is completed by it.
@@ -191,7 +192,7 @@ def first_sentence(section: type[BaseModel], error: ValidationError, place: str)
 
 def _sentence(section: type[BaseModel], detail: ErrorDetails, place: str) -> str:
     unknown = detail["type"] == "extra_forbidden"
-    key, models, field = _located(section, detail["loc"], unknown=unknown)
+    key, models, field = _locate(section, detail["loc"], unknown=unknown)
     where = f"{place}: {key}" if key else place
     if unknown:
         known = list(dict.fromkeys(name for model in models for name in model.model_fields))
@@ -204,7 +205,7 @@ def _sentence(section: type[BaseModel], detail: ErrorDetails, place: str) -> str
         return f"{where}: is missing; {remedy or 'add it'}"
     value = repr(detail["input"])
     short = value if len(value) <= 40 else value[:37] + "..."
-    return f"{where}: {reason_of(detail)}, got {short}; {remedy or 'correct the value'}"
+    return f"{where}: {error_reason(detail)}, got {short}; {remedy or 'correct the value'}"
 
 
 _REASONS = {
@@ -230,7 +231,7 @@ _REASONS = {
 """pydantic's kinds of errors in words that need no Python; its own words serve for the rest."""
 
 
-def reason_of(detail: ErrorDetails) -> str:
+def error_reason(detail: ErrorDetails) -> str:
     """What is wrong with one value: "must be a whole number"."""
     if detail["input"] in ("", []) and detail["type"] in ("string_too_short", "too_short"):
         return "must not be empty"
@@ -241,7 +242,7 @@ def reason_of(detail: ErrorDetails) -> str:
     return f"must {rest}" if should else detail["msg"][0].lower() + detail["msg"][1:]
 
 
-def _located(
+def _locate(
     section: type[BaseModel], loc: Sequence[str | int], *, unknown: bool
 ) -> tuple[str, Sequence[type[BaseModel]], FieldInfo | None]:
     """The key as the file has it, the models that may lie there, and the last field on the way.
@@ -257,7 +258,7 @@ def _located(
         own = next((model.model_fields[part] for model in models if part in model.model_fields), None)
         if own is not None and not is_mapping:
             key, field = f"{key}.{part}", own
-            models, is_mapping = _models_in(own.annotation), get_origin(own.annotation) is dict
+            models, is_mapping = _annotation_models(own.annotation), get_origin(own.annotation) is dict
         elif is_mapping or not models or (unknown and number == len(loc)):
             key, is_mapping = f"{key}.{part}", False
         else:
@@ -267,8 +268,8 @@ def _located(
     return key.lstrip("."), models, field
 
 
-def _models_in(annotation: object) -> list[type[BaseModel]]:
+def _annotation_models(annotation: object) -> list[type[BaseModel]]:
     """All models that the annotation names, through lists, unions and optional values."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return [annotation]
-    return [model for part in get_args(annotation) for model in _models_in(part)]
+    return [model for part in get_args(annotation) for model in _annotation_models(part)]

@@ -78,7 +78,7 @@ class Supervisor:
                 except BaseException as caught:  # noqa: BLE001 - the supervisor: whatever it is, it is said
                     error = caught
                 stopping = stop.is_set()
-                pause = self._pause(self._failed(worker, error), pause)
+                pause = self._pause(self._count_failure(worker, error), pause)
                 # Told to stop while it pauses, it has one more round to put away what it has; failed in that, it ends.
                 if stopping:
                     return
@@ -86,7 +86,7 @@ class Supervisor:
                 worker.running = True
 
         thread = threading.Thread(target=keep, name=name, daemon=True)
-        worker = self._known(name, thread)
+        worker = self._make_worker(name, thread)
         thread.start()
         return thread
 
@@ -110,7 +110,7 @@ class Supervisor:
                     except (Exception, SystemExit) as caught:  # noqa: BLE001 - as above
                         error = caught
                     worker.running = False
-                    pause = self._pause(self._failed(worker, error), pause)
+                    pause = self._pause(self._count_failure(worker, error), pause)
                     if task.cancelling():
                         return
                     await asyncio.sleep(pause)
@@ -119,7 +119,7 @@ class Supervisor:
                 worker.running = False
 
         task = asyncio.create_task(keep(), name=name)
-        worker = self._known(name, task)
+        worker = self._make_worker(name, task)
         return task
 
     def job(self, name: str, work: Callable[[], T], turns: asyncio.Semaphore | None = None) -> "asyncio.Task[T]":
@@ -133,19 +133,19 @@ class Supervisor:
                 async with turns or nullcontext():
                     return await asyncio.to_thread(work)
             except (Exception, SystemExit) as error:
-                self._failed(worker, error)
+                self._count_failure(worker, error)
                 raise
             finally:
                 worker.running = False
 
         task = asyncio.create_task(once(), name=name)
-        worker = self._known(name, task)
+        worker = self._make_worker(name, task)
         return task
 
     def failed(self, name: str, error: BaseException) -> None:
         """Count a failure of a part that its owner begins anew."""
-        worker = self._workers.get(name) or self._known(name, None)
-        self._failed(worker, error)
+        worker = self._workers.get(name) or self._make_worker(name, None)
+        self._count_failure(worker, error)
         worker.running = True
 
     @contextmanager
@@ -205,7 +205,7 @@ class Supervisor:
         own = not self._has_failed or all(worker.well for worker in tuple(self._workers.values()))
         return own and all(other.all_well for other in tuple(self._included.values()))
 
-    def complaints_of(self, parts: Iterable[str]) -> list[str]:
+    def part_complaints(self, parts: Iterable[str]) -> list[str]:
         """What cannot be relied on now of these parts of its own, in their order; none of what it has taken in."""
         if not self._has_failed:
             return []
@@ -240,7 +240,7 @@ class Supervisor:
             own |= {f"{name}: {part}": worker for part, worker in other.parts().items()}
         return own
 
-    def _known(self, name: str, carrier: "threading.Thread | asyncio.Task[Any] | None") -> Worker:
+    def _make_worker(self, name: str, carrier: "threading.Thread | asyncio.Task[Any] | None") -> Worker:
         """A worker of this name; one that comes after another (each connection has its reader) goes on counting."""
         before = self._workers.get(name)
         worker = Worker(name, carrier=carrier)
@@ -249,7 +249,7 @@ class Supervisor:
         self._workers[name] = worker
         return worker
 
-    def _failed(self, worker: Worker, error: BaseException) -> bool:
+    def _count_failure(self, worker: Worker, error: BaseException) -> bool:
         """Note a failure; False if the part had been well for a while."""
         reason, well, self._has_failed = repr(error), worker.well, True
         same = reason == worker.failure and not well

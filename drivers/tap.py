@@ -1,4 +1,4 @@
-"""Evidence: whoever listens gets every byte that the drivers opened within `listening` put on a wire or take from one.
+"""Evidence: whoever listens gets every byte that the drivers opened within `tap_frames` put on a wire or take from one.
 
 A wire asks `current()` once, when it is made, and tells what it moves. A tap crosses all layers between a command and a
 socket, and none of them has to know of it: hence a context variable and no argument.
@@ -37,7 +37,7 @@ _TAP: ContextVar[Tap | None] = ContextVar("tap", default=None)
 
 
 @contextmanager
-def listening(tap: Tap) -> Iterator[None]:
+def tap_frames(tap: Tap) -> Iterator[None]:
     """Tell `tap` of everything that is opened within; tasks and threads that are started within belong to it."""
     token = _TAP.set(tap)
     try:
@@ -51,6 +51,6 @@ def current() -> Tap | None:
     return _TAP.get()
 
 
-def moved(medium: Medium, place: str, data: bytes, *, sent: bool, local: str = "") -> TapFrame:
+def make_frame(medium: Medium, place: str, data: bytes, *, sent: bool, local: str = "") -> TapFrame:
     """A frame of this moment."""
     return TapFrame(time=time.time(), sent=sent, medium=medium, place=place, data=data, local=local)

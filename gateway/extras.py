@@ -14,7 +14,7 @@ DEBIAN_PACKAGES: Mapping[str, str] = {
 """The Debian package in which an extra of this program is, by the extra's name."""
 
 
-def missing(extra: str, error: ImportError) -> str:
+def missing_sentence(extra: str, error: ImportError) -> str:
     """What is missing of an extra, or of this program, and what would be right, as the end of a sentence."""
     if isinstance(error, ModuleNotFoundError) and (lacking := missing_part(error)):
         return lacking

@@ -6,7 +6,7 @@ _MEASURED = re.compile(r"-?\d+(\.\d+(e[+-]?\d+)?|e[+-]?\d+)")
 _NUMBER = re.compile(r"(?<![\w.])(?<![A-Za-z_]:)[-+]?\d+(?:[.,:]\d+)*(?:[eE][-+]?\d+)?")
 
 
-def without_measured(text: str) -> str:
+def drop_measurements(text: str) -> str:
     """The text without what is measured anew each time: seconds waited, a value that cannot be.
 
     Codes and addresses, whole numbers, stay.

@@ -19,7 +19,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from drivers.errors import OneLineError
-from drivers.named_files import place_of, writing
+from drivers.named_files import name_write_errors, normal_path
 from sim.files import sync_directory
 
 Renames = Sequence[tuple[Path, Path]]
@@ -37,43 +37,43 @@ class ReplacementError(OneLineError, OSError):
     """Files are being replaced, or were in part and cannot be put back; one sentence that says what would be right."""
 
 
-def journal_of(plant: Path) -> Path:
+def journal_path(plant: Path) -> Path:
     """Where the journal of a plant's files is while they are replaced."""
-    place = place_of(plant)
+    place = normal_path(plant)
     return place.with_name(f".{place.name}.replacing")
 
 
-def draft_of(place: Path) -> Path:
+def draft_path(place: Path) -> Path:
     """Where what is to be in a place is written beforehand."""
     return place.with_name(f".{place.name}.replacement")
 
 
-def former_of(place: Path) -> Path:
+def former_path(place: Path) -> Path:
     """Where what stood in a place is until its replacement is over."""
     return place.with_name(f".{place.name}.former")
 
 
-def version_of(plant: Path) -> tuple[int, ...]:
+def files_version(plant: Path) -> tuple[int, ...]:
     """What is another after files were replaced, or put back; () where that cannot be told."""
-    place = place_of(plant)
+    place = normal_path(plant)
     with suppress(OSError):
         return place.stat().st_ino, place.parent.stat().st_mtime_ns
     return ()
 
 
-def was_replaced(plant: Path, before: tuple[int, ...]) -> bool:
+def has_newer_files(plant: Path, before: tuple[int, ...]) -> bool:
     """Whether files were replaced since the version `before`, or are being replaced: what was read is of two times."""
-    return os.path.lexists(journal_of(plant)) or version_of(plant) != before
+    return os.path.lexists(journal_path(plant)) or files_version(plant) != before
 
 
 @contextmanager
-def replacing(plant: Path, patience: float = PATIENCE_S) -> Iterator[None]:
+def hold_folder(plant: Path, patience: float = PATIENCE_S) -> Iterator[None]:
     """Be the only one who replaces files of this plant's folder; what was broken off is put back before.
 
     All that depends on which files are there, and each draft, belongs into the body. Raises ReplacementError, also
     where another program has not ended with it within `patience` (s).
     """
-    folder = place_of(plant).parent
+    folder = normal_path(plant).parent
     deadline = time.monotonic() + patience
     try:
         holder = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
@@ -81,26 +81,26 @@ def replacing(plant: Path, patience: float = PATIENCE_S) -> Iterator[None]:
         why = error.strerror or str(error)
         raise ReplacementError(f"{folder}: cannot be locked ({why}); run it as a user who may read it") from None
     try:
-        while not _locked(holder):
+        while not _try_lock(holder):
             if time.monotonic() >= deadline:
                 raise ReplacementError(f"{plant}: is being replaced by another program; try again after that")
             time.sleep(_LOOK_S)
-        _settle(journal_of(plant))
+        _settle(journal_path(plant))
         yield
     finally:
         os.close(holder)
 
 
 def write_draft(place: Path, data: bytes, mode: int, owner: tuple[int, int] | None = None) -> None:
-    """Write what is to be in a place, within `replacing`; one of who was killed is in nobody's way. Raises OSError.
+    """Write what is to be in a place, within `hold_folder`; one of who was killed is in nobody's way. Raises OSError.
 
     It is of `owner` (user, group) as far as this user may give files away.
     """
-    draft = draft_of(place)
+    draft = draft_path(place)
     draft.unlink(missing_ok=True)
     # Never through a link that somebody has put there.
     file = os.open(draft, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
-    with writing(draft), os.fdopen(file, "wb") as stream:
+    with name_write_errors(draft), os.fdopen(file, "wb") as stream:
         if owner is not None:
             with suppress(PermissionError):
                 os.fchown(file, *owner)
@@ -111,25 +111,25 @@ def write_draft(place: Path, data: bytes, mode: int, owner: tuple[int, int] | No
 
 
 @contextmanager
-def replaced(plant: Path, places: Collection[Path], aside: Renames) -> Iterator[None]:
-    """Within `replacing`: have the renames `aside` done, then each place's draft put there; looked at in the body.
+def replace_files(plant: Path, places: Collection[Path], aside: Renames) -> Iterator[None]:
+    """Within `hold_folder`: have the renames `aside` done, then each place's draft put there; looked at in the body.
 
     They stay so once the body has ended. Where it raises, and where it is killed, all places are as they were, and the
     drafts that were in them are gone (`settle` removes all those of who was killed). What is in the way of `aside` is
     for the caller to remove beforehand. Raises OSError.
     """
-    journal = journal_of(plant)
+    journal = journal_path(plant)
     done = False
     try:
         _write(journal, places, aside)
         # One after the other on the disk too: a draft that came first would be over what is to be put back.
         _rename(aside)
-        _rename([(draft_of(place), place) for place in places])
+        _rename([(draft_path(place), place) for place in places])
         yield
         done = True
     finally:
         if not done:
-            _put_back(places, aside)
+            _restore(places, aside)
         journal.unlink(missing_ok=True)
         sync_directory(journal.parent)
 
@@ -140,12 +140,12 @@ def settle(plant: Path, patience: float = PATIENCE_S) -> None:
     Raises ReplacementError where that cannot be done.
     """
     # Whoever may not look there is told so when the plant file is read.
-    if os.path.lexists(journal_of(plant)):
-        with replacing(plant, patience):
+    if os.path.lexists(journal_path(plant)):
+        with hold_folder(plant, patience):
             pass
 
 
-def _locked(holder: int) -> bool:
+def _try_lock(holder: int) -> bool:
     try:
         fcntl.flock(holder, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
@@ -159,12 +159,12 @@ def _settle(journal: Path) -> None:
         if (found := _read(journal)) is None:
             return
         places, aside = found
-        _put_back(places, aside)
+        _restore(places, aside)
         journal.unlink()
         sync_directory(journal.parent)
         # Behind it: while the journal is there, a draft that is missing is one that was put in place.
         for place in places:
-            draft_of(place).unlink(missing_ok=True)
+            draft_path(place).unlink(missing_ok=True)
     except ReplacementError:
         raise
     except OSError as error:
@@ -228,7 +228,7 @@ def _no_journal(journal: Path, why: str) -> ReplacementError:
 def _is_ours(place: Path, after: Path) -> bool:
     """Whether a replacement sets a place aside so."""
     found = _REPLACED.fullmatch(after.name)
-    named_so = after == former_of(place) or (found is not None and found[1] + (found[2] or "") == place.name)
+    named_so = after == former_path(place) or (found is not None and found[1] + (found[2] or "") == place.name)
     return named_so and place.is_absolute() and after.parent == place.parent
 
 
@@ -237,9 +237,9 @@ def _write(journal: Path, places: Iterable[Path], aside: Renames) -> None:
     plain = {"places": list(map(str, places)), "aside": [list(map(str, pair)) for pair in aside]}
     try:
         write_draft(journal, json.dumps(plain).encode(), _MODE)
-        draft_of(journal).rename(journal)
+        draft_path(journal).rename(journal)
     finally:
-        draft_of(journal).unlink(missing_ok=True)
+        draft_path(journal).unlink(missing_ok=True)
     sync_directory(journal.parent)
 
 
@@ -249,14 +249,14 @@ def _rename(renames: Renames) -> None:
     _sync(before.parent for before, _ in renames)
 
 
-def _put_back(places: Collection[Path], aside: Renames) -> None:
+def _restore(places: Collection[Path], aside: Renames) -> None:
     """Have in all places what was there; also a second time, after it was broken off itself."""
     former = {place for place, _ in aside}
     for place, after in aside:
         if _is_there(after):
             after.replace(place)
     for place in places:
-        if place not in former and not _is_there(draft_of(place)):
+        if place not in former and not _is_there(draft_path(place)):
             place.unlink(missing_ok=True)
     _sync(place.parent for place in (*former, *places))
 

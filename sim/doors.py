@@ -8,7 +8,7 @@ from inspect import getsource
 from typing import Any
 
 
-def opened_at_use(package: str) -> Callable[[str], Any]:
+def lazy_getattr(package: str) -> Callable[[str], Any]:
     """The `__getattr__` of a package whose `__init__` has its imports under `if TYPE_CHECKING:`.
 
     Those imports are the only list: type checker and import contracts read them as they stand, and here they say
@@ -21,11 +21,11 @@ def opened_at_use(package: str) -> Callable[[str], Any]:
         for alias in node.names
     }
 
-    def value_of(name: str) -> Any:
+    def load_name(name: str) -> Any:
         if name not in places:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
         value = getattr(import_module(places[name]), name)
         setattr(sys.modules[package], name, value)
         return value
 
-    return value_of
+    return load_name

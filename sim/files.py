@@ -7,14 +7,14 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from drivers.errors import OneLineError
-from drivers.named_files import contents, endless_number, writing
+from drivers.named_files import contents, endless_number, name_write_errors
 
 
 class ArtefactError(OneLineError, ValueError):
     """A file cannot be used or written. The message names file, line or key, the reason and what would be right."""
 
 
-def at(file: str | Path, line: int | None, sentence: str) -> ArtefactError:
+def file_error(file: str | Path, line: int | None, sentence: str) -> ArtefactError:
     """The error `file:line: sentence`."""
     return ArtefactError(f"{file}: {sentence}" if line is None else f"{file}:{line}: {sentence}")
 
@@ -24,13 +24,15 @@ def read_text(path: Path) -> str:
     try:
         text = contents(path).decode("utf-8-sig")
     except FileNotFoundError:
-        raise at(path, None, "there is no such file; give the path of an existing one") from None
+        raise file_error(path, None, "there is no such file; give the path of an existing one") from None
     except UnicodeDecodeError as error:
-        raise at(path, None, f"byte {error.start} is not UTF-8; save the file as UTF-8") from None
+        raise file_error(path, None, f"byte {error.start} is not UTF-8; save the file as UTF-8") from None
     except OSError as error:
-        raise at(path, None, f"cannot be read ({error.strerror}); make it a file that this user can read") from None
+        raise file_error(
+            path, None, f"cannot be read ({error.strerror}); make it a file that this user can read"
+        ) from None
     if problem := endless_number(text):
-        raise at(path, None, problem)
+        raise file_error(path, None, problem)
     return text
 
 
@@ -39,20 +41,20 @@ def check_utf8(path: Path) -> None:
     try:
         str(path.absolute()).encode()
     except UnicodeEncodeError:
-        raise at(repr(str(path)), None, "is no UTF-8; rename what in it shows as \\udc..") from None
+        raise file_error(repr(str(path)), None, "is no UTF-8; rename what in it shows as \\udc..") from None
 
 
-def resolved(path: Path) -> Path:
+def resolve_links(path: Path) -> Path:
     """The path with its links followed. Raises ArtefactError where they lead in a circle."""
     try:
         return path.resolve()
     except RuntimeError:
-        raise at(path, None, "is a link that leads back to itself; give another path") from None
+        raise file_error(path, None, "is a link that leads back to itself; give another path") from None
 
 
-def refused(path: Path, error: OSError) -> ArtefactError:
+def write_error(path: Path, error: OSError) -> ArtefactError:
     """The sentence for a file or directory that the system does not let us write."""
-    return at(
+    return file_error(
         path, None, f"cannot be written ({error.strerror}); make room there, or choose a directory where you may write"
     )
 
@@ -76,7 +78,7 @@ def held_alone(lock: Path, busy: Exception) -> Iterator[None]:
 
 def write_durably(path: Path, content: str) -> None:
     """Writes a new file and waits until it is on the disk. Raises OSError."""
-    with writing(path), path.open("wb") as stream:
+    with name_write_errors(path), path.open("wb") as stream:
         stream.write(content.encode("utf-8"))
         stream.flush()
         os.fsync(stream.fileno())

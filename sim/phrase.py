@@ -20,15 +20,15 @@ class Phrase(str):
         phrase.it, phrase.de = it, de
         return phrase
 
-    def filled(self, **parts: object) -> "Phrase":
+    def fill(self, **parts: object) -> "Phrase":
         """It with its parts in their places in every language; a part that is a phrase is said in that language, and a
         number written with its decimal sign."""
 
-        def said(language: str) -> dict[str, str]:
+        def say(language: str) -> dict[str, str]:
             own = {name: getattr(part, language, str(part)) for name, part in parts.items()}
             return {name: text.replace(".", ",") if _DECIMAL.fullmatch(text) else text for name, text in own.items()}
 
-        return Phrase(self.format_map(parts), it=self.it.format_map(said("it")), de=self.de.format_map(said("de")))
+        return Phrase(self.format_map(parts), it=self.it.format_map(say("it")), de=self.de.format_map(say("de")))
 
     @property
     def whole(self) -> bool:
@@ -36,7 +36,7 @@ class Phrase(str):
         return bool(self and self.it and self.de)
 
 
-def said_in(language: str, text: str) -> str:
+def translate(language: str, text: str) -> str:
     """A text in a language ("en", "it" or "de"); in English with a mark where there is no translation."""
     if language == "en":
         return str(text)

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from sim.special import beta_quantile, chi_square_tail
 
 Array = NDArray[np.float64]
-MOST_SURPRISING = 99.0
+MAX_SURPRISE = 99.0
 """Where `surprise` ends: a p-value of 1e-99."""
 
 
@@ -60,10 +60,10 @@ def crps_sample(samples: ArrayLike, outcome: ArrayLike) -> Array:
     This scores the n particles as they are; against the law they were drawn from it is too high by its own
     E|X - X'| / (2n).
     """
-    return crps_ordered(np.sort(np.asarray(samples, dtype=float), axis=-1), outcome)
+    return sorted_crps(np.sort(np.asarray(samples, dtype=float), axis=-1), outcome)
 
 
-def crps_ordered(ordered: Array, outcome: ArrayLike) -> Array:
+def sorted_crps(ordered: Array, outcome: ArrayLike) -> Array:
     """`crps_sample` of samples (..., n) in ascending order, as a caller who needs their quantiles too has them."""
     n = ordered.shape[-1]
     apart = ordered - np.asarray(outcome, dtype=float)[..., None]
@@ -124,7 +124,7 @@ def chi_square_p(squares: float, degrees: int) -> float:
 def surprise(squares: float, degrees: int) -> float:
     """-log10 of `chi_square_p`, from 0 (as expected, or better) to 99 (a p-value of 1e-99 or less)."""
     p = chi_square_p(squares, degrees)
-    return min(max(-log10(p), 0.0), MOST_SURPRISING) if p > 0.0 else MOST_SURPRISING
+    return min(max(-log10(p), 0.0), MAX_SURPRISE) if p > 0.0 else MAX_SURPRISE
 
 
 def log_score_gaussian(mean: ArrayLike, sigma: ArrayLike, outcome: ArrayLike) -> Array:

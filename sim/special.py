@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 
 _HALF_LOG_2PI = 0.5 * math.log(2.0 * math.pi)
 _ERFC = np.vectorize(math.erfc, otypes=[float])
-_FAR = 30.0
+_ASYMPTOTIC_SIGMAS = 30.0
 """Standard deviations beyond which the normal tail is its asymptotic series: what that leaves out is below 1e-13."""
 _STEPS, _LAST_STEP = 60, 1e-8
 """Most steps of a search, and the length of step after which Newton's next one would move the last digit only."""
@@ -23,10 +23,10 @@ _NORMAL = NormalDist()
 def log_normal_cdf(z: ArrayLike) -> Array:
     """ln P(Z <= z) of a standard normal Z, of any shape, to a relative 1e-13; far out too, where P itself is 0."""
     x = np.asarray(z, dtype=float)
-    far = np.minimum(x, -_FAR)
-    tail = 0.5 * _ERFC(np.minimum(np.abs(x), _FAR) / math.sqrt(2.0))
+    far = np.minimum(x, -_ASYMPTOTIC_SIGMAS)
+    tail = 0.5 * _ERFC(np.minimum(np.abs(x), _ASYMPTOTIC_SIGMAS) / math.sqrt(2.0))
     beyond = -0.5 * far * far - np.log(-far) - _HALF_LOG_2PI + _mills(far)
-    return np.asarray(np.where(x >= 0.0, np.log1p(-tail), np.where(x > -_FAR, np.log(tail), beyond)))
+    return np.asarray(np.where(x >= 0.0, np.log1p(-tail), np.where(x > -_ASYMPTOTIC_SIGMAS, np.log(tail), beyond)))
 
 
 def normal_quantile_of_log(s: ArrayLike) -> Array:
@@ -51,7 +51,7 @@ def _outer_quantile(logs: Array) -> Array:
         # The logarithm of the smaller of the two tails, without a difference of nearly equal numbers.
         tail = np.where(logs < -math.log(2.0), logs, np.log(-np.expm1(logs)))
     root = np.sqrt(-tail)
-    middle, beyond = root <= 5.0, root > _COVERED
+    middle, beyond = root <= 5.0, root > _MAX_TAIL_ROOT
     z = _ratio(np.where(middle, root - 1.6, 0.0), *_MIDDLE)
     if not np.all(middle):
         z = np.where(middle, z, _ratio(np.where(beyond, 0.0, root - 5.0), *_OUTER))
@@ -60,7 +60,7 @@ def _outer_quantile(logs: Array) -> Array:
     return z
 
 
-_COVERED = 27.0
+_MAX_TAIL_ROOT = 27.0
 """The root of a tail's logarithm to which AS 241 reaches: a probability of 1e-316."""
 
 
@@ -70,7 +70,7 @@ def _far_quantile(tail: Array) -> Array:
     Put in on the right, an error of z^2 comes out smaller by z^2 itself: five times are enough for 1e-15.
     """
     known = np.isfinite(tail)
-    z = first = np.sqrt(-2.0 * np.where(known, tail, -(_COVERED**2)))
+    z = first = np.sqrt(-2.0 * np.where(known, tail, -(_MAX_TAIL_ROOT**2)))
     for _ in range(5):
         z = np.sqrt(first * first - 2.0 * (_HALF_LOG_2PI + np.log(z) - _mills(z)))
     return np.where(known, z, np.inf)
@@ -215,7 +215,7 @@ def beta_quantile(a: float, b: float, p: float) -> float:
 def _log_beta(a: float, b: float) -> float:
     """ln B(a, b) for positive a and b."""
     small, large = min(a, b), max(a, b)
-    if large < _STIRLING:
+    if large < _MIN_STIRLING:
         return math.lgamma(a) + math.lgamma(b) - math.lgamma(a + b)
     # ln G(b) - ln G(a + b) by Stirling's series, whose large parts cancel by formula (Didonato & Morris 1992): as a
     # difference of floats it would lose as many digits as b has.
@@ -224,7 +224,7 @@ def _log_beta(a: float, b: float) -> float:
     return math.lgamma(small) - less + _stirling_rest(large) - _stirling_rest(both)
 
 
-_STIRLING = 15.0
+_MIN_STIRLING = 15.0
 """From here on what Stirling's series leaves out is below 1e-15."""
 
 

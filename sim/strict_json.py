@@ -34,7 +34,7 @@ def strict(value: object) -> Any:
     return value if value is None or isinstance(value, str | int) else str(value)
 
 
-def escaped(value: Any) -> Any:
+def escape_text(value: Any) -> Any:
     """A text with every character that is not printable as its escape (`\\n`, `\\x1b`); anything else as it is.
 
     Texts in lists and mappings too, keys among them.
@@ -46,11 +46,11 @@ def escaped(value: Any) -> Any:
             return value
         return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in value)
     if isinstance(value, Mapping):
-        return {escaped(key): escaped(inner) for key, inner in value.items()}
-    return [escaped(inner) for inner in value] if isinstance(value, list | tuple) else value
+        return {escape_text(key): escape_text(inner) for key, inner in value.items()}
+    return [escape_text(inner) for inner in value] if isinstance(value, list | tuple) else value
 
 
-def uncopied(value: Any) -> Any:
+def shallow_dict(value: Any) -> Any:
     """A dataclass as `dataclasses.asdict` gives it, but with what it holds itself and no copies: to be written at once.
 
     Those in its lists, tuples and mappings too.
@@ -58,13 +58,13 @@ def uncopied(value: Any) -> Any:
     if value is None or type(value) in (str, float, int, bool):
         return value
     if is_dataclass(value) and not isinstance(value, type):
-        return {field.name: uncopied(getattr(value, field.name)) for field in fields(value)}
+        return {field.name: shallow_dict(getattr(value, field.name)) for field in fields(value)}
     if isinstance(value, tuple):
-        return tuple(uncopied(inner) for inner in value)
+        return tuple(shallow_dict(inner) for inner in value)
     if isinstance(value, list):
-        return [uncopied(inner) for inner in value]
+        return [shallow_dict(inner) for inner in value]
     if isinstance(value, Mapping):
-        return {key: uncopied(inner) for key, inner in value.items()}
+        return {key: shallow_dict(inner) for key, inner in value.items()}
     return value
 
 

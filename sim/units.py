@@ -1,9 +1,9 @@
 """Units as they are kept and as people read them."""
 
-DEGREES = "degC"
+DEFAULT_UNIT = "degC"
 """The unit of what a model follows, where nobody says another one."""
 
 
-def shown_unit(unit: str) -> str:
+def display_unit(unit: str) -> str:
     """A unit as people read it: °C for degC."""
-    return unit.replace(DEGREES, "°C")
+    return unit.replace(DEFAULT_UNIT, "°C")

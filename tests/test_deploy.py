@@ -19,7 +19,7 @@ from click.testing import CliRunner
 from deploy import build_deb
 from gateway.cli.main import main
 from gateway.cli.plant.top import EXITS
-from gateway.console import SERVICE_FOLDER, service_of
+from gateway.console import SERVICE_FOLDER, find_service
 from gateway.outside.status import Health
 from gateway.settings import load_config
 
@@ -101,12 +101,12 @@ def test_the_unit_speaks_of_what_is_there() -> None:
 
 def test_records_and_log_lie_where_the_commands_look_for_them(tmp_path: Path) -> None:
     for path, folder in ((UNIT, SERVICE_FOLDER), (of_group(tmp_path), SERVICE_FOLDER / "north")):
-        service, places = unit(path)["Service"], service_of(folder)
+        service, places = unit(path)["Service"], find_service(folder)
         assert places is not None and f"{places.unit}.service" == path.name
         assert Path("/var/lib") / service["StateDirectory"] == Path(service["WorkingDirectory"]) == places.records
         assert Path("/var/log") / service["LogsDirectory"] == places.log
     for folder in (tmp_path, SERVICE_FOLDER / "a group", SERVICE_FOLDER / "north/models"):
-        assert service_of(folder) is None
+        assert find_service(folder) is None
 
 
 def test_a_group_has_a_plant_with_its_own_places_and_is_told_its_service(

@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sim.strict_json import json_text, strict, uncopied
+from sim.strict_json import json_text, shallow_dict, strict
 
 
 @dataclass(frozen=True)
@@ -83,5 +83,5 @@ def test_what_comes_out_is_read_back_by_a_strict_reader(value: object) -> None:
 def test_a_dataclass_that_is_not_copied_is_what_asdict_makes_of_it() -> None:
     held = {"a": Inner(1.0), "b": [Inner(2.0), Number.TWO]}
     outer = Outer("name", Inner(0.5), (Inner(nan), Inner(-0.0)))
-    assert repr(uncopied(outer)) == repr(asdict(outer))
-    assert uncopied(held) == {"a": {"value": 1.0}, "b": [{"value": 2.0}, Number.TWO]}
+    assert repr(shallow_dict(outer)) == repr(asdict(outer))
+    assert shallow_dict(held) == {"a": {"value": 1.0}, "b": [{"value": 2.0}, Number.TWO]}

@@ -94,23 +94,24 @@ def remembered() -> dict[Any, tuple[str, ...]]:
     )
 
     return {
-        layout: ("record_of", "frame_of", "anchored", "on", "follows", "patiently"),
+        layout: ("build_record", "build_frame", "with_priors", "move_frame", "follows", "patiently"),
         workflow: (
-            "fit", "ceiling", "missing_heat", "record_of", "course_of", "absorbed", "places", "shifts",
+            "fit", "ceiling", "missing_heat", "build_record", "diagnosis_course", "find_absorbed_law", "places",
+            "shifts",
             "candidate_laws",
         ),
         proving: (
-            "ceiling", "let_run", "compared", "stated_errors", "sensor_noise", "floor_of", "excess", "beginning",
-            "given_fit", "fit", "acting_since",
+            "ceiling", "let_run", "compare_fits", "stated_errors", "sensor_noise", "noise_floor", "excess", "beginning",
+            "given_model_fit", "fit", "find_onset",
         ),
         naming: ("fit", "screen", "confirm", "_cosines", "slow_heat", "with_heats"),
         path: ("fit",),
         judging: ("smooth_course", "sensor_noise", "foreseen_better", "greatest_heat", "fastest_movement"),
-        gap: ("let_run", "predicted"),
-        locate: ("blocks_of", "flips"),
+        gap: ("let_run", "predict_errors"),
+        locate: ("heat_blocks", "flips"),
         constants: ("let_run",),
         law_search: (
-            "let_run", "Projector", "_rhythms", "columns_on", "_scored", "window_sensitivity", "smooth_course",
+            "let_run", "Projector", "_rhythms", "law_columns", "_score_forms", "window_sensitivity", "smooth_course",
         ),
         story: ("implied_heat",),
     }  # fmt: skip

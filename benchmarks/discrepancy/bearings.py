@@ -94,11 +94,11 @@ def learn_before(set_: str, one: Machine, folder: Path, days: int = 3) -> Path:
 
 def learn(traces: Path, out: Path, seed: int) -> None:
     """`decanter model learn --method bins --traces TRACES --out OUT`, by its own functions, without bands."""
-    from gateway.lab.learning.learn import learn_from, write
+    from gateway.lab.learning.learn import learn_traces, write
     from gateway.lab.traces.load import load
 
     loaded, column_map = load([str(traces)], "decanter")
-    write(out, learn_from(loaded, column_map, name="decanter", seed=seed, report=None, bands=False))
+    write(out, learn_traces(loaded, column_map, name="decanter", seed=seed, report=None, bands=False))
 
 
 def family_of(model: Path) -> Family:

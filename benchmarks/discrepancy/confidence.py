@@ -26,7 +26,7 @@ from benchmarks.discrepancy.seal import Label, labels_of
 from benchmarks.discrepancy.table import grid
 from gateway.lab.traces.load import load
 from sim.lab.discrepancy import diagnose
-from sim.lab.discrepancy.posterior import RIGHT_EXCESS_LEFT, RIGHT_HEAT_LEFT, NamesEvidence, gains_of, posterior
+from sim.lab.discrepancy.posterior import RIGHT_EXCESS_LEFT, RIGHT_HEAT_LEFT, NamesEvidence, posterior, step_gains
 from sim.lab.discrepancy.rules import RULES
 from sim.lab.formats import find_model
 
@@ -107,8 +107,8 @@ def claim_of(one: Case, label: Label, outside: bool) -> Claim:
     traces, column_map = load((str(one.traces),), MAP)
     model = find_model(str(one.model), alphabet=column_map.alphabet, temperature=column_map.temperature).runnable()
     found = diagnose(model, traces, seed=one.seed, without=acts if outside else ())
-    taken = found.path.taken if found.path is not None and found.against is not None else ()
-    steps = [{"members": step.members, "gains": gains_of(step)} for step in taken]
+    taken = found.path.accepted_steps if found.path is not None and found.against is not None else ()
+    steps = [{"members": step.members, "gains": step_gains(step)} for step in taken]
     return Claim(
         case=label.case,
         outside=outside or not acts,

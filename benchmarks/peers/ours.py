@@ -38,7 +38,7 @@ async def follow(
     tags = tags_of(machine)
     driver = open_driver("modbus", {"host": "127.0.0.1", "port": port + machine, "timeout": 0.3}, clock=clock.now)
     rules = QualityRules(period, tags[0].name, 0.1)
-    own = historian.of(f"plc{machine}", tags)
+    own = historian.view(f"plc{machine}", tags)
     records = Records(own, Keeper({tag.name: tag for tag in tags}, 60.0))
     await driver.open()
     await clock.sleep_until(begin)

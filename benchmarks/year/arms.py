@@ -8,9 +8,9 @@ from typing import Any, Protocol
 
 from benchmarks.retraining import write_historian
 from benchmarks.year.plant import DAY, TEMPERATURE, Day
-from gateway.lab.retraining.cycle_library import CycleLibrary, opened_library
+from gateway.lab.retraining.cycle_library import CycleLibrary, open_library
 from gateway.lab.retraining.shadow import side_by_side
-from gateway.lab.retraining.study import RetrainingRequest, cut_and_rate, due, retrain, source_of
+from gateway.lab.retraining.study import RetrainingRequest, cut_and_rate, due, make_source, retrain
 from sim.artefacts import current, is_store, load, promote
 from sim.familiarity import RED, YELLOW
 from sim.lab.formats import save
@@ -153,9 +153,9 @@ class Loop:
         """What the commands would do in the night after the day."""
         write_historian(self._historian, replace(day.trace, events=()))
         now = float(day.trace.times[-1])
-        with opened_library(self._library, machine=MACHINE, temperature=TEMPERATURE) as library:
+        with open_library(self._library, machine=MACHINE, temperature=TEMPERATURE) as library:
             request = self._request()
-            cut_and_rate(request, library, source_of(request, now), _silent)
+            cut_and_rate(request, library, make_source(request, now), _silent)
             if self._candidate:
                 self._shadow(library, day)
             elif self._proving:
@@ -238,7 +238,7 @@ class Loop:
 
     def _retrain(self, library: CycleLibrary, day: Day, now: float) -> None:
         request = self._request()
-        source = source_of(request, now)
+        source = make_source(request, now)
         finished = library.fact("finished")
         age = inf if finished is None else now - finished["at"]
         if not due(library, source.model, after=AFTER, drifting=False, age=age, every=EVERY * DAY):

@@ -6,14 +6,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmarks.year.plant import LIMIT, PERIOD, TEMPERATURE, Day, overheated
-from gateway.machine.model import forecasts_along
+from gateway.machine.model import forecast_trace
 from gateway.settings import ForecastSection
-from sim.forecast import DENSE
-from sim.lab.learning import outcomes_of
+from sim.forecast import DENSE_LEVELS
+from sim.lab.learning import clean_readings
 from sim.scores import crps_quantiles
 from sim.sha import Model
 
-LOW, MEDIAN, HIGH = (DENSE.index(level) for level in (0.05, 0.5, 0.95))
+LOW, MEDIAN, HIGH = (DENSE_LEVELS.index(level) for level in (0.05, 0.5, 0.95))
 HORIZONS = (60.0, 300.0, 900.0)
 EACH, RUNS = 300.0, 150
 """s between two forecasts, and runs of each."""
@@ -46,15 +46,15 @@ class DayScore:
 def day_score(arm: str, model: Model, day: Day, *, seed: int) -> DayScore:
     """The day forecast as the running gateway would have, every EACH s."""
     section = ForecastSection(horizons=HORIZONS, period=EACH, runs=RUNS, seed=seed)
-    made = forecasts_along([model], day.trace, section, scan_period=PERIOD, limit=LIMIT)
-    outcomes = outcomes_of(day.trace.times, day.trace.signals[TEMPERATURE], model.alphabet.gap)
+    made = forecast_trace([model], day.trace, section, scan_period=PERIOD, limit=LIMIT)
+    outcomes = clean_readings(day.trace.times, day.trace.signals[TEMPERATURE], model.alphabet.gap)
     errors: list[list[tuple[float, float, bool]]] = [[] for _ in HORIZONS]
     for forecast in made:
         for column, horizon in enumerate(HORIZONS):
-            came = outcomes.at(forecast.time + horizon)
+            came = outcomes.interpolate(forecast.time + horizon)
             fan = forecast.quantiles[:, column]
             if came is not None and np.all(np.isfinite(fan)):
-                crps = float(crps_quantiles(DENSE, fan, came))
+                crps = float(crps_quantiles(DENSE_LEVELS, fan, came))
                 errors[column].append((abs(fan[MEDIAN] - came), crps, bool(fan[LOW] <= came <= fan[HIGH])))
     means = [np.mean(rows, axis=0) if rows else np.full(3, np.nan) for rows in errors]
     moments = overheated(day.trace)

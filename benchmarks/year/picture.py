@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from benchmarks.year.plant import CHANGES, MONTHS, YEAR
-from sim.lab.judge import NOMINAL
+from sim.lab.judge import NOMINAL_COVERAGE
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -64,7 +64,7 @@ def draw_year(years: Sequence[Year]) -> Drawing:
             error.plot([], [], mark, color=COLOURS["loop"], label=words)
     error.set(ylabel="MAE 900 s ahead (°C)", ylim=(0.0, 1.15 * most))
     drawing.suptitle("A year at the plant")
-    covered.axhline(100.0 * NOMINAL, color="black", linewidth=0.8, linestyle=":")
+    covered.axhline(100.0 * NOMINAL_COVERAGE, color="black", linewidth=0.8, linestyle=":")
     covered.set(ylabel="in the 90 % band (%)")
     alarms.axhline(0.0, color="black", linewidth=0.8)
     alarms.yaxis.get_major_locator().set_params(integer=True)

@@ -18,11 +18,11 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from drivers.can.dbc_parts import DbcStatement, readable, spelled_out
+from drivers.can.dbc_parts import DbcStatement, readable, spell_numbers
 from drivers.can.fields import Bits, Field, LayoutCondition, check_type, frame_key
-from drivers.can.protection import CONFIRMED, PROFILE, Protection
+from drivers.can.protection import MIN_CONFIRMING_FRAMES, PROFILE, Protection
 from drivers.errors import AddressError, DriverError
-from drivers.named_files import contents, endless_number, text_of
+from drivers.named_files import contents, decode_text, endless_number
 from drivers.tag import DType, Tag
 
 if TYPE_CHECKING:
@@ -54,7 +54,7 @@ _CANTOOLS_RAISES = (
 """What cantools was seen to raise, or lets through, for text that is no DBC (`make fuzz TARGET=dbc`)."""
 
 
-def _oversized(text: str) -> str:
+def _size_problem(text: str) -> str:
     """Which number of the text would make a database beyond any bus, with its line; "" if none does."""
     bits = selected = 0
     for found in _MESSAGE.finditer(text):
@@ -81,7 +81,7 @@ def _line(text: str, found: re.Match[str]) -> str:
     return f"line {text.count(chr(10), 0, found.start()) + 1}"
 
 
-def _loaded(text: str) -> tuple[Database | None, str]:
+def _load_database(text: str) -> tuple[Database | None, str]:
     """The database in a text, or why there is none."""
     import cantools
     from cantools.database.can import Database
@@ -115,16 +115,16 @@ class Dbc:
     def __init__(self, path: Path) -> None:
         self.path = path
         try:
-            text = text_of(contents(path, MOST_BYTES))
+            text = decode_text(contents(path, MOST_BYTES))
         except OSError as error:
             raise DriverError(f"{path}: is no DBC file that can be used: {error.strerror or error}") from None
-        if problem := endless_number(text) or _oversized(text):
+        if problem := endless_number(text) or _size_problem(text):
             raise DriverError(f"{path}: {problem}")
         left: list[DbcStatement] = []
-        loaded, reason = _loaded(text)
+        loaded, reason = _load_database(text)
         if loaded is None:
-            text, left = readable(spelled_out(text), lambda part: _loaded(part)[1])
-            loaded = _loaded(text)[0] if text else None
+            text, left = readable(spell_numbers(text), lambda part: _load_database(part)[1])
+            loaded = _load_database(text)[0] if text else None
         if loaded is None or (left and not loaded.messages):
             why = "".join(f"; {part}" for part in left[:1])
             raise DriverError(f"{path}: is no DBC file that can be used: {reason}{why}")
@@ -152,8 +152,8 @@ class Dbc:
         signal = signals.get(signal_name)
         if signal is None:
             raise AddressError(f"{tag.name}: {name} has no signal {signal_name!r}; it has {', '.join(signals)}")
-        field = Field(self.messages[name].key, bits_of(signal), tuple(conditions_of(message, signal)))
-        completed = _completed(tag, signal)
+        field = Field(self.messages[name].key, signal_bits(signal), tuple(layout_conditions(message, signal)))
+        completed = _complete_tag(tag, signal)
         check_type(completed, field.bits)
         return completed, field, self.messages[name]
 
@@ -188,7 +188,7 @@ class Dbc:
             raise DriverError(f"{where}: E2EDataID {data_id!r} must be a whole number in 0..65535")
         if not (isinstance(delta, int) and 1 <= delta <= 255):
             raise DriverError(f"{where}: E2EMaxDeltaCounter {delta!r} must be a whole number in 1..255")
-        return Protection(data_id, delta, max(CONFIRMED, min(layouts, _MOST_CONFIRMED)))
+        return Protection(data_id, delta, max(MIN_CONFIRMING_FRAMES, min(layouts, _MOST_CONFIRMED)))
 
 
 def _layouts(message: Message) -> int:
@@ -217,12 +217,12 @@ def _layouts(message: Message) -> int:
     return min(math.prod(layouts[name] for name in tops), _MOST_SELECTED)
 
 
-def bits_of(signal: Signal) -> Bits:
+def signal_bits(signal: Signal) -> Bits:
     """Where a signal lies."""
     return Bits(signal.start, signal.length, signal.byte_order == "big_endian")
 
 
-def conditions_of(message: Message, signal: Signal) -> Iterator[LayoutCondition]:
+def layout_conditions(message: Message, signal: Signal) -> Iterator[LayoutCondition]:
     """The multiplexors that must hold the signal's numbers, its own first, then those above it."""
     signals = {other.name: other for other in message.signals}
     # So often at most: multiplexors that select one another would be followed for ever.
@@ -230,11 +230,11 @@ def conditions_of(message: Message, signal: Signal) -> Iterator[LayoutCondition]
         if not (signal.multiplexer_ids and signal.multiplexer_signal in signals):
             return
         selector = signals[signal.multiplexer_signal]
-        yield LayoutCondition(bits_of(selector), frozenset(signal.multiplexer_ids))
+        yield LayoutCondition(signal_bits(selector), frozenset(signal.multiplexer_ids))
         signal = selector
 
 
-def _completed(tag: Tag, signal: Signal) -> Tag:
+def _complete_tag(tag: Tag, signal: Signal) -> Tag:
     """The tag with the file's type, scale and offset, and its range and unit where the tag has none."""
     if tag.scale != 1.0 or tag.offset != 0.0:
         raise AddressError(f"{tag.name}: the DBC file gives the scale and the offset of {tag.address}; leave them out")

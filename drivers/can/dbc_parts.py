@@ -72,7 +72,7 @@ def statements(text: str) -> list[DbcStatement]:
     return parts
 
 
-def spelled_out(text: str) -> str:
+def spell_numbers(text: str) -> str:
     """Numbers as DBC has them: `.25` of a signal is 0.25."""
     return re.sub(r"(?m)^(\s*SG_ .*)$", lambda line: re.sub(r"([(,|\[]-?)\.(?=\d)", r"\g<1>0.", line[1]), text)
 
@@ -89,7 +89,7 @@ def readable(text: str, problem_of: Callable[[str], str]) -> tuple[str, list[Dbc
     def good(kept: Iterable[DbcStatement]) -> bool:
         nonlocal trials, reason
         trials += 1
-        reason = problem_of(_joined(kept) + _END) if trials <= _MOST_TRIALS else "the file has too many slips"
+        reason = problem_of(_join_statements(kept) + _END) if trials <= _MOST_TRIALS else "the file has too many slips"
         return not reason
 
     def search(base: list[DbcStatement], groups: Sequence[list[DbcStatement]]) -> list[DbcStatement]:
@@ -139,10 +139,10 @@ def readable(text: str, problem_of: Callable[[str], str]) -> tuple[str, list[Dbc
     lost = {part.message for part in left if part.text.lstrip().startswith("BO_ ")}
     # With a message goes all that is said of it.
     left = [part for part in left if part.message not in lost or part.text.lstrip().startswith("BO_ ")]
-    return ("" if trials > _MOST_TRIALS else _joined(part for part in parts if part.line in kept)), left
+    return ("" if trials > _MOST_TRIALS else _join_statements(part for part in parts if part.line in kept)), left
 
 
-def _joined(parts: Iterable[DbcStatement]) -> str:
+def _join_statements(parts: Iterable[DbcStatement]) -> str:
     """The statements in their lines."""
     text, line = "", 1
     for part in sorted(parts, key=lambda part: part.line):

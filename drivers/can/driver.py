@@ -12,8 +12,8 @@ import can
 
 from drivers.can.bus import AttendedSilence, BusLoad, ClockBefore, Pump, open_bus, pause_between_looks
 from drivers.can.errors_on_bus import BusErrors, ControllerState
-from drivers.can.exchange import Exchange, put
-from drivers.can.fields import EXTENDED, frame_key, frame_name, layout_name, value_of
+from drivers.can.exchange import Exchange, send_frame
+from drivers.can.fields import EXTENDED, decode_value, frame_key, frame_name, layout_name
 from drivers.can.frame import CanFrame
 from drivers.can.notations import is_message_tag, message_decoder
 from drivers.can.reception import Channel, Reception, Slot
@@ -29,7 +29,7 @@ from drivers.settings import check_settings
 from drivers.supervision import Supervisor
 from drivers.tag import Quality, Sample, Tag, Value
 
-_LOOK = 0.1
+_POLL_S = 0.1
 _PLACES_KEPT = 20_000
 _BUS_OFF = "bus-off: the controller has withdrawn from the bus after too many errors"
 
@@ -93,7 +93,7 @@ class CanDriver:
             supervisor=self.supervisor,
         )
         for tag in write_map:
-            self._hearing(tag)
+            self._subscription(tag)
 
     # ------------------------------------------------------------ Driver
 
@@ -141,17 +141,17 @@ class CanDriver:
     async def read(self, tags: Sequence[Tag]) -> list[Sample]:
         """What the last usable frames say, each at the time when it came; a failure is a Sample of bad quality."""
         self._counts["requests"] += 1
-        self._catch_up()
+        self._drain()
         now = time.monotonic()
-        return [self._sample(self._hearing(tag), now) for tag in tags]
+        return [self._sample(self._subscription(tag), now) for tag in tags]
 
     def cautions(self) -> tuple[str, ...]:
         """What of the DBC file cannot be used, in sentences."""
-        return self._signals.left_out
+        return self._signals.omissions
 
     def explain(self, tags: Sequence[Tag]) -> tuple[PlanLine, ...]:
         """In sentences: what cannot be read and why, each message with its timeout and signals, what may be sent."""
-        heard = [self._hearing(tag) for tag in tags]
+        heard = [self._subscription(tag) for tag in tags]
         left_out = [
             PlanLine(f"{listening.tag.name}: {listening.problem}", PlanKind.PROBLEM)
             for listening in heard
@@ -167,20 +167,20 @@ class CanDriver:
         plain = [PlanLine(line, PlanKind.HEARD) for line in describe(places)]
         return (*left_out, *plain, *self._messages.describe(), *map(PlanLine, sent))
 
-    def heard_for(self, tags: Sequence[Tag]) -> Mapping[str, float]:
+    def validity_seconds(self, tags: Sequence[Tag]) -> Mapping[str, float]:
         """Seconds for which the last frame of each tag is good; without the tags that lie in no frame."""
-        places = [(tag.name, self._hearing(tag).place) for tag in tags]
+        places = [(tag.name, self._subscription(tag).place) for tag in tags]
         return {name: place.timeout for name, place in places if place is not None}
 
     # ------------------------------------------------------------ Streams
 
     async def stream(self, tags: Sequence[Tag]) -> AsyncIterator[Sample]:
         """Yield a sample for each tag of each usable frame as it comes, until `close`; silence tells so once."""
-        heard = [self._hearing(tag) for tag in tags]
+        heard = [self._subscription(tag) for tag in tags]
         stream = Stream(
             [listening.slot for listening in heard],
             lambda position: self._sample(heard[position], time.monotonic()),
-            self._catch_up,
+            self._drain,
         )
         self._streams.add(stream)
         try:
@@ -201,29 +201,29 @@ class CanDriver:
         """
         if not values:
             return
-        composed = self._write_map.composed(values)
+        composed = self._write_map.compose(values)
         pump = self._link.connection
         if pump is None:
             raise LinkDown(self._link.reason)
         for frame, data in composed:
-            self._load.add(len(data), extended=frame.extended, now=time.monotonic())
+            self._load.add(len(data), extended=frame.is_extended, now=time.monotonic())
         lost = lambda: "" if self._link.connection is pump else self._link.reason  # noqa: E731
         await self._exchange.write(pump, composed, lost, before_sending)
 
     # ------------------------------------------------------------ tags
 
-    def _hearing(self, tag: Tag) -> _Heard:
+    def _subscription(self, tag: Tag) -> _Heard:
         """The tag's place on the bus; it is listened for from the first time on that it is asked for."""
         listening = self._heard.get(id(tag))
         if listening is None:
             if len(self._heard) >= _PLACES_KEPT:
                 self._heard.clear()
-            listening = self._heard[id(tag)] = self._listening(tag)
+            listening = self._heard[id(tag)] = self._make_subscription(tag)
         return listening
 
-    def _listening(self, tag: Tag) -> _Heard:
+    def _make_subscription(self, tag: Tag) -> _Heard:
         if is_message_tag(tag):
-            return self._listening_for_messages(tag)
+            return self._make_message_subscription(tag)
         try:
             place = self._write_map.echoes[tag.name] if self._write_map.holds(tag) else self._signals.place(tag)
         except AddressError as error:
@@ -234,7 +234,7 @@ class CanDriver:
             self._filter_anew()
         return _Heard(tag, "", place, channel, slot)
 
-    def _listening_for_messages(self, tag: Tag) -> _Heard:
+    def _make_message_subscription(self, tag: Tag) -> _Heard:
         """A tag without a place in frames: it has a slot of its own, for which all frames are needed."""
         try:
             channel, slot = self._messages.listen(tag, time.monotonic())
@@ -249,7 +249,7 @@ class CanDriver:
             return self._no(listening.tag, Quality.CONFIGURATION_ERROR, listening.problem)
         if self._link.connection is None:
             return self._no(listening.tag, Quality.NOT_CONNECTED, self._link.reason)
-        missing = self._reception.missing(listening.channel, listening.slot, now)
+        missing = self._reception.absence(listening.channel, listening.slot, now)
         frame = listening.slot.frame
         if missing is not None or frame is None:
             quality, reason = missing or (Quality.WAITING_FOR_INITIAL_DATA, "")
@@ -258,7 +258,10 @@ class CanDriver:
             listening.reading = self._messages.reading(listening.slot)
         # Decoded once for each frame, however often it is read.
         elif listening.frame is not frame:
-            listening.frame, listening.reading = frame, value_of(listening.place.tag, listening.place.field, frame.data)
+            listening.frame, listening.reading = (
+                frame,
+                decode_value(listening.place.tag, listening.place.field, frame.data),
+            )
         value, quality, reason = listening.reading
         return Sample(listening.tag.name, value, quality, frame.time, reason=reason)
 
@@ -278,7 +281,7 @@ class CanDriver:
             # The thread cannot be stopped: it goes on opening after the deadline, and what it opens then is let go.
             bus = await asyncio.shield(opening)
         except asyncio.CancelledError:
-            opening.add_done_callback(_shut)
+            opening.add_done_callback(_discard_bus)
             raise
         self._reception.restart(time.monotonic())
         self._errors.restart()  # the controller's last word stays in self._off until a frame proves it wrong
@@ -286,13 +289,13 @@ class CanDriver:
         pumps: list[Pump] = []
         pump = Pump(bus, self._take, lambda reason: self._link.lost(pumps[0], reason), self.supervisor)
         pumps.append(pump)
-        self._messages.start(partial(put, pump))
+        self._messages.start(partial(send_frame, pump))
         return pump
 
-    def _catch_up(self) -> None:
+    def _drain(self) -> None:
         """Take what waits on the bus: after a pause of this process a frame in the midst of it is no news."""
         if (pump := self._link.connection) is not None:
-            pump.catch_up()
+            pump.drain()
 
     def _leave(self, pump: Pump) -> None:
         pump.close()
@@ -322,25 +325,25 @@ class CanDriver:
         self._counts["frames"] += 1
         if message.is_error_frame:
             self._errors.take(message.arbitration_id, bytes(message.data))
-            self._withdraw_if_bus_off()
+            self._drop_bus_off_link()
             return
         self._off = False
         self._load.add(len(message.data), extended=message.is_extended_id, now=came)
         if message.is_remote_frame:
             return
         data, extended, channel = bytes(message.data), message.is_extended_id, str(message.channel or "")
-        frame = CanFrame(self._clock_before.at(came), message.arbitration_id, extended, data, channel)
+        frame = CanFrame(self._clock_before.clock_time(came), message.arbitration_id, extended, data, channel)
         key = frame_key(message.arbitration_id, extended=extended)
         fresh = [*self._reception.take(key, frame, came), *self._messages.take(frame, came)]
         if not fresh:
             return
         if (pump := self._link.connection) is not None:
-            self._link.answered(pump)
+            self._link.note_answer(pump)
         self._exchange.heard.set()
         for stream in self._streams:
             stream.hear(fresh)
 
-    def _withdraw_if_bus_off(self) -> None:
+    def _drop_bus_off_link(self) -> None:
         if self._errors.state is ControllerState.BUS_OFF and (pump := self._link.connection) is not None:
             self._off = True
             self._link.lost(pump, _BUS_OFF)
@@ -350,7 +353,7 @@ class CanDriver:
 
     async def _watch(self) -> None:
         """Look now and then at what no frame tells: silence, and a controller that says only when asked."""
-        pause = pause_between_looks(self._settings.max_silence, _LOOK)
+        pause = pause_between_looks(self._settings.max_silence, _POLL_S)
         attended = AttendedSilence(time.monotonic())
         while True:
             await asyncio.sleep(pause)
@@ -363,12 +366,12 @@ class CanDriver:
             with suppress(can.CanError, OSError, NotImplementedError):
                 if pump.bus.state is can.BusState.ERROR:
                     self._errors.state = ControllerState.BUS_OFF
-            self._withdraw_if_bus_off()
+            self._drop_bus_off_link()
             if self._reception.keys and attended.seconds > self._longest():
                 self._notice_silence(pump)
 
     def _notice_silence(self, pump: Pump) -> None:
-        self._catch_up()
+        self._drain()
         silent = self._silence(time.monotonic())
         if silent > self._longest():
             self._link.failed(pump, silent, "no usable frame has come")
@@ -381,7 +384,7 @@ class CanDriver:
         return max(self._reception.longest_timeout(), float(self._settings.max_silence))
 
 
-def _shut(opening: "asyncio.Future[can.BusABC]") -> None:
+def _discard_bus(opening: "asyncio.Future[can.BusABC]") -> None:
     """A bus that was opened after its deadline is let go."""
     if not opening.cancelled() and opening.exception() is None:
         opening.result().shutdown()

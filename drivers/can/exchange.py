@@ -48,7 +48,7 @@ class Exchange:
                 place = self._write_map.echoes[next(iter(frame.places))]
                 _, slot = self._reception.listen(place.rules, place.field.conditions, place.timeout, begun)
                 before_sending()
-                put(pump, frame.number, frame.extended, self._write_map.sealed(frame, data))
+                send_frame(pump, frame.number, frame.is_extended, self._write_map.seal(frame, data))
                 self.counts["sent"] += 1
                 echoes.append((frame, data, slot))
             deadline = asyncio.get_running_loop().time() + self._deadline
@@ -58,7 +58,7 @@ class Exchange:
                 for frame, data, slot in echoes:
                     if slot.frame is None or slot.heard < begun:
                         missing.append(frame)
-                    elif difference := frame.echoed(data, slot.frame.data):
+                    elif difference := frame.echo_problem(data, slot.frame.data):
                         wrong.append(difference)
                 if not missing and not wrong:
                     return
@@ -80,7 +80,7 @@ class Exchange:
             )
 
 
-def put(pump: Pump, number: int, extended: bool, data: bytes) -> None:
+def send_frame(pump: Pump, number: int, extended: bool, data: bytes) -> None:
     """Put one frame on the bus: all that the driver ever sends goes this way. Raises LinkDown if it cannot."""
     message = can.Message(arbitration_id=number, is_extended_id=extended, data=data, is_fd=len(data) > 8)
     try:

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from struct import pack
 from typing import Literal
 
-from drivers.codec import Reading, decode, encode, registers_needed
+from drivers.codec import Reading, decode, encode, register_count
 from drivers.errors import AddressError, EncodingError
 from drivers.tag import DType, Order, Quality, Tag, Value
 
@@ -77,7 +77,7 @@ class LayoutCondition:
     bits: Bits
     values: frozenset[int]
 
-    def met(self, data: bytes) -> bool:
+    def holds(self, data: bytes) -> bool:
         """True for a payload of this layout."""
         return len(data) >= self.bits.size and self.bits.get(data) in self.values
 
@@ -133,7 +133,7 @@ def parse_field(tag: Tag) -> Field:
 
 def check_type(tag: Tag, bits: Bits) -> None:
     """Raises AddressError if a value of the tag's type cannot lie in these bits."""
-    registers_needed(tag)
+    register_count(tag)
     if tag.order is not Order.ABCD:
         raise AddressError(
             f"{tag.name}: a CAN field's byte order stands in its address (@1 Intel, @0 Motorola); leave order out"
@@ -149,7 +149,7 @@ def check_type(tag: Tag, bits: Bits) -> None:
         raise AddressError(f"{tag.name}: {bits.length} bits do not fit a {tag.dtype}, which has {most}")
 
 
-def value_of(tag: Tag, field: Field, data: bytes) -> Reading:
+def decode_value(tag: Tag, field: Field, data: bytes) -> Reading:
     """The tag's engineering value in a payload of the right layout, its quality and, unless good, the reason."""
     if len(data) < field.size:
         return None, Quality.DECODING_ERROR, f"the frame has {len(data)} bytes, and the value needs {field.size}"
@@ -163,11 +163,11 @@ def value_of(tag: Tag, field: Field, data: bytes) -> Reading:
         raw -= 1 << field.bits.length
     # As registers, so that scale, range, sentinel and labels are judged by the one codec; a negative number fills all
     # of them with its sign.
-    count = registers_needed(tag)
+    count = register_count(tag)
     return decode(tag, [raw >> 16 * place & 0xFFFF for place in reversed(range(count))], one_order=True)
 
 
-def raw_of(tag: Tag, field: Field, value: Value) -> int:
+def encode_raw(tag: Tag, field: Field, value: Value) -> int:
     """The field's bits for an engineering value. Raises EncodingError for one that does not fit its type or bits."""
     words = encode(tag, value)
     if tag.dtype is DType.STRING:
@@ -191,7 +191,7 @@ def raw_of(tag: Tag, field: Field, value: Value) -> int:
 
 def _container(tag: Tag) -> int:
     """The bits of the tag's type."""
-    return 8 if tag.dtype in _BYTE_WIDE else 16 * registers_needed(tag)
+    return 8 if tag.dtype in _BYTE_WIDE else 16 * register_count(tag)
 
 
 def _key(digits: str, where: str) -> int:

@@ -9,21 +9,22 @@ from binascii import crc_hqx
 from dataclasses import dataclass
 
 PROFILE = "P05"
-CONFIRMED = 2
+MIN_CONFIRMING_FRAMES = 2
 """Frames that must follow a jump of the counter before one is believed, at least."""
-_HEADER = 3
+_HEADER_BYTES = 3
 
 
 @dataclass(frozen=True, slots=True)
 class Protection:
     """`data_id` (0..65535) is known to both ends and not sent; up to `max_delta` - 1 frames in a row may be lost.
 
-    `confirmed` frames must follow a jump of the counter: as many as the message has layouts, and CONFIRMED at least.
+    `confirmed` frames must follow a jump of the counter: as many as the message has layouts, and MIN_CONFIRMING_FRAMES
+    at least.
     """
 
     data_id: int
     max_delta: int = 10
-    confirmed: int = CONFIRMED
+    confirmed: int = MIN_CONFIRMING_FRAMES
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,14 +35,14 @@ class Count:
     doubts: int = 0
 
 
-def checked(protection: Protection, last: Count | None, data: bytes) -> tuple[Count | None, str]:
+def check_frame(protection: Protection, last: Count | None, data: bytes) -> tuple[Count | None, str]:
     """What to compare the next frame with, and why this frame must not be used, "" if it may.
 
     `last` is None before the first frame of right CRC, which is believed. Later ones must follow; after a jump of the
     counter `protection.confirmed` frames must, so that neither a chance hit among garbage (one in 65,536 has the right
     CRC) nor old frames that are repeated in turn, one of each layout, are taken for readings.
     """
-    if len(data) < _HEADER:
+    if len(data) < _HEADER_BYTES:
         return last, f"it has {len(data)} bytes, too few for its checksum and counter"
     if crc(protection, data) != int.from_bytes(data[:2], "little"):
         return last, "its CRC is wrong"
@@ -62,7 +63,7 @@ def crc(protection: Protection, data: bytes) -> int:
     return crc_hqx(data[2:] + protection.data_id.to_bytes(2, "little"), 0xFFFF)
 
 
-def protected(protection: Protection, counter: int, data: bytes) -> bytes:
+def protect_frame(protection: Protection, counter: int, data: bytes) -> bytes:
     """The frame with its counter (of which the low byte counts) and its CRC put in."""
-    whole = bytes(2) + bytes((counter & 0xFF,)) + data[_HEADER:]
+    whole = bytes(2) + bytes((counter & 0xFF,)) + data[_HEADER_BYTES:]
     return crc(protection, whole).to_bytes(2, "little") + whole[2:]

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 from drivers.can.fields import LayoutCondition, layout_name
 from drivers.can.frame import CanFrame
-from drivers.can.protection import Count, Protection, checked
+from drivers.can.protection import Count, Protection, check_frame
 from drivers.tag import Quality
 
 
@@ -36,7 +36,7 @@ class Slot:
 
     def fits(self, data: bytes) -> bool:
         """True for a payload of this layout."""
-        return all(condition.met(data) for condition in self.conditions)
+        return all(condition.holds(data) for condition in self.conditions)
 
 
 @dataclass(slots=True, eq=False)
@@ -68,7 +68,7 @@ class Channel:
             return f"it has {len(data)} bytes, not {rules.length}"
         if rules.protection is None:
             return ""
-        self.count, problem = checked(rules.protection, self.count, data)
+        self.count, problem = check_frame(rules.protection, self.count, data)
         return problem
 
     def restart(self, now: float) -> None:
@@ -125,7 +125,7 @@ class Reception:
             channel.restart(now)
 
     @staticmethod
-    def missing(channel: Channel, slot: Slot, now: float) -> tuple[Quality, str] | None:
+    def absence(channel: Channel, slot: Slot, now: float) -> tuple[Quality, str] | None:
         """Why the layout has no value at the moment; None if it has one."""
         if slot.frame is not None and now - slot.heard <= slot.timeout:
             return None

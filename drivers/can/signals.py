@@ -42,7 +42,7 @@ class SignalMap:
             self._timeouts[key] = float(seconds)
 
     @property
-    def left_out(self) -> tuple[str, ...]:
+    def omissions(self) -> tuple[str, ...]:
         """What of the DBC file cannot be used, in sentences."""
         return () if self._dbc is None else self._dbc.left_out
 
@@ -63,13 +63,13 @@ class SignalMap:
             completed, field, _ = self._dbc.locate(tag)
         else:
             completed, field = tag, parse_field(tag)
-        return self._placed(completed, field)
+        return self._make_place(completed, field)
 
-    def at(self, place: SignalPlace, key: int) -> SignalPlace:
+    def with_key(self, place: SignalPlace, key: int) -> SignalPlace:
         """The same place in the frames of another id: an echo has the layout of what it echoes."""
-        return self._placed(place.tag, Field(key, place.field.bits, place.field.conditions))
+        return self._make_place(place.tag, Field(key, place.field.bits, place.field.conditions))
 
-    def _placed(self, tag: Tag, field: Field) -> SignalPlace:
+    def _make_place(self, tag: Tag, field: Field) -> SignalPlace:
         facts = self._messages.get(field.key)
         name = frame_name(field.key) if facts is None else f"{facts.name} ({frame_name(field.key)})"
         length = None if facts is None else facts.length

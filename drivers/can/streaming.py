@@ -8,14 +8,14 @@ from contextlib import suppress
 from drivers.can.reception import Slot
 from drivers.tag import Quality, Sample
 
-_QUEUE = 10_000
-_LOOK = 0.05
+_MAX_QUEUED_SAMPLES = 10_000
+_POLL_S = 0.05
 
 
 class Stream:
     """One listener: the positions of its tags by the layout in which they come.
 
-    `now` makes the sample of the tag at a position, as `read` would; `catch_up` has all heard that has come. A listener
+    `now` makes the sample of the tag at a position, as `read` would; `drain` has all heard that has come. A listener
     that is behind by more than the queue loses its oldest samples, which `dropped` counts.
     """
 
@@ -52,13 +52,13 @@ class Stream:
         while not self._ended:
             if clock() >= next_look:
                 self._look()
-                next_look = clock() + _LOOK
+                next_look = clock() + _POLL_S
             self._catch_up()
             while self._queue:
                 yield self._queue.popleft()
             self._wake.clear()
             with suppress(TimeoutError):
-                async with asyncio.timeout(_LOOK):
+                async with asyncio.timeout(_POLL_S):
                     await self._wake.wait()
 
     def _look(self) -> None:
@@ -69,7 +69,7 @@ class Stream:
                 self._put(position, sample)
 
     def _put(self, position: int, sample: Sample) -> None:
-        if len(self._queue) >= _QUEUE:
+        if len(self._queue) >= _MAX_QUEUED_SAMPLES:
             self._queue.popleft()
             self.dropped += 1
         self._queue.append(sample)

@@ -8,8 +8,8 @@ answers each frame with its echo, a frame of another id and of the same layout t
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from drivers.can.fields import EXTENDED, Bits, LayoutCondition, frame_name, raw_of
-from drivers.can.protection import Protection, protected
+from drivers.can.fields import EXTENDED, Bits, LayoutCondition, encode_raw, frame_name
+from drivers.can.protection import Protection, protect_frame
 from drivers.can.signals import SignalMap, SignalPlace
 from drivers.errors import AddressError, WriteForbidden
 from drivers.tag import Tag, Value
@@ -32,7 +32,7 @@ class Outgoing:
         return self.key & ~EXTENDED
 
     @property
-    def extended(self) -> bool:
+    def is_extended(self) -> bool:
         """True for a 29-bit id."""
         return bool(self.key & EXTENDED)
 
@@ -42,10 +42,10 @@ class Outgoing:
         for condition in self.conditions:
             data = condition.bits.put(data, min(condition.values))
         for name, place in self.places.items():
-            data = place.field.bits.put(data, raw_of(place.tag, place.field, values[name]))
+            data = place.field.bits.put(data, encode_raw(place.tag, place.field, values[name]))
         return data
 
-    def echoed(self, sent: bytes, heard: bytes) -> str:
+    def echo_problem(self, sent: bytes, heard: bytes) -> str:
         """Which of the tags the device's echo does not confirm, in words; "" if it confirms them all."""
         for name, place in self.places.items():
             bits = place.field.bits
@@ -66,7 +66,7 @@ class WriteMap:
         self.frames = _frames(places, by_key, pad)
         self._counters = dict.fromkeys((frame.key for frame in self.frames), 0)
         self.echoes = {
-            name: signals.at(place, frame.echo) for frame in self.frames for name, place in frame.places.items()
+            name: signals.with_key(place, frame.echo) for frame in self.frames for name, place in frame.places.items()
         }
         """The place of each tag's echo, by the tag's name."""
 
@@ -74,7 +74,7 @@ class WriteMap:
         """True if the tag, exactly as it is, is in the write map."""
         return self._tags.get(tag.name) == tag
 
-    def composed(self, values: Sequence[tuple[Tag, Value]]) -> list[tuple[Outgoing, bytes]]:
+    def compose(self, values: Sequence[tuple[Tag, Value]]) -> list[tuple[Outgoing, bytes]]:
         """The frames that write these values, in the order of the write map, without checksum and counter.
 
         Raises WriteForbidden for a tag outside the map, AddressError where a frame's other tags are not given, and
@@ -92,7 +92,7 @@ class WriteMap:
                 )
         return [(frame, frame.payload(by_name)) for frame in touched]
 
-    def sealed(self, frame: Outgoing, data: bytes) -> bytes:
+    def seal(self, frame: Outgoing, data: bytes) -> bytes:
         """The payload as it goes on the wire. Raises WriteForbidden for a frame that is none of the map's."""
         if not any(frame is own for own in self.frames):
             raise WriteForbidden(f"frame {frame_name(frame.key)} is not in the write map; nothing was sent")
@@ -100,7 +100,7 @@ class WriteMap:
             return data
         counter = self._counters[frame.key]
         self._counters[frame.key] = (counter + 1) % 256
-        return protected(frame.protection, counter, data)
+        return protect_frame(frame.protection, counter, data)
 
 
 def _frames(places: Sequence[tuple[str, SignalPlace]], echoes: Mapping[int, int], pad: int) -> tuple[Outgoing, ...]:

@@ -38,11 +38,11 @@ async def ask(sdo: SdoChannel, place: ObjectPlace, size: int | None, clock: Cloc
     try:
         payload = await sdo.read(place, size, block=block)
     except DriverError as error:
-        return SdoAnswer(None, clock(), sent, quality_of(error), str(error))
+        return SdoAnswer(None, clock(), sent, error_quality(error), str(error))
     return SdoAnswer(payload, clock(), sent)
 
 
-def quality_of(error: DriverError) -> Quality:
+def error_quality(error: DriverError) -> Quality:
     """What a request without a value makes of a reading."""
     if isinstance(error, AddressError):
         return Quality.CONFIGURATION_ERROR

@@ -1,7 +1,7 @@
 """Bringing a node up: is it the device of the EDS, how does it send, does it have to be configured, started.
 
 Reading is done in any case (unless the driver only listens); what changes the device (PDO parameters, heartbeat time,
-NMT commands) only with `configure`, and through `_configured`, which lets nothing else pass.
+NMT commands) only with `configure`, and through `_write_parameter`, which lets nothing else pass.
 """
 
 import asyncio
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from drivers.canopen.channel import SdoChannel
 from drivers.canopen.eds import DataSheet, parse_sheet
 from drivers.canopen.options import IDENTITY, Options
-from drivers.canopen.pdo import COMMUNICATION, MAPPING, Kind, PdoMapping, from_objects, wanted, writes
+from drivers.canopen.pdo import COMMUNICATION, MAPPING, Kind, PdoMapping, from_objects, select_pdos, writes
 from drivers.canopen.place import ObjectPlace
 from drivers.canopen.sdo import ABOUT_OBJECTS, SdoAbort
 from drivers.errors import DriverError, ReplyTimeout, WriteForbidden
@@ -21,9 +21,9 @@ OPERATIONAL = 5
 HEARTBEAT_TIME, ERROR_REGISTER, NEWEST_ERROR = ObjectPlace(0x1017), ObjectPlace(0x1001), ObjectPlace(0x1003, 1)
 STORE_EDS, STORE_FORMAT = ObjectPlace(0x1021), ObjectPlace(0x1022)
 VENDOR, PRODUCT = ObjectPlace(0x1018, 1), ObjectPlace(0x1018, 2)
-BEATS = 2.5
+HEARTBEAT_PERIODS_TO_GONE = 2.5
 """Heartbeat periods without a heartbeat after which the node is gone."""
-STARTED = 1.0
+START_TIMEOUT_S = 1.0
 """Seconds within which a started node must say that it is operational."""
 
 
@@ -61,9 +61,9 @@ class BringUp:
         """Everything but the start. Raises DriverError for a device that is another one, refuses or is silent."""
         options = self._options
         if options.listen_only:
-            return self._trusted()
+            return self._trust_sheet()
         sheet = self._sheet or await self._own_sheet()
-        await self._identified(sheet)
+        await self._check_identity(sheet)
         present = [*await self._pdos(sheet, "T"), *await self._pdos(sheet, "R")]
         beat = await self._number(HEARTBEAT_TIME, 2) or 0
         changed = False
@@ -78,7 +78,7 @@ class BringUp:
             sheet=sheet,
             tpdos=tuple(pdo for pdo in present if pdo.kind == "T"),
             rpdos=tuple(pdo for pdo in present if pdo.kind == "R"),
-            heartbeat_timeout=options.heartbeat_timeout or BEATS * beat / 1000.0,
+            heartbeat_timeout=options.heartbeat_timeout or HEARTBEAT_PERIODS_TO_GONE * beat / 1000.0,
             # A register that is set while 0x1003 is empty or absent is a generic error, 0x1000 (CiA 301, 7.2.7).
             error=(code or 0x1000, register) if register else None,
             life=life,
@@ -97,21 +97,23 @@ class BringUp:
             self._command(START)
         if not self._beats or options.listen_only:
             return
-        deadline = asyncio.get_running_loop().time() + STARTED
+        deadline = asyncio.get_running_loop().time() + START_TIMEOUT_S
         while self._state() != OPERATIONAL and (options.configure or self._state() is None):
             if asyncio.get_running_loop().time() > deadline:
                 what = "it is not operational" if options.configure else "it has sent no heartbeat"
-                raise ReplyTimeout(f"{what} within {STARTED:g} s")
+                raise ReplyTimeout(f"{what} within {START_TIMEOUT_S:g} s")
             await asyncio.sleep(0.005)
 
-    def _trusted(self) -> Brought:
+    def _trust_sheet(self) -> Brought:
         """Who only listens has the EDS's word and no other."""
         if self._sheet is None:
             raise DriverError("listen_only needs an EDS")
         sheet = self._sheet
         beat = (sheet.value(HEARTBEAT_TIME) or 0) / 1000.0
-        tpdos = wanted(sheet.pdos("T"), self._options.tpdo, sheet.bits)
-        return Brought(sheet, tpdos, sheet.pdos("R"), self._options.heartbeat_timeout or BEATS * beat)
+        tpdos = select_pdos(sheet.pdos("T"), self._options.tpdo, sheet.bits)
+        return Brought(
+            sheet, tpdos, sheet.pdos("R"), self._options.heartbeat_timeout or HEARTBEAT_PERIODS_TO_GONE * beat
+        )
 
     async def _own_sheet(self) -> DataSheet:
         """The EDS that the device keeps itself (0x1021), by block transfer where it can."""
@@ -120,7 +122,7 @@ class BringUp:
             raise DriverError("its own EDS (0x1021) is compressed; give the setting eds")
         return parse_sheet(text.decode("utf-8", errors="replace"), self._options.node, "0x1021 of the device")
 
-    async def _identified(self, sheet: DataSheet) -> None:
+    async def _check_identity(self, sheet: DataSheet) -> None:
         """Raises DriverError if vendor or product are not those of the EDS (0 in the EDS: any), or what is pinned."""
         for place, what in ((VENDOR, "vendor"), (PRODUCT, "product")):
             expected = sheet.value(place)
@@ -159,7 +161,7 @@ class BringUp:
 
     async def _configure(self, sheet: DataSheet, present: list[PdoMapping]) -> tuple[bool, list[PdoMapping]]:
         """Make the device's PDOs those that are wanted; whether anything had to be written."""
-        aims = [*wanted(sheet.pdos("T"), self._options.tpdo, sheet.bits), *sheet.pdos("R")]
+        aims = [*select_pdos(sheet.pdos("T"), self._options.tpdo, sheet.bits), *sheet.pdos("R")]
         by_name = {(pdo.kind, pdo.number): pdo for pdo in present}
         steps = [step for aim in aims for step in writes(aim, by_name[aim.kind, aim.number])]
         if not steps:
@@ -169,7 +171,7 @@ class BringUp:
         if self._state() in (None, OPERATIONAL):
             self._command(ENTER_PRE_OPERATIONAL)
         for place, data in steps:
-            await self._configured(place, data)
+            await self._write_parameter(place, data)
         # Devices confirm what they round or ignore (an event timer in steps of 10 ms, say): what they kept is asked.
         kept = [*await self._pdos(sheet, "T"), *await self._pdos(sheet, "R")]
         wrong = [aim.name for aim, pdo in zip(aims, kept, strict=True) if writes(aim, pdo)]
@@ -180,11 +182,11 @@ class BringUp:
     async def _set_heartbeat(self, present: int) -> int:
         milliseconds = round(self._options.heartbeat_time * 1000.0)
         if milliseconds and milliseconds != present:
-            await self._configured(HEARTBEAT_TIME, milliseconds.to_bytes(2, "little"))
+            await self._write_parameter(HEARTBEAT_TIME, milliseconds.to_bytes(2, "little"))
             return milliseconds
         return present
 
-    async def _configured(self, place: ObjectPlace, data: bytes) -> None:
+    async def _write_parameter(self, place: ObjectPlace, data: bytes) -> None:
         """Write one communication parameter. Raises WriteForbidden for any other object."""
         if not (self._options.configure and (0x1400 <= place.index < 0x1C00 or place == HEARTBEAT_TIME)):
             raise WriteForbidden(f"{place} is no communication parameter, or configure is false; nothing was sent")

@@ -22,12 +22,12 @@ from drivers.errors import DriverError, LinkDown, ReplyMismatch, ReplyTimeout
 
 DEVICE_TYPE = ObjectPlace(0x1000)
 """The one object that every CANopen device has; reading it puts requests and answers in step again."""
-BLOCK_FROM = 64
+MIN_BLOCK_DOWNLOAD_BYTES = 64
 """Bytes from which block transfer is tried: below it the segments cost less than its beginning and end."""
 
 
 class SdoChannel:
-    """The client of one server. `send` puts one frame on the bus, `heard` takes the server's frames.
+    """The client of one server. `send` puts one frame on the bus, `receive` takes the server's frames.
 
     SDO answers have no number: after a request that got none in time, its answer may still come, and would be taken
     for that of the next request for the same object. So a channel that has waited in vain first reads the device type,
@@ -44,7 +44,7 @@ class SdoChannel:
         self._closed = ""
         self._counts = dict.fromkeys(("requests", "timeouts", "mismatches", "aborts"), 0)
 
-    def heard(self, data: bytes) -> None:
+    def receive(self, data: bytes) -> None:
         """A frame of the server. Outside a transfer, or of another length than 8, it is no answer."""
         if self._busy and len(data) == 8:
             self._answers.append(data)
@@ -78,7 +78,7 @@ class SdoChannel:
 
     async def write(self, place: ObjectPlace, data: bytes) -> None:
         """Write the object, once. Raises as `read` does; after a timeout it is not known whether it was written."""
-        if self._blocks and len(data) >= BLOCK_FROM:
+        if self._blocks and len(data) >= MIN_BLOCK_DOWNLOAD_BYTES:
             try:
                 await self._run(place, block_download(place, data))
             except SdoAbort as abort:
@@ -92,14 +92,14 @@ class SdoChannel:
     async def _run(self, place: ObjectPlace, transfer: Transfer, end: bytes = b"") -> bytes:
         async with self._lock:
             if not self._in_step:
-                await self._carried(DEVICE_TYPE, upload(DEVICE_TYPE))
+                await self._transfer(DEVICE_TYPE, upload(DEVICE_TYPE))
                 self._in_step = True
-            data = await self._carried(place, transfer)
+            data = await self._transfer(place, transfer)
             if end:
                 self._send(end)
             return data
 
-    async def _carried(self, place: ObjectPlace, transfer: Transfer) -> bytes:
+    async def _transfer(self, place: ObjectPlace, transfer: Transfer) -> bytes:
         """Carry one transfer to its end; one that does not end well leaves the server told so."""
         self._answers.clear()
         self._counts["requests"] += 1

@@ -13,8 +13,8 @@ from drivers.canopen.eds import DataSheet, Where, load_sheet, locate
 from drivers.canopen.listeners import PdoListener
 from drivers.canopen.node import ReceivedPdo, RemoteNode
 from drivers.canopen.options import Options, read_options
-from drivers.canopen.pdo import PdoMapping, wanted
-from drivers.canopen.place import ObjectPlace, bytes_needed, from_bytes
+from drivers.canopen.pdo import PdoMapping, select_pdos
+from drivers.canopen.place import ObjectPlace, from_bytes, object_bytes
 from drivers.canopen.port import Port
 from drivers.canopen.writing import Writing
 from drivers.codec import Reading
@@ -24,7 +24,7 @@ from drivers.link import Backoff, DeadPeer, Link
 from drivers.supervision import Supervisor
 from drivers.tag import DType, Quality, Sample, Tag, Value
 
-LARGE = 64
+MIN_BLOCK_UPLOAD_BYTES = 64
 """Bytes of text from which a block transfer is tried first."""
 PLACES_KEPT = 4096
 
@@ -56,7 +56,7 @@ def open_canopen(
     options = read_options(settings)
     sheet = load_sheet(options.eds, options.node) if options.eds else None
     if sheet is not None:
-        wanted(sheet.pdos("T"), options.tpdo, sheet.bits)
+        select_pdos(sheet.pdos("T"), options.tpdo, sheet.bits)
     return CanopenDriver(options, sheet, clock=clock, write_map=tuple(write_map), seed=seed)
 
 
@@ -106,7 +106,7 @@ class CanopenDriver:
         self._open = False
         await self._link.close()
         for port in tuple(self._ports):
-            await port.closed()
+            await port.join()
             self._ports.discard(port)
         for listener in self._listeners:
             listener.wake.set()
@@ -119,7 +119,7 @@ class CanopenDriver:
 
     def statistics(self) -> Mapping[str, float]:
         """Counters since the driver was made: frames, PDOs, SDO requests, heartbeats, restarts, and how they failed."""
-        now = _counts_of(self._link.connection)
+        now = _connection_counts(self._link.connection)
         total = {name: value + self._past.get(name, 0) for name, value in now.items()}
         link = self._link.statistics()
         return {**self._counts, **total, "reconnects": max(0, link["connects"] - 1), **link}
@@ -141,16 +141,16 @@ class CanopenDriver:
         answers: dict[ObjectPlace, SdoAnswer] = {}
         silent: SdoAnswer | None = None
         samples = []
-        self._catch_up()
+        self._drain()
         for tag in tags:
-            sample = self._held(tag)
+            sample = self._known_sample(tag)
             if sample is None:
                 place = self._where(tag).place
                 if place not in answers:
                     answers[place] = silent or await self._ask(tag, place)
-                    self._catch_up()
+                    self._drain()
                     silent = answers[place] if answers[place].quality is Quality.TIMEOUT else None
-                sample = self._answered(tag, answers[place])
+                sample = self._answer_sample(tag, answers[place])
             samples.append(sample)
         return samples
 
@@ -178,7 +178,7 @@ class CanopenDriver:
             lines.append(PlanLine(f"by SDO, worst case {worst:.3g} s a cycle: {', '.join(asked)}"))
         return tuple(lines)
 
-    def heard_for(self, tags: Sequence[Tag]) -> Mapping[str, float]:
+    def validity_seconds(self, tags: Sequence[Tag]) -> Mapping[str, float]:
         """Seconds for which the last TPDO of each tag is good, as its EDS and the settings say."""
         options = self._options
         limits = {
@@ -201,10 +201,10 @@ class CanopenDriver:
         self._listeners.add(listener)
         try:
             while self._open:
-                self._catch_up()
+                self._drain()
                 for tag in tags:
-                    listener.look(self._held(tag))
-                for sample in listener.taken():
+                    listener.look(self._known_sample(tag))
+                for sample in listener.take():
                     yield sample
                 await listener.wait()
         finally:
@@ -219,10 +219,10 @@ class CanopenDriver:
         EncodingError or AddressError (nothing was sent), LinkDown, ReplyTimeout, ReplyMismatch, DeviceException,
         WriteUnverified. Never retries.
         """
-        pieces = self._writing.checked(values, self._known_sheet())
+        pieces = self._writing.check(values, self._known_sheet())
         if not pieces:
             return
-        self._catch_up()
+        self._drain()
         connection = self._link.connection
         if connection is None:
             raise LinkDown(self._link.reason)
@@ -230,11 +230,11 @@ class CanopenDriver:
         if hindrance is not None:
             raise LinkDown(hindrance[1])
         self._counts["writes"] += 1
-        await self._writing.carried_out(pieces, connection.node, before_sending)
+        await self._writing.send(pieces, connection.node, before_sending)
 
     # ------------------------------------------------------------ samples
 
-    def _held(self, tag: Tag) -> Sample | None:
+    def _known_sample(self, tag: Tag) -> Sample | None:
         """What is known of a tag without asking; None if the device must be asked."""
         now, moment = self._clock(), asyncio.get_running_loop().time()
 
@@ -280,7 +280,7 @@ class CanopenDriver:
             value = None if quality.is_bad else value
         return Sample(tag.name, value, quality, time, sent=sent, reason=reason)
 
-    def _answered(self, tag: Tag, answer: SdoAnswer) -> Sample:
+    def _answer_sample(self, tag: Tag, answer: SdoAnswer) -> Sample:
         if answer.payload is None:
             return Sample(tag.name, None, answer.quality, answer.time, sent=answer.sent, reason=answer.reason)
         return self._sample(tag, from_bytes(tag, answer.payload), answer.time, answer.sent)
@@ -293,8 +293,8 @@ class CanopenDriver:
         node = connection.node
         entry = node.sheet.objects.get(place) if node.sheet else None
         text = tag.dtype is DType.STRING
-        size = entry.size if entry else None if text else bytes_needed(tag) or None
-        return await ask(node.sdo, place, size, self._clock, block=text and tag.length >= LARGE)
+        size = entry.size if entry else None if text else object_bytes(tag) or None
+        return await ask(node.sdo, place, size, self._clock, block=text and tag.length >= MIN_BLOCK_UPLOAD_BYTES)
 
     # ------------------------------------------------------------ where tags lie
 
@@ -317,7 +317,7 @@ class CanopenDriver:
         connection = self._link.connection
         if connection is not None and connection.node.brought is not None:
             return connection.node.brought.tpdos
-        return () if self._sheet is None else wanted(self._sheet.pdos("T"), self._options.tpdo, self._sheet.bits)
+        return () if self._sheet is None else select_pdos(self._sheet.pdos("T"), self._options.tpdo, self._sheet.bits)
 
     # ------------------------------------------------------------ the bus
 
@@ -337,28 +337,28 @@ class CanopenDriver:
             bus,
             self._clock,
             lambda frame: node.take(frame),
-            lambda reason: self._gone(port, reason),
+            lambda reason: self._report_loss(port, reason),
             supervisor=self.supervisor,
         )
         node = RemoteNode(
-            port.send, options, self._sheet, self._on_pdo, catch_up=port.catch_up, supervisor=self.supervisor
+            port.send, options, self._sheet, self._on_pdo, catch_up=port.drain, supervisor=self.supervisor
         )
         self._ports.add(port)
         node.start()
         return Connection(port, node)
 
     def _disconnect(self, connection: Connection) -> None:
-        for name, value in _counts_of(connection).items():
+        for name, value in _connection_counts(connection).items():
             self._past[name] = self._past.get(name, 0) + value
         connection.node.close(self._link.reason)
         connection.port.close()
 
-    def _catch_up(self) -> None:
+    def _drain(self) -> None:
         """Take what waits on the bus: after a pause of this process a frame in the midst of it is no news."""
         if (connection := self._link.connection) is not None:
-            connection.port.catch_up()
+            connection.port.drain()
 
-    def _gone(self, port: Port, reason: str) -> None:
+    def _report_loss(self, port: Port, reason: str) -> None:
         connection = self._link.connection
         if connection is not None and connection.port is port:
             self._link.lost(connection, reason)
@@ -368,13 +368,13 @@ class CanopenDriver:
         connection = self._link.connection
         if connection is None or connection.node is not node:
             return
-        self._link.answered(connection)
+        self._link.note_answer(connection)
         if not self._listeners:
             return
         carried = {mapped.place for mapped in heard.pdo.objects}
         for listener in self._listeners:
             for tag in listener.tags:
-                if self._where(tag).place in carried and (sample := self._held(tag)) is not None:
+                if self._where(tag).place in carried and (sample := self._known_sample(tag)) is not None:
                     listener.hear(sample)
 
 
@@ -384,7 +384,7 @@ def _let_go(opening: "asyncio.Task[can.BusABC]") -> None:
         opening.result().shutdown()
 
 
-def _counts_of(connection: Connection | None) -> dict[str, float]:
+def _connection_counts(connection: Connection | None) -> dict[str, float]:
     if connection is None:
         return {}
     node = connection.node

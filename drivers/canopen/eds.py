@@ -11,10 +11,10 @@ from canopen.objectdictionary import ODArray, ODRecord, ODVariable
 from canopen.objectdictionary.eds import import_eds
 
 from drivers.canopen.pdo import COMMUNICATION, Kind, PdoMapping, from_objects
-from drivers.canopen.place import ObjectPlace, bytes_needed, from_bytes, parse_place
-from drivers.canopen.sheet_text import SheetSection, sections_of, sections_of_xml, written
+from drivers.canopen.place import ObjectPlace, from_bytes, object_bytes, parse_place
+from drivers.canopen.sheet_text import SheetSection, format_sections, parse_sections, sections_of_xml
 from drivers.errors import AddressError, DriverError
-from drivers.named_files import contents, endless_number, text_of
+from drivers.named_files import contents, decode_text, endless_number
 from drivers.tag import Tag
 
 MOST_BYTES = 8 << 20
@@ -79,7 +79,7 @@ def locate(tag: Tag, sheet: DataSheet | None) -> Where:
     """Where a tag lies, held against the EDS as far as that is known."""
     try:
         place = parse_place(tag.address, tag.name)
-        needed = bytes_needed(tag)
+        needed = object_bytes(tag)
         from_bytes(tag, bytes(needed or 1))
     except AddressError as error:
         return Where(ObjectPlace(0), str(error))
@@ -97,7 +97,7 @@ def locate(tag: Tag, sheet: DataSheet | None) -> Where:
 def load_sheet(path: Path, node: int) -> DataSheet:
     """The EDS, DCF, XDD or XDC in a file, for this node id. Raises DriverError naming file and reason."""
     try:
-        text = text_of(contents(path, MOST_BYTES))
+        text = decode_text(contents(path, MOST_BYTES))
     except OSError as error:
         raise DriverError(f"canopen: eds: {path} cannot be read ({error.strerror}); give the device's EDS") from None
     return parse_sheet(text, node, str(path))
@@ -108,7 +108,7 @@ def parse_sheet(text: str, node: int, origin: str) -> DataSheet:
     if problem := endless_number(text):
         raise DriverError(f"canopen: eds: {origin}: {problem}")
     try:
-        sections, left = sections_of_xml(text) if text.lstrip().startswith("<") else sections_of(text)
+        sections, left = sections_of_xml(text) if text.lstrip().startswith("<") else parse_sections(text)
     except ValueError as error:
         raise DriverError(
             f"canopen: eds: {origin} is no EDS: {error}; give the device's electronic data sheet"
@@ -156,7 +156,7 @@ _LIBRARY_RAISES = (IniError, KeyError, ValueError, TypeError, IndexError, Attrib
 def _read(sections: Mapping[str, SheetSection], node: int) -> ObjectDictionary:
     # The library warns of a missing [DeviceInfo] in a way that is deprecated itself.
     read: Callable[..., ObjectDictionary] = import_eds
-    return read(io.StringIO(f"[DeviceInfo]\n{written(sections)}\n"), node)
+    return read(io.StringIO(f"[DeviceInfo]\n{format_sections(sections)}\n"), node)
 
 
 def _one_by_one(

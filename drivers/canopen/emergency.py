@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 
 from drivers.tag import Quality
 
-MOST = 32
+MAX_ACTIVE_ERRORS = 32
 """Errors kept at a time; a node that announces more is in no better state for it."""
 CLASSES: tuple[tuple[int, int, str, Quality], ...] = (
     (0x1000, 0xFF00, "generic error", Quality.UNCERTAIN),
@@ -55,7 +55,7 @@ class Emergencies:
         """The node has this error."""
         if code & 0xFF00 == 0:
             self.active.clear()
-        elif code in self.active or len(self.active) < MOST:
+        elif code in self.active or len(self.active) < MAX_ACTIVE_ERRORS:
             self.active[code] = register
 
     def verdict(self) -> tuple[Quality, str] | None:

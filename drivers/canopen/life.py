@@ -9,13 +9,13 @@ from dataclasses import dataclass
 
 from drivers.canopen.place import ObjectPlace
 
-JITTER = 0.05
+MAX_LATENESS_S = 0.05
 """Seconds by which a frame may be late on its way without being taken for a stranger's."""
-ALERT = 1.0
+ALERT_S = 1.0
 """Seconds after a stranger's frame in which no lateness is forgiven: a guess must meet the very next counts."""
-CONFIRMED = 3
+MIN_CONFIRMING_FRAMES = 3
 """Frames in a row that must continue one another before another course of the counter is believed."""
-_ROUND = 0xFFFF  # 1..65535 and round to 1; 0: the program does not run
+_COUNTER_MODULUS = 0xFFFF  # 1..65535 and round to 1; 0: the program does not run
 
 
 @dataclass(slots=True)
@@ -23,11 +23,11 @@ class _Course:
     value: int
     moment: float
 
-    def goes_on(self, value: int, moment: float, rate: float, jitter: float) -> bool:
+    def continues(self, value: int, moment: float, rate: float, jitter: float) -> bool:
         if 0 in (value, self.value):  # the program has stopped, or has begun anew
             return value == self.value
         # One step more than the time allows: the count may have been due just as the last frame was sent.
-        step = (value - self.value) % _ROUND
+        step = (value - self.value) % _COUNTER_MODULUS
         return step <= rate * (max(moment - self.moment, 0.0) + jitter) + 1
 
 
@@ -45,7 +45,7 @@ class Life:
     _course: _Course | None = None
     _other: _Course | None = None
     _confirmed: int = 0
-    _stranger: float = -ALERT
+    _stranger: float = -ALERT_S
 
     def anchor(self, value: int, moment: float) -> None:
         """The counter's value is known by other means (SDO)."""
@@ -58,24 +58,24 @@ class Life:
     def own(self, value: int, time: float, moment: float) -> bool:
         """True if a frame with this count, heard at this time and moment, can be the node's."""
         before = self._course.value if self._course is not None and self.since[1] else None
-        believed = self._believed(value, moment)
+        believed = self._accepts(value, moment)
         if believed and value != before:
             self.since = (time, moment)
         return believed
 
-    def _believed(self, value: int, moment: float) -> bool:
+    def _accepts(self, value: int, moment: float) -> bool:
         # A stranger who guesses meets the window of a plain frame now and then; just after a wrong guess it is closed.
-        jitter = 0.0 if moment - self._stranger < ALERT else JITTER
-        if self._course is not None and self._course.goes_on(value, moment, self.rate, jitter):
+        jitter = 0.0 if moment - self._stranger < ALERT_S else MAX_LATENESS_S
+        if self._course is not None and self._course.continues(value, moment, self.rate, jitter):
             self.anchor(value, moment)
             return True
         # The node itself may have begun anew unheard: frames that continue one another are believed in the end.
-        if self._other is not None and self._other.goes_on(value, moment, self.rate, jitter):
+        if self._other is not None and self._other.continues(value, moment, self.rate, jitter):
             self._confirmed += 1
         else:
             self._confirmed = 1
         self._other = _Course(value, moment)
-        if self._confirmed >= CONFIRMED:
+        if self._confirmed >= MIN_CONFIRMING_FRAMES:
             self.anchor(value, moment)
             return True
         self.strangers += 1

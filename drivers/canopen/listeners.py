@@ -7,9 +7,9 @@ from contextlib import suppress
 
 from drivers.tag import Quality, Sample, Tag
 
-LOOK = 0.05
+POLL_S = 0.05
 """Seconds after which a reader looks for what has gone bad by silence alone."""
-WAITING = 10_000
+MAX_WAITING_SAMPLES = 10_000
 """Samples kept for a reader that is behind; then the oldest are dropped."""
 
 
@@ -25,7 +25,7 @@ class PdoListener:
 
     def hear(self, sample: Sample) -> None:
         """A sample of one of the tags has come."""
-        if len(self._waiting) >= WAITING:
+        if len(self._waiting) >= MAX_WAITING_SAMPLES:
             self._waiting.popleft()
             self.dropped += 1
         self._quality[sample.tag] = sample.quality
@@ -38,7 +38,7 @@ class PdoListener:
             return
         self.hear(sample)
 
-    def taken(self) -> list[Sample]:
+    def take(self) -> list[Sample]:
         """What has come, once."""
         samples = list(self._waiting)
         self._waiting.clear()
@@ -47,6 +47,6 @@ class PdoListener:
     async def wait(self) -> None:
         """Until something has come, or it is time to look."""
         with suppress(TimeoutError):
-            async with asyncio.timeout(LOOK):
+            async with asyncio.timeout(POLL_S):
                 await self.wake.wait()
         self.wake.clear()

@@ -20,9 +20,9 @@ from drivers.tag import Quality
 
 BOOT_UP, STOPPED, OPERATIONAL, PRE_OPERATIONAL = 0, 4, 5, 127
 STATES = {BOOT_UP: "booting", STOPPED: "stopped", OPERATIONAL: "operational", PRE_OPERATIONAL: "pre-operational"}
-PROBE = 0.25
+RETRY_S = 0.25
 """Seconds between two attempts at a node that is not there or cannot be brought up."""
-CONFIRM_ERRORS = 1.0
+ERROR_REGISTER_POLL_S = 1.0
 """Seconds between two looks at the error register while an emergency stands: its end may have been missed."""
 SYNC, EMCY, SDO_ANSWER, SDO_REQUEST, HEARTBEAT = 0x080, 0x080, 0x580, 0x600, 0x700
 
@@ -62,7 +62,7 @@ class Counts:
 class RemoteNode:
     """The node of one open bus. `send` puts a frame on it; `heard` is told of each usable or faulty TPDO.
 
-    `catch_up` gives all frames that have come by now.
+    `drain` gives all frames that have come by now.
 
     All methods are called in the event loop. `closed` is the reason that the bus was given up, "" while it is open.
     """
@@ -116,7 +116,7 @@ class RemoteNode:
         if tpdo is not None:
             self._take_pdo(tpdo, frame)
         elif frame.id == SDO_ANSWER + node:
-            self.sdo.heard(frame.data)
+            self.sdo.receive(frame.data)
         elif frame.id == HEARTBEAT + node:
             self._take_heartbeat(frame)
         elif frame.id == EMCY + node:
@@ -217,7 +217,7 @@ class RemoteNode:
                 await self._bring_up()
             except DriverError as error:
                 self._lose(f"node {self.options.node} cannot be brought up: {error}")
-                await self._pause(PROBE)
+                await self._pause(RETRY_S)
             else:
                 await self._watch()
 
@@ -226,15 +226,15 @@ class RemoteNode:
         while not self._alive():
             self._news.clear()
             if self.options.listen_only:
-                await self._pause(PROBE)
+                await self._pause(RETRY_S)
                 continue
             with suppress(DriverError):
                 await self.sdo.read(DEVICE_TYPE, 4)
                 return
-            await self._pause(PROBE)
+            await self._pause(RETRY_S)
 
     def _alive(self) -> bool:
-        return self._beat is not None and self._loop.time() - self._beat <= (self._heartbeat_limit() or PROBE)
+        return self._beat is not None and self._loop.time() - self._beat <= (self._heartbeat_limit() or RETRY_S)
 
     def _heartbeat_limit(self) -> float:
         return self.brought.heartbeat_timeout if self.brought else self.options.heartbeat_timeout
@@ -273,7 +273,7 @@ class RemoteNode:
             while True:
                 self._news.clear()
                 limit, now = self._heartbeat_limit(), self._loop.time()
-                pause = pause_between_looks(limit, PROBE) if limit else PROBE
+                pause = pause_between_looks(limit, RETRY_S) if limit else RETRY_S
                 if attended.look(self._silence(now), now, pause) >= limit > 0.0:
                     self._catch_up()
                 if self._rebooted or (self.options.configure and self.state not in (None, OPERATIONAL)):
@@ -312,7 +312,7 @@ class RemoteNode:
     async def _confirm_errors(self) -> None:
         """While an emergency stands, ask for the error register: 0 says that the end of it was missed."""
         while True:
-            await asyncio.sleep(CONFIRM_ERRORS)
+            await asyncio.sleep(ERROR_REGISTER_POLL_S)
             if self.emergencies.active:
                 with suppress(DriverError):
                     if not any(await self.sdo.read(ObjectPlace(0x1001), 1)):

@@ -102,7 +102,7 @@ def read_options(settings: Mapping[str, Any]) -> Options:
     return check_settings("canopen", Options, settings)
 
 
-def node_at(settings: Mapping[str, Any]) -> Hashable:
+def node_identity(settings: Mapping[str, Any]) -> Hashable:
     """What tells the node from others (`Capabilities.identifies`). Raises DriverError."""
     options = read_options(settings)
     return ("canopen", options.interface, options.channel, options.node)

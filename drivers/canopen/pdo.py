@@ -15,7 +15,7 @@ EVENT_DRIVEN = 254
 """Transmission types from here on are sent on events; 1..240 every so many SYNCs, 0 at a SYNC after a change."""
 MOST_MAPPED = 64
 """Objects in one PDO: a bit each (CiA 301, 7.5.2.36). More in sub-index 0 is no count."""
-LATE = 3.0
+LATE_PERIODS = 3.0
 """A PDO is late after so many of its periods, so that two of them may be lost."""
 
 
@@ -57,7 +57,7 @@ class PdoMapping:
         return (sum(mapped.bits for mapped in self.objects) + 7) // 8
 
     @property
-    def event_driven(self) -> bool:
+    def is_event_driven(self) -> bool:
         """True if it is sent by itself, not with SYNC."""
         return self.transmission >= EVENT_DRIVEN
 
@@ -65,9 +65,9 @@ class PdoMapping:
         """Seconds of silence after which it is late; 0: it has no period, and only the heartbeat tells of the node."""
         if configured:
             return configured
-        if self.event_driven:
-            return LATE * self.event_timer
-        return LATE * max(self.transmission, 1) * sync_period if self.transmission <= 240 else 0.0
+        if self.is_event_driven:
+            return LATE_PERIODS * self.event_timer
+        return LATE_PERIODS * max(self.transmission, 1) * sync_period if self.transmission <= 240 else 0.0
 
 
 def from_objects(kind: Kind, number: int, value: Callable[[ObjectPlace], int | None]) -> PdoMapping | None:
@@ -77,18 +77,18 @@ def from_objects(kind: Kind, number: int, value: Callable[[ObjectPlace], int | N
     """
     communication, mapping = COMMUNICATION[kind] + number - 1, MAPPING[kind] + number - 1
 
-    def within(index: int, sub: int, most: int) -> int | None:
+    def checked_value(index: int, sub: int, most: int) -> int | None:
         place, given = ObjectPlace(index, sub), value(ObjectPlace(index, sub))
         if given is not None and not 0 <= given <= most:
             raise AddressError(f"{kind}PDO {number}: {place} is {given}, and it is 0 to {most} (CiA 301)")
         return given
 
-    identifier = within(communication, 1, 0xFFFFFFFF)
+    identifier = checked_value(communication, 1, 0xFFFFFFFF)
     if identifier is None:
         return None
-    count = within(mapping, 0, MOST_MAPPED) or 0
-    entries = [within(mapping, sub, 0xFFFFFFFF) or 0 for sub in range(1, count + 1)]
-    transmission = within(communication, 2, 0xFF)
+    count = checked_value(mapping, 0, MOST_MAPPED) or 0
+    entries = [checked_value(mapping, sub, 0xFFFFFFFF) or 0 for sub in range(1, count + 1)]
+    transmission = checked_value(communication, 2, 0xFF)
     # CiA 301, 7.5.2.37: bit 31 of the COB-ID switches a PDO off; inhibit time counts 100 us, the event timer 1 ms.
     return PdoMapping(
         kind=kind,
@@ -96,15 +96,15 @@ def from_objects(kind: Kind, number: int, value: Callable[[ObjectPlace], int | N
         cob_id=identifier & 0x1FFFFFFF,
         enabled=not identifier & NOT_VALID,
         transmission=255 if transmission is None else transmission,
-        inhibit=(within(communication, 3, 0xFFFF) or 0) * 1e-4,
-        event_timer=(within(communication, 5, 0xFFFF) or 0) * 1e-3,
-        objects=laid_out(
+        inhibit=(checked_value(communication, 3, 0xFFFF) or 0) * 1e-4,
+        event_timer=(checked_value(communication, 5, 0xFFFF) or 0) * 1e-3,
+        objects=map_objects(
             [(ObjectPlace(entry >> 16, entry >> 8 & 0xFF), entry & 0xFF) for entry in entries], f"{kind}PDO {number}"
         ),
     )
 
 
-def laid_out(objects: Iterable[tuple[ObjectPlace, int]], what: str) -> tuple[Mapped, ...]:
+def map_objects(objects: Iterable[tuple[ObjectPlace, int]], what: str) -> tuple[Mapped, ...]:
     """Places and bits, one after the other from bit 0 on. Raises AddressError if they exceed 64 bits."""
     mapped, offset = [], 0
     for place, bits in objects:
@@ -115,7 +115,7 @@ def laid_out(objects: Iterable[tuple[ObjectPlace, int]], what: str) -> tuple[Map
     return tuple(mapped)
 
 
-def wanted(
+def select_pdos(
     pdos: Sequence[PdoMapping], changes: Sequence[object], bits: Callable[[ObjectPlace], int | None]
 ) -> tuple[PdoMapping, ...]:
     """The TPDOs of the EDS with the changes of the setting `tpdo`. Raises DriverError for one that makes no sense."""
@@ -125,7 +125,7 @@ def wanted(
             known = ", ".join(map(str, by_number))
             raise DriverError(f"canopen: tpdo: {change!r} must be a table with a number, one of {known}")
         number = change["number"]
-        by_number[number] = _changed(by_number[number], change, bits)
+        by_number[number] = _apply_change(by_number[number], change, bits)
     return tuple(by_number.values())
 
 
@@ -139,7 +139,7 @@ _CHANGES: dict[str, tuple[type | tuple[type, ...], str]] = {
 _MOST = {"transmission": 255, "event_timer": 65.0, "inhibit": 6.5, "number": 512}
 
 
-def _changed(pdo: PdoMapping, change: Mapping[str, Any], bits: Callable[[ObjectPlace], int | None]) -> PdoMapping:
+def _apply_change(pdo: PdoMapping, change: Mapping[str, Any], bits: Callable[[ObjectPlace], int | None]) -> PdoMapping:
     what = f"canopen: tpdo {pdo.number}"
     for key, value in change.items():
         if key not in _CHANGES:
@@ -160,7 +160,7 @@ def _changed(pdo: PdoMapping, change: Mapping[str, Any], bits: Callable[[ObjectP
                     f"{what}: {place} is no object of the EDS that has a fixed size, so it cannot be mapped"
                 )
             sized.append((place, size))
-        objects = laid_out(sized, what)
+        objects = map_objects(sized, what)
     return replace(
         pdo,
         enabled=True,

@@ -3,7 +3,7 @@
 import re
 from dataclasses import dataclass
 
-from drivers.codec import Reading, decode, encode, registers_needed
+from drivers.codec import Reading, decode, encode, register_count
 from drivers.errors import AddressError, EncodingError
 from drivers.tag import DType, Order, Quality, Tag, Value
 
@@ -32,9 +32,9 @@ def parse_place(text: str, what: str = "") -> ObjectPlace:
     raise AddressError(f"{subject}{text!r} is no object; give its index and sub-index, such as '0x2001:1'")
 
 
-def bytes_needed(tag: Tag) -> int:
+def object_bytes(tag: Tag) -> int:
     """How many bytes the tag's object has, 0 if one or two will do (bool). Raises AddressError."""
-    registers = registers_needed(tag)
+    registers = register_count(tag)
     if tag.dtype is DType.STRING:
         return tag.length
     if tag.dtype is DType.BOOL:
@@ -47,7 +47,7 @@ def from_bytes(tag: Tag, payload: bytes) -> Reading:
 
     A number of bytes that is not the tag's own is DECODING_ERROR.
     """
-    needed = bytes_needed(tag)
+    needed = object_bytes(tag)
     if tag.dtype is DType.STRING:
         if len(payload) > needed:
             return None, Quality.DECODING_ERROR, f"{len(payload)} bytes of text, and the tag has room for {needed}"
@@ -72,7 +72,7 @@ def to_bytes(tag: Tag, value: Value, size: int | None) -> bytes:
         return text
     words = encode(_straight(tag), value)
     whole = b"".join(word.to_bytes(2, "big") for word in words)[::-1]
-    length = size if size is not None else (bytes_needed(tag) or 1)
+    length = size if size is not None else (object_bytes(tag) or 1)
     if any(whole[length:]):
         raise EncodingError(f"{tag.name}: {value!r} does not fit in the {length} bytes of {tag.address}")
     return whole[:length]

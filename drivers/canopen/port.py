@@ -44,7 +44,7 @@ class Port:
         self._loop = asyncio.get_running_loop()
         self._closing = False
         self._counts = dict.fromkeys(("frames", "foreign_frames", "error_frames"), 0)
-        self._pump = Pump(bus, self._heard, lost, supervisor)
+        self._pump = Pump(bus, self._receive, lost, supervisor)
 
     @property
     def counts(self) -> Mapping[str, int]:
@@ -68,15 +68,15 @@ class Port:
         self._closing = True
         self._pump.close()
 
-    async def closed(self) -> None:
+    async def join(self) -> None:
         """Wait until the bus is closed."""
-        await self._pump.closed()
+        await self._pump.join()
 
-    def catch_up(self) -> None:
+    def drain(self) -> None:
         """Give all that has come by now, so that after a pause no frame in the midst of it is the newest."""
-        self._pump.catch_up()
+        self._pump.drain()
 
-    def _heard(self, message: can.Message) -> None:
+    def _receive(self, message: can.Message) -> None:
         if message.is_error_frame:
             self._counts["error_frames"] += 1
             if message.arbitration_id & _BUS_OFF:
@@ -87,4 +87,4 @@ class Port:
             self._counts["foreign_frames"] += 1
             return
         came = message.timestamp
-        self._take(StampedFrame(message.arbitration_id, bytes(message.data), self._clock_before.at(came), came))
+        self._take(StampedFrame(message.arbitration_id, bytes(message.data), self._clock_before.clock_time(came), came))

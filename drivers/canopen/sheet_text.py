@@ -31,7 +31,7 @@ class SheetSection:
     keys: MutableMapping[str, str]
 
 
-def sections_of(text: str) -> tuple[dict[str, SheetSection], list[str]]:
+def parse_sections(text: str) -> tuple[dict[str, SheetSection], list[str]]:
     """An EDS's sections of objects by name ("1000", "1018sub1"), and what of them is left out, in words with lines."""
     sections: dict[str, SheetSection] = {}
     problems: list[str] = []
@@ -54,10 +54,10 @@ def sections_of(text: str) -> tuple[dict[str, SheetSection], list[str]]:
     good = {}
     for name, section in sections.items():
         try:
-            good[name] = _tidied(name, section)
+            good[name] = _tidy_section(name, section)
         except ValueError as error:
             problems.append(f"line {section.line}: [{name}] is left out: {error}")
-    return dict(_spread(good)), problems
+    return dict(_expand_arrays(good)), problems
 
 
 def _section_name(text: str) -> str:
@@ -72,7 +72,7 @@ def _section_name(text: str) -> str:
     return index + {"name": "Name", "value": "Value"}.get(tail, "")
 
 
-def _tidied(name: str, section: SheetSection) -> SheetSection:
+def _tidy_section(name: str, section: SheetSection) -> SheetSection:
     """Numbers as Python reads them, what may be left out filled in. Raises ValueError naming the key."""
     keys = dict(section.keys)
     if name.endswith(("Name", "Value")):
@@ -82,7 +82,7 @@ def _tidied(name: str, section: SheetSection) -> SheetSection:
             if not keys[key]:
                 del keys[key]
                 continue
-            keys[key] = str(number_in(keys[key], key))
+            keys[key] = str(parse_number(keys[key], key))
     kind = keys.setdefault("ObjectType", str(int(_VARIABLE, 16)))
     keys.setdefault("ParameterName", name)
     holds = kind not in (str(int(_ARRAY, 16)), str(int(_RECORD, 16))) or "CompactSubObj" in keys
@@ -100,7 +100,7 @@ def _tidied(name: str, section: SheetSection) -> SheetSection:
     return SheetSection(section.line, keys)
 
 
-def number_in(text: str, key: str) -> int:
+def parse_number(text: str, key: str) -> int:
     """A whole number as files write it: 7, 007, 0x7, 7h. Raises ValueError naming the key."""
     plain = text.strip().casefold()
     try:
@@ -111,7 +111,7 @@ def number_in(text: str, key: str) -> int:
         raise ValueError(f"{key} {text!r} is no number; give one such as 7 or 0x7") from None
 
 
-def _spread(sections: Mapping[str, SheetSection]) -> Iterator[tuple[str, SheetSection]]:
+def _expand_arrays(sections: Mapping[str, SheetSection]) -> Iterator[tuple[str, SheetSection]]:
     """Every section, and those that a compact array stands for (CiA 306, 4.6.3.2)."""
     for name, section in sections.items():
         keys = section.keys
@@ -134,7 +134,7 @@ def _spread(sections: Mapping[str, SheetSection]) -> Iterator[tuple[str, SheetSe
             yield f"{name}sub{entry:X}", SheetSection(section.line, keys)
 
 
-def written(sections: Mapping[str, SheetSection]) -> str:
+def format_sections(sections: Mapping[str, SheetSection]) -> str:
     """The sections as an EDS, an object before its members."""
     ordered = sorted(sections.items(), key=lambda item: (item[0][:4], "sub" in item[0]))
     return "\n".join(
@@ -163,14 +163,14 @@ def sections_of_xml(text: str) -> tuple[dict[str, SheetSection], list[str]]:
         if item.tag.rpartition("}")[2] != "CANopenObject":
             continue
         index = item.get("index", "").upper().removeprefix("0X")
-        lines += _section_of(index, item)
+        lines += _xdd_section(index, item)
         for member in item:
             if member.tag.rpartition("}")[2] == "CANopenSubObject":
-                lines += _section_of(f"{index}sub{member.get('subIndex', '')}", member)
-    return sections_of("\n".join(lines))
+                lines += _xdd_section(f"{index}sub{member.get('subIndex', '')}", member)
+    return parse_sections("\n".join(lines))
 
 
-def _section_of(name: str, item: ElementTree.Element) -> list[str]:
+def _xdd_section(name: str, item: ElementTree.Element) -> list[str]:
     keys = {
         "ParameterName": item.get("name", name),
         "ObjectType": item.get("objectType", "7"),

@@ -10,7 +10,7 @@ from typing import Any
 import can
 
 from drivers.can.bus import Pump, open_bus
-from drivers.canopen.asking import quality_of
+from drivers.canopen.asking import error_quality
 from drivers.canopen.channel import SdoChannel
 from drivers.canopen.place import ObjectPlace, from_bytes, parse_place
 from drivers.driver import Clock
@@ -49,7 +49,7 @@ class BusSurvey:
         self._channels: dict[tuple[int, float], SdoChannel] = {}
         self._gone = asyncio.Event()
         self._heard = self._errors = 0
-        self._pump = Pump(bus, self._take, self._on_lost)
+        self._pump = Pump(bus, self._take, self._on_loss)
 
     def close(self) -> None:
         """Leave the bus."""
@@ -87,7 +87,7 @@ class BusSurvey:
         raws: list[Raw] = []
         silent = ""
         for tag in tags:
-            raw = self._failed(tag, Quality.TIMEOUT, silent) if silent else await self._tag(tag, node, timeout)
+            raw = self._failure(tag, Quality.TIMEOUT, silent) if silent else await self._tag(tag, node, timeout)
             silent = raw.sample.reason if raw.sample.quality is Quality.TIMEOUT else ""
             raws.append(raw)
         return raws
@@ -99,11 +99,11 @@ class BusSurvey:
             data = await self.object(node, place.index, place.subindex, timeout)
             value, quality, reason = from_bytes(tag, data)
         except DriverError as error:
-            return self._failed(tag, quality_of(error), str(error))
+            return self._failure(tag, error_quality(error), str(error))
         sample = Sample(tag.name, value, quality, self._clock(), sent=sent, reason=reason)
         return Raw(tag, sample, str(place), len(data), tuple(data))
 
-    def _failed(self, tag: Tag, quality: Quality, reason: str) -> Raw:
+    def _failure(self, tag: Tag, quality: Quality, reason: str) -> Raw:
         return Raw(tag, Sample(tag.name, None, quality, self._clock(), reason=reason), tag.address, 0)
 
     def _send(self, identifier: int, data: bytes) -> None:
@@ -128,9 +128,9 @@ class BusSurvey:
         if not message.is_extended_id:
             for (server, _), channel in self._channels.items():
                 if server == node:
-                    channel.heard(data)
+                    channel.receive(data)
 
-    def _on_lost(self, reason: str) -> None:
+    def _on_loss(self, reason: str) -> None:
         self._lost = reason
         self._gone.set()
         for channel in self._channels.values():

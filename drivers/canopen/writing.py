@@ -40,7 +40,7 @@ class Writing:
                 what = "is not in the EDS" if entry is None else "is read-only"
                 raise AddressError(f"{name}: {place} {what} ({sheet.origin}); the write map needs an object to write")
 
-    def checked(self, values: Sequence[tuple[Tag, Value]], sheet: DataSheet | None) -> list[WritePiece]:
+    def check(self, values: Sequence[tuple[Tag, Value]], sheet: DataSheet | None) -> list[WritePiece]:
         """The objects of the values, in their order. Raises WriteForbidden, EncodingError or AddressError."""
         for tag, _ in values:
             known = self._map.get(tag.name)
@@ -59,7 +59,7 @@ class Writing:
         entry = sheet.objects.get(place) if sheet else None
         return WritePiece(place, to_bytes(tag, value, entry.size if entry else None), tag.name)
 
-    async def carried_out(self, pieces: Sequence[WritePiece], node: RemoteNode, before_sending: BeforeSending) -> None:
+    async def send(self, pieces: Sequence[WritePiece], node: RemoteNode, before_sending: BeforeSending) -> None:
         """Send the pieces, each once, and verify that the device has taken them. Raises as `Writes.write` says."""
         async with self._lock:
             waiting = self._acknowledges(pieces, node)
@@ -77,9 +77,9 @@ class Writing:
                 before_sending()
                 node.send(pdo.cob_id, number.to_bytes(pdo.length, "little"))
             if waiting is None:
-                await self._read_back(pieces, node)
+                await self._verify(pieces, node)
             else:
-                await self._acknowledged(*waiting, node)
+                await self._await_acknowledgement(*waiting, node)
 
     def _carriers(self, pieces: Sequence[WritePiece], node: RemoteNode) -> list[PdoMapping]:
         """The RPDOs that carry pieces and nothing else, the one with the last piece last."""
@@ -104,7 +104,7 @@ class Writing:
                 return None if node.value(place) in (None, piece.data) else (place, piece.data)
         return None
 
-    async def _acknowledged(self, place: ObjectPlace, expected: bytes, node: RemoteNode) -> None:
+    async def _await_acknowledgement(self, place: ObjectPlace, expected: bytes, node: RemoteNode) -> None:
         try:
             async with asyncio.timeout(self._options.timeout):
                 while node.value(place) != expected:
@@ -113,7 +113,7 @@ class Writing:
             reason = f"{place} has not acknowledged it within {self._options.timeout:g} s"
             raise WriteUnverified(f"sent, and {reason}") from None
 
-    async def _read_back(self, pieces: Sequence[WritePiece], node: RemoteNode) -> None:
+    async def _verify(self, pieces: Sequence[WritePiece], node: RemoteNode) -> None:
         for piece in pieces:
             try:
                 stored = await node.sdo.read(piece.place, len(piece.data))

@@ -4,7 +4,7 @@ import re
 from dataclasses import dataclass
 from enum import StrEnum
 
-from drivers.codec import registers_needed
+from drivers.codec import register_count
 from drivers.errors import AddressError
 from drivers.tag import DType, Tag
 
@@ -85,7 +85,7 @@ def locate(tag: Tag) -> TagSpan:
         area, start = parse_address(tag.address)
     except AddressError as error:
         raise AddressError(f"{tag.name}: {error}") from None
-    count = registers_needed(tag)
+    count = register_count(tag)
     if area.is_bits and (tag.dtype is not DType.BOOL or tag.bit is not None):
         raise AddressError(f"{tag.name}: {tag.address} is a single bit: dtype must be bool, without bit")
     if start + count > 65536:

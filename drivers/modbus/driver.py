@@ -42,15 +42,15 @@ from drivers.modbus.plan import (
     RefusedRange,
     bisect,
     by_block,
+    check_span,
     describe,
-    fitting,
+    find_refusal,
     plan_spans,
-    refusal_of,
 )
 from drivers.modbus.quarantine import RefusedAddresses
-from drivers.modbus.settings import ModbusSettings, place_of, read_settings
+from drivers.modbus.settings import ModbusSettings, connection_place, read_settings
 from drivers.modbus.shared import SharedLink
-from drivers.modbus.verify import quality_of
+from drivers.modbus.verify import exception_quality
 from drivers.modbus.wire import WireReply, read_request, write_request
 from drivers.survey import Raw
 from drivers.tag import Quality, Sample, Tag, Value
@@ -76,12 +76,12 @@ _NOT_KNOWN = "it is not known whether this is the pinned device (identity)"
 _FIRST_PAUSE_S = 0.02
 _MAX_WRITE_BITS = 1968  # 0x07B0 (MODBUS Application Protocol V1.1b3, 6.11)
 _LAYOUTS_KEPT = 64
-_PACE_SLACK = 0.05
+_EARLY_PERIOD_SHARE = 0.05
 """A tag is due so much of its period early: a scan that jitters shall not miss it."""
 _SEARCH_S = 30.0
 """A search that has not gone on for so long begins anew."""
-_LINE_SILENCES = 2
-_ADDRESSES = 0x10000
+_MIN_SILENCES_ON_LINE = 2
+_ADDRESS_COUNT = 0x10000
 _NOTHING: tuple[tuple[int, ...], Reading] = ((), (None, Quality.NO_DATA, ""))
 
 
@@ -218,7 +218,7 @@ def make_modbus(
 ) -> "ModbusDriver":
     """`open_modbus` of settings that are checked already."""
     make_shared = partial(SharedLink, settings, clock=clock, seed=seed, alone=connections is None, rng=rng)
-    shared = make_shared() if connections is None else connections.at(place_of(settings), make_shared)
+    shared = make_shared() if connections is None else connections.obtain(connection_place(settings), make_shared)
     kind = PinnedDriver if settings.identity else ModbusDriver
     return kind(settings, clock=clock, write_map=tuple(write_map), shared=shared)
 
@@ -288,16 +288,16 @@ class ModbusDriver:
         if self._settings.close_between_scans:
             await self._line.ready()
             try:
-                return await self._scanned(tags)
+                return await self._scan(tags)
             finally:
                 self._line.rest()
-        return await self._scanned(tags)
+        return await self._scan(tags)
 
     async def _in_turn(self, tags: Sequence[Tag], paced: Sequence[TagSpan]) -> list[Sample]:
         """Those tags that are due now, and of the others what was read last."""
         now, line = _now(), self._line
         # Behind another connection there may be another device, unless it says on each who it is.
-        comes_and_goes = bool(self._settings.identity) and (self._settings.close_between_scans or line.hangs_up)
+        comes_and_goes = bool(self._settings.identity) and (self._settings.close_between_scans or line.ends_connections)
         if not comes_and_goes and (line.connection is None or line.connects != self._paced_over):
             self._paced.clear()
         self._paced_over = over = line.connects
@@ -306,7 +306,7 @@ class ModbusDriver:
             for span in paced
             if (one := self._paced.get(id(span.tag))) is not None
             and one.sample is not None
-            and now < one.due - _PACE_SLACK * span.tag.period
+            and now < one.due - _EARLY_PERIOD_SHARE * span.tag.period
         }
         asked = [tag for tag in tags if id(tag) not in held] if held else tags
         read = await self._read_anew(asked, [span for span in paced if id(span.tag) not in held])
@@ -323,7 +323,7 @@ class ModbusDriver:
         # Who writes over one of them meanwhile takes it away, and so does who believes the device no more.
         begun = [PacedTag(span, now) for span in paced]
         self._paced |= {id(one.span.tag): one for one in begun}
-        read = {id(tag): sample for tag, sample in zip(tags, await self._scanned(tags, all_due=True), strict=True)}
+        read = {id(tag): sample for tag, sample in zip(tags, await self._scan(tags, all_due=True), strict=True)}
         for one in begun:
             key = id(one.span.tag)
             if self._paced.get(key) is one:
@@ -333,11 +333,11 @@ class ModbusDriver:
         return read
 
     @property
-    def searching(self) -> bool:
+    def is_searching(self) -> bool:
         """Whether the next reading goes on looking for what the device refuses by silence."""
         return bool(self._searches)
 
-    async def _scanned(self, tags: Sequence[Tag], *, all_due: bool = False) -> list[Sample]:
+    async def _scan(self, tags: Sequence[Tag], *, all_due: bool = False) -> list[Sample]:
         now = _now()
         self._refused.renew(now, self._line.connects)
         layout = self._layout(tags)
@@ -347,12 +347,12 @@ class ModbusDriver:
         trial = self._refused.trial(layout.spans, now)
         for block in layout.apart:
             if (key := id(block.spans[0].tag)) not in self._factors:
-                samples |= await self._settled(block)
+                samples |= await self._read_block(block)
                 self._note_factor(key, samples)
         for block in layout.blocks:
-            samples |= await self._settled(block)
+            samples |= await self._read_block(block)
         if trial:
-            samples |= await self._tried(trial)
+            samples |= await self._retry_place(trial)
         for span in layout.spans:
             if id(span.tag) not in samples:
                 samples[id(span.tag)] = self._no(span.tag, *self._refused.verdict(span, now))
@@ -374,7 +374,7 @@ class ModbusDriver:
     def explain(self, tags: Sequence[Tag]) -> tuple[PlanLine, ...]:
         """The block plan in sentences: what cannot be read and why, each request, the worst-case cycle time."""
         layout = self._layout(tags)
-        refused = [(span, refusal_of(span, layout.quarantine)) for span in layout.spans]
+        refused = [(span, find_refusal(span, layout.quarantine)) for span in layout.spans]
         left_out = [reason for _, reason in layout.misplaced]
         left_out += [f"{span.tag.name}: in quarantine: {refusal.reason}" for span, refusal in refused if refusal]
         problems = [PlanLine(line, PlanKind.PROBLEM) for line in left_out]
@@ -399,7 +399,7 @@ class ModbusDriver:
             return
         layout = self._write_layout([tag for tag, _ in values])
         try:
-            await self._written(layout, values, before_sending)
+            await self._write_block(layout, values, before_sending)
         finally:
             self._forget(layout.block)
             if self._settings.close_between_scans:
@@ -412,7 +412,7 @@ class ModbusDriver:
             if span.area is block.area and span.start < block.stop and block.start < span.stop:
                 del self._paced[key]
 
-    async def _written(
+    async def _write_block(
         self, layout: _WriteLayout, values: Sequence[tuple[Tag, Value]], before_sending: BeforeSending
     ) -> None:
         block, words = layout.block, [word for place, words in layout.pieces for word in words(values[place][1])]
@@ -429,7 +429,7 @@ class ModbusDriver:
             while True:
                 stored: list[int] | None = None
                 try:
-                    stored = await self._read_back(block)
+                    stored = await self._read_words(block)
                 except DriverError as error:
                     # One that hangs up after its answers does so under this question too: the next connection has it.
                     hung_up = isinstance(error, LinkDown) and error.fault is LinkFault.CLOSED
@@ -470,7 +470,7 @@ class ModbusDriver:
                 raise DeviceException(error.code, f"{error}; {remedy}") from None
             raise
 
-    async def _read_back(self, block: AddressBlock) -> list[int]:
+    async def _read_words(self, block: AddressBlock) -> list[int]:
         """What the device holds now, in as many requests as its read limit asks for (the lock is held)."""
         words: list[int] = []
         largest = self._limits.largest(block.area)
@@ -484,7 +484,7 @@ class ModbusDriver:
         key = tuple(map(id, tags))
         if (known := self._writes.get(key)) is not None:
             return known
-        mapped = sorted(((self._mapped(tag), place) for place, tag in enumerate(tags)), key=lambda one: one[0].start)
+        mapped = sorted(((self._find_span(tag), place) for place, tag in enumerate(tags)), key=lambda one: one[0].start)
         spans = tuple(span for span, _ in mapped)
         for left, right in pairwise(spans):
             if left.area is not right.area or left.stop != right.start:
@@ -504,7 +504,7 @@ class ModbusDriver:
         layout = self._writes[key] = _WriteLayout(tuple(tags), block, pieces)
         return layout
 
-    def _mapped(self, tag: Tag) -> TagSpan:
+    def _find_span(self, tag: Tag) -> TagSpan:
         span = self._write_map.get(tag.name)
         # The very tag as a rule: to compare two of them field by field takes longer than to encode one.
         if span is None or (span.tag is not tag and span.tag != tag):
@@ -537,7 +537,7 @@ class ModbusDriver:
                         scaled.append(part)
                         factors[id(part.factor)] = factor
                     else:
-                        span = fitting(locate(tag), self._limits)
+                        span = check_span(locate(tag), self._limits)
                 except AddressError as error:
                     misplaced.append((tag, str(error)))
                     continue
@@ -561,16 +561,16 @@ class ModbusDriver:
         part = self._scaled[id(tag)] = scaled_tag(tag, factors)
         return part
 
-    async def _settled(self, block: AddressBlock) -> dict[int, Sample]:
+    async def _read_block(self, block: AddressBlock) -> dict[int, Sample]:
         """The block's samples; if the device refuses it, those of its parts."""
         key = (block.area, block.start, block.count)
         search = self._searches.pop(key, None)
         if search is not None and _now() < search.forgotten_at:
-            return await self._searched(search)
+            return await self._continue_search(search)
         outcome = await self._ask(block)
         samples = self._samples(block, outcome)
         if isinstance(outcome, WireReply):
-            self._refused.answered(block)
+            self._refused.note_answer(block)
             self._known_good = block
             return samples
         if not (outcome.asked and self._may_refuse(outcome) and self._refused.may_bisect(block, _now())):
@@ -585,7 +585,7 @@ class ModbusDriver:
             search.silent = True
         else:
             search.advance(refused=True)
-        return samples | await self._searched(search)
+        return samples | await self._continue_search(search)
 
     def _may_refuse(self, failure: Failure) -> bool:
         """Whether it may be about one address of several: a refusal, or silence, by which some devices refuse."""
@@ -599,7 +599,7 @@ class ModbusDriver:
             places.insert(0, self._known_good)
         return places[:2]
 
-    async def _searched(self, search: BlockSearch) -> dict[int, Sample]:
+    async def _continue_search(self, search: BlockSearch) -> dict[int, Sample]:
         """Go on looking for the refused addresses of a block; the samples of the parts that were asked on the way.
 
         Where silence is a refusal that takes a reading's time at most, and goes on with the next reading: nothing else
@@ -610,7 +610,7 @@ class ModbusDriver:
         while search.part is not None or search.checks:
             # Not before a check has been answered: behind two questions that are silent nothing else would be asked.
             if search.silent and not search.checks and _now() > until:
-                return self._kept(search) | _with_values(samples)
+                return self._keep_search(search) | _with_values(samples)
             check = search.checks[0] if search.checks else None
             part = check or search.part
             if part is None:
@@ -621,7 +621,7 @@ class ModbusDriver:
             outcome = await self._ask(part, patiently=alone and not self._settings.on_line)
             search.latest = outcome if isinstance(outcome, Failure) else search.latest
             if isinstance(outcome, Failure) and not outcome.asked:
-                return self._kept(search) | _with_values(samples)
+                return self._keep_search(search) | _with_values(samples)
             if check is not None:
                 if isinstance(outcome, WireReply) or outcome.code:
                     search.checks, self._known_good = [], check
@@ -647,7 +647,7 @@ class ModbusDriver:
                     continue
                 search.silent = True
                 search.silences += alone
-                if alone and self._settings.on_line and search.silences < _LINE_SILENCES:
+                if alone and self._settings.on_line and search.silences < _MIN_SILENCES_ON_LINE:
                     continue
                 search.checks = self._places_to_check(part)
                 if not search.checks:
@@ -662,7 +662,7 @@ class ModbusDriver:
         )
         return samples
 
-    def _kept(self, search: BlockSearch) -> dict[int, Sample]:
+    def _keep_search(self, search: BlockSearch) -> dict[int, Sample]:
         """Keep a search for the next reading; what its block has no values for."""
         if len(self._searches) >= _LAYOUTS_KEPT:
             self._searches.clear()
@@ -670,7 +670,7 @@ class ModbusDriver:
         self._searches[search.block.area, search.block.start, search.block.count] = search
         return self._samples(search.block, search.latest)
 
-    async def _tried(self, trial: AddressBlock) -> dict[int, Sample]:
+    async def _retry_place(self, trial: AddressBlock) -> dict[int, Sample]:
         """Ask a quarantined place again, in a request of its own."""
         outcome = await self._ask(trial, patiently=False)
         if isinstance(outcome, WireReply):
@@ -707,10 +707,10 @@ class ModbusDriver:
         async with self._lock:
             try:
                 if not patiently:
-                    return await self._while_busy(lambda: self._asked(block, again=True), _BUSY)
+                    return await self._while_busy(lambda: self._request_block(block, again=True), _BUSY)
                 return await self._attempts(block)
             except DeviceException as error:
-                return Failure(quality_of(error.code), str(error), error.code)
+                return Failure(exception_quality(error.code), str(error), error.code)
             except ReplyTimeout as error:
                 return Failure(Quality.TIMEOUT, str(error), asked=not isinstance(error, NotAsked))
             except ReplyMismatch as error:
@@ -746,26 +746,26 @@ class ModbusDriver:
         # After a connection that was taken and never answered, the next ones get one question each.
         for _ in range(0 if self._line.suspect else self._settings.attempts - 1):
             try:
-                return await self._asked(block, again=again, urgent=urgent)
+                return await self._request_block(block, again=again, urgent=urgent)
             except (ReplyTimeout, ReplyMismatch):
                 if self._line.connection is not wire:
                     raise
                 self._counts["retries"] += 1
                 again = True
-        return await self._asked(block, again=again, urgent=urgent)
+        return await self._request_block(block, again=again, urgent=urgent)
 
-    def _asked(self, block: AddressBlock, *, again: bool, urgent: bool = False) -> Awaitable[WireReply]:
+    def _request_block(self, block: AddressBlock, *, again: bool, urgent: bool = False) -> Awaitable[WireReply]:
         """Ask for a block once; where the device takes aligned reads alone, for what lies around it too."""
         settings = self._settings
         if settings.aligned > 1 and not block.area.is_bits:
-            return self._asked_aligned(block, again=again, urgent=urgent)
+            return self._request_aligned_block(block, again=again, urgent=urgent)
         request = read_request(block.area, block.start, block.count, settings.unit)
         return self._line.ask(request, again=again, urgent=urgent)
 
-    async def _asked_aligned(self, block: AddressBlock, *, again: bool, urgent: bool) -> WireReply:
+    async def _request_aligned_block(self, block: AddressBlock, *, again: bool, urgent: bool) -> WireReply:
         settings = self._settings
         start = block.start // settings.aligned * settings.aligned
-        stop = min(-(-block.stop // settings.aligned) * settings.aligned, _ADDRESSES)
+        stop = min(-(-block.stop // settings.aligned) * settings.aligned, _ADDRESS_COUNT)
         request = read_request(block.area, start, stop - start, settings.unit)
         reply = await self._line.ask(request, again=again, urgent=urgent)
         return replace(reply, words=reply.words[block.start - start : block.stop - start])
@@ -809,7 +809,7 @@ class ModbusDriver:
                 try:
                     if mark.object < 0:
                         request = mark_request(mark, unit) if mark.count else server_id_request(unit)
-                        said = mark.found((await self._marked(request, urgent=urgent)).words)
+                        said = mark.found((await self._request_identity(request, urgent=urgent)).words)
                     else:
                         if mark.name not in heard:
                             heard |= await self._objects(mark, urgent=urgent)
@@ -829,13 +829,13 @@ class ModbusDriver:
         after = 0
         for _ in range(MOST_PARTS):
             request = object_request(self._settings.unit, after, mark.object)
-            part, after = identification((await self._marked(request, urgent=urgent)).words)
+            part, after = identification((await self._request_identity(request, urgent=urgent)).words)
             heard |= part
             if not after or mark.name in heard:
                 break
         return heard
 
-    async def _marked(self, request: ModbusPDU, *, urgent: bool) -> WireReply:
+    async def _request_identity(self, request: ModbusPDU, *, urgent: bool) -> WireReply:
         """Ask who the device is, as often as a reading is asked for."""
         for _ in range(self._settings.attempts - 1):
             try:
@@ -864,7 +864,7 @@ class PinnedDriver(ModbusDriver):
         try:
             if (unknown := await self._unproven(urgent=False)) is None:
                 # As `super().read` does it, over the connection of the proof.
-                samples = await self._scanned(tags)
+                samples = await self._scan(tags)
                 # What came over a connection that was made meanwhile may be another device's, as what followed a
                 # silence.
                 if (unknown := await self._unproven(urgent=False)) is None:

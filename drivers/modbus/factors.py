@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from drivers.codec import judge
 from drivers.errors import AddressError
 from drivers.modbus.address import TagSpan, locate
-from drivers.modbus.plan import AddressBlock, RequestLimits, fitting
+from drivers.modbus.plan import AddressBlock, RequestLimits, check_span
 from drivers.tag import DType, Quality, Sample, Tag
 
 _NOT_THERE = -0x8000
@@ -48,7 +48,7 @@ def spans_of(part: ScaledTag, limits: RequestLimits) -> tuple[TagSpan, TagSpan]:
         raise AddressError(f"{part.tag.name}: scale_from: {error}") from None
     if factor.area.is_bits:
         raise AddressError(f"{part.tag.name}: scale_from: {part.tag.scale_from} is one bit; give a register")
-    return fitting(locate(part.raw), limits), factor
+    return check_span(locate(part.raw), limits), factor
 
 
 def in_order(

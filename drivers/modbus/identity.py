@@ -177,12 +177,12 @@ def stranger(mark: PinnedMark, said: str | tuple[int, ...] | None, place: str) -
     """That the device is another one than the pinned one, in words; "" where it says what is expected."""
     if said == mark.expected:
         return ""
-    heard = "says nothing of it" if said is None else f"says {_shown(said)}"
+    heard = "says nothing of it" if said is None else f"says {_format_mark(said)}"
     return (
-        f"another device answers at {place}: of {mark.name} it {heard}, and {_shown(mark.expected)} is pinned "
+        f"another device answers at {place}: of {mark.name} it {heard}, and {_format_mark(mark.expected)} is pinned "
         "(identity); nothing of it is believed, and nothing is written to it"
     )
 
 
-def _shown(said: str | tuple[int, ...]) -> str:
+def _format_mark(said: str | tuple[int, ...]) -> str:
     return repr(list(said) if isinstance(said, tuple) else said)

@@ -15,8 +15,8 @@ from pymodbus.pdu import ModbusPDU
 
 from drivers.driver import BeforeSending, Clock, anyhow
 from drivers.errors import DeviceException, DriverError, LinkDown, LinkFault, ReplyMismatch, ReplyTimeout
-from drivers.modbus.replies import KEPT_S, ReplyStream, TransactionIds
-from drivers.modbus.verify import NO_WAY_TO_UNIT, Asked, asked, check_reply, words_of
+from drivers.modbus.replies import ID_REUSE_DELAY_S, ReplyStream, TransactionIds
+from drivers.modbus.verify import NO_WAY_TO_UNIT, Asked, check_reply, parse_request, unpack_words
 from drivers.modbus.wire import (
     ANY_ID,
     FLOOD,
@@ -30,7 +30,7 @@ from drivers.modbus.wire import (
     no_connection,
     socket_place,
 )
-from drivers.tap import current, moved
+from drivers.tap import current, make_frame
 
 
 @dataclass(slots=True)
@@ -138,12 +138,12 @@ class NumberedWire(asyncio.Protocol):
             await self._any_reply(deadline)
             deadline -= loop.time() - began
             transport = self._live()
-        if (part := self._stream.unfinished) and not self._is_awaited(part):
+        if (part := self._stream.remainder) and not self._has_waiter(part):
             self._break_cut(reason := NOT_BEHIND_A_PART.format(len(part)))
             raise LinkDown(reason, fault=LinkFault.CUT)
         before_sending()
         now = loop.time()
-        while self._questions and (oldest := next(iter(self._questions.items())))[1].at < now - KEPT_S:
+        while self._questions and (oldest := next(iter(self._questions.items())))[1].at < now - ID_REUSE_DELAY_S:
             del self._questions[oldest[0]]
         number = self._ids.take(now)
         pdu = bytes((request.dev_id, request.function_code)) + request.encode()
@@ -151,7 +151,9 @@ class NumberedWire(asyncio.Protocol):
         reply: asyncio.Future[WireReply] = loop.create_future()
         foreign = self.foreign
         self._late.pop(request.dev_id, None)
-        question = _Question(asked(frame), self._clock(), now, self._readings.setdefault(request.dev_id, number), reply)
+        question = _Question(
+            parse_request(frame), self._clock(), now, self._readings.setdefault(request.dev_id, number), reply
+        )
         self._questions[number] = question
         self._unasked = 0
         self._since_answer[request.dev_id] += 1
@@ -161,10 +163,10 @@ class NumberedWire(asyncio.Protocol):
         def too_late() -> None:
             if reply.done():
                 return
-            others, part = self.foreign - foreign, self._stream.unfinished
+            others, part = self.foreign - foreign, self._stream.remainder
             late = self._late.get(question.asked.unit)
             why = LATE.format(late) if late else OTHER_ID.format(others) if others else ""
-            if part[:2] != frame[:2] and self._is_awaited(part):
+            if part[:2] != frame[:2] and self._has_waiter(part):
                 part = b""
             remedy = ANY_ID if others and not late and not part else None
             why = f" ({len(part)} bytes of one came)" if part else why
@@ -185,7 +187,7 @@ class NumberedWire(asyncio.Protocol):
             raise LinkDown("the connection is closed")
         return self._transport
 
-    def _is_awaited(self, part: bytes) -> bool:
+    def _has_waiter(self, part: bytes) -> bool:
         """Whether it is of a reply that somebody waits for."""
         question = self._questions.get(int.from_bytes(part[:2], "big")) if len(part) > 1 else None
         return question is not None and question.reply is not None and not question.reply.done()
@@ -220,7 +222,7 @@ class NumberedWire(asyncio.Protocol):
     def connection_lost(self, exc: Exception | None) -> None:
         if self._transport is None:
             return
-        where = " in the middle of a reply" if self._stream.unfinished else ""
+        where = " in the middle of a reply" if self._stream.remainder else ""
         reason, fault = f"the peer closed the connection{where}", LinkFault.CLOSED
         if self._secured is not None and isinstance(exc, ssl.SSLError):
             reason, fault = self._secured.sentence(exc), LinkFault.OTHER
@@ -237,7 +239,7 @@ class NumberedWire(asyncio.Protocol):
         number = int.from_bytes(frame[:2], "big")
         question = self._questions.pop(number, None)
         if question is not None:
-            self._ids.answered(number)
+            self._ids.note_reply(number)
             self._since_answer.clear()
             self._any_answer.set()
         waiting = question
@@ -267,13 +269,13 @@ class NumberedWire(asyncio.Protocol):
         except (ReplyMismatch, DeviceException) as error:
             waiting.reply.set_exception(error)
             return
-        waiting.reply.set_result(WireReply(words_of(question.asked, frame[9:]), question.sent, received))
+        waiting.reply.set_result(WireReply(unpack_words(question.asked, frame[9:]), question.sent, received))
 
     def _tell(self, data: bytes, *, sent: bool) -> None:
         """Let the evidence know, where somebody gathers it."""
         if self._tap is not None and self._transport is not None:
             ends = [socket_place(self._transport.get_extra_info(name)) for name in ("peername", "sockname")]
-            self._tap(moved("tcp", ends[0], data, sent=sent, local=ends[1]))
+            self._tap(make_frame("tcp", ends[0], data, sent=sent, local=ends[1]))
 
     def _break_cut(self, reason: str) -> None:
         self._break(reason, LinkFault.CUT)

@@ -68,7 +68,7 @@ def plan(tags: Sequence[Tag], limits: RequestLimits, quarantine: Quarantine = ()
     A tag is never split over two blocks, so a 32-bit value comes from one reply. Raises AddressError for a tag without
     a place in a Modbus device, or wider than one request.
     """
-    return plan_spans([fitting(locate(tag), limits) for tag in tags], limits, quarantine)
+    return plan_spans([check_span(locate(tag), limits) for tag in tags], limits, quarantine)
 
 
 def plan_spans(
@@ -79,7 +79,7 @@ def plan_spans(
     Taking the lowest address first and every further tag that still fits gives the fewest blocks: the first block must
     reach down to the lowest address anyway, and reaching further up never costs a request.
     """
-    free = [span for span in spans if refusal_of(span, quarantine) is None]
+    free = [span for span in spans if find_refusal(span, quarantine) is None]
     blocks: list[AddressBlock] = []
     for span in sorted(free, key=lambda span: (span.area, span.start, span.stop)):
         block = blocks[-1] if blocks else None
@@ -91,7 +91,7 @@ def plan_spans(
             and block.area is span.area
             and stop - block.start <= limits.largest(block.area)
             and span.start - block.stop <= limits.max_gap
-            and not any(_lies_within(refusal, block.area, block.start, stop) for refusal in quarantine)
+            and not any(_covers_refusal(refusal, block.area, block.start, stop) for refusal in quarantine)
         ):
             blocks[-1] = replace(block, count=stop - block.start, spans=(*block.spans, span))
         else:
@@ -99,7 +99,7 @@ def plan_spans(
     return tuple(blocks)
 
 
-def fitting(span: TagSpan, limits: RequestLimits) -> TagSpan:
+def check_span(span: TagSpan, limits: RequestLimits) -> TagSpan:
     """The span itself, if one request can read it. Raises AddressError if not."""
     if span.count > limits.largest(span.area):
         raise AddressError(
@@ -109,7 +109,7 @@ def fitting(span: TagSpan, limits: RequestLimits) -> TagSpan:
     return span
 
 
-def _lies_within(refusal: RefusedRange, area: Area, start: int, stop: int) -> bool:
+def _covers_refusal(refusal: RefusedRange, area: Area, start: int, stop: int) -> bool:
     """True if a request for start..stop - 1 contains all that was refused, or crosses the seam.
 
     A request that only shares addresses with a refused one may well be answered: it is not known which was to blame.
@@ -121,10 +121,10 @@ def _lies_within(refusal: RefusedRange, area: Area, start: int, stop: int) -> bo
     return start <= refusal.start and refusal.stop <= stop
 
 
-def refusal_of(span: TagSpan, quarantine: Quarantine) -> RefusedRange | None:
+def find_refusal(span: TagSpan, quarantine: Quarantine) -> RefusedRange | None:
     """The refusal that forbids to ask for the tag, if any."""
     own = (refusal for refusal in quarantine if not refusal.is_seam)
-    return next((refusal for refusal in own if _lies_within(refusal, span.area, span.start, span.stop)), None)
+    return next((refusal for refusal in own if _covers_refusal(refusal, span.area, span.start, span.stop)), None)
 
 
 # ---------------------------------------------------------------- bisection of a refused block
@@ -177,10 +177,10 @@ def _block(spans: Sequence[TagSpan]) -> AddressBlock:
 
 def with_refusal(quarantine: Quarantine, refusal: RefusedRange) -> Quarantine:
     """Put the refusal in, in the place of an older one of the same addresses."""
-    return (*without(quarantine, refusal), refusal)
+    return (*remove_refusal(quarantine, refusal), refusal)
 
 
-def without(quarantine: Quarantine, refusal: RefusedRange) -> Quarantine:
+def remove_refusal(quarantine: Quarantine, refusal: RefusedRange) -> Quarantine:
     """Take the refusal of these addresses out: they answer again."""
     place = (refusal.area, refusal.start, refusal.stop)
     return tuple(other for other in quarantine if (other.area, other.start, other.stop) != place)

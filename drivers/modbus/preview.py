@@ -8,16 +8,16 @@ from drivers.errors import AddressError
 from drivers.modbus import rtu
 from drivers.modbus.address import TagSpan, locate
 from drivers.modbus.factors import ScaledTag, in_order, scaled_tag, spans_of
-from drivers.modbus.plan import AddressBlock, RequestLimits, by_block, fitting, plan_spans
+from drivers.modbus.plan import AddressBlock, RequestLimits, by_block, check_span, plan_spans
 from drivers.modbus.settings import ModbusSettings, read_settings
 from drivers.survey import PlannedRequest, ReadPlan
 from drivers.tag import Tag
 
-_ASKED, _HEAD = 8, 5
+_REQUEST_BYTES, _REPLY_HEAD_BYTES = 8, 5
 """Bytes of a read request, and of a reply beside its data, on a serial line (MODBUS over Serial Line V1.02, 2.5)."""
 
 
-def planned(settings: Mapping[str, Any], tags: Sequence[Tag], written: Sequence[Tag]) -> ReadPlan:
+def plan_requests(settings: Mapping[str, Any], tags: Sequence[Tag], written: Sequence[Tag]) -> ReadPlan:
     """The requests of one scan, and those of one write of each block. Raises DriverError for a setting."""
     checked = read_settings(settings)
     limits = checked.limits
@@ -32,7 +32,7 @@ def planned(settings: Mapping[str, Any], tags: Sequence[Tag], written: Sequence[
                 span, factors[tag.scale_from] = spans_of(part, limits)
                 scaled[tag.name] = part
             else:
-                span = fitting(locate(tag), limits)
+                span = check_span(locate(tag), limits)
             spans.append(span)
         except AddressError as error:
             problems.append(str(error))
@@ -49,7 +49,7 @@ def planned(settings: Mapping[str, Any], tags: Sequence[Tag], written: Sequence[
         )
         for block in blocks
     ]
-    writings = [_writing(block, checked, limits) for block in by_block(written)]
+    writings = [_plan_write(block, checked, limits) for block in by_block(written)]
     writes = tuple(request for requests, _ in writings for request in requests)
     refused = [problem for _, problems in writings for problem in problems]
     seconds = sum(request.seconds for request in requests) + limits.pause * max(0, len(requests) - 1)
@@ -60,11 +60,11 @@ def planned(settings: Mapping[str, Any], tags: Sequence[Tag], written: Sequence[
         seconds=seconds,
         write_seconds=sum(request.seconds for request in writes),
         overlaps=_overlaps(spans),
-        written_by=_written_by(written, checked),
+        written_by=_write_functions(written, checked),
     )
 
 
-def _written_by(written: Sequence[Tag], checked: ModbusSettings) -> str:
+def _write_functions(written: Sequence[Tag], checked: ModbusSettings) -> str:
     """By which function a block is written; "" where none is, or where it has no place."""
     try:
         areas = {locate(tag).area for tag in written}
@@ -86,11 +86,11 @@ def _written_by(written: Sequence[Tag], checked: ModbusSettings) -> str:
 def _worst(count: int, block: AddressBlock, checked: ModbusSettings) -> float:
     """The deadline, and on a serial line the time that the bytes need (s)."""
     octets = (count + 7) // 8 if block.area.is_bits else 2 * count
-    wire = rtu.transmission(_ASKED + _HEAD + octets, checked.baud) if checked.serial else 0.0
+    wire = rtu.transmission(_REQUEST_BYTES + _REPLY_HEAD_BYTES + octets, checked.baud) if checked.serial else 0.0
     return checked.timeout + wire
 
 
-def _writing(
+def _plan_write(
     written: Sequence[Tag], checked: ModbusSettings, limits: RequestLimits
 ) -> tuple[tuple[PlannedRequest, ...], tuple[str, ...]]:
     """One write of the block, and the requests that read it back; and what keeps it from being one request."""

@@ -4,10 +4,18 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from drivers.modbus.address import Area, TagSpan
-from drivers.modbus.plan import AddressBlock, Quarantine, RefusedRange, refusal_of, retry_delay, with_refusal, without
+from drivers.modbus.plan import (
+    AddressBlock,
+    Quarantine,
+    RefusedRange,
+    find_refusal,
+    remove_refusal,
+    retry_delay,
+    with_refusal,
+)
 from drivers.tag import Quality
 
-SILENT_TIMES = 6.0
+SILENCE_CAP_FACTOR = 6.0
 """What a device refuses by silence waits so many times as long at most."""
 
 
@@ -47,7 +55,7 @@ class RefusedAddresses:
         """The refused place among these tags that has waited longest and may be asked again, if any."""
         due = [refusal for refusal in self.quarantine if not refusal.is_seam and refusal.retry_at <= now]
         for refusal in sorted(due, key=lambda refusal: refusal.retry_at):
-            barred = [span for span in spans if refusal_of(span, (refusal,)) is not None]
+            barred = [span for span in spans if find_refusal(span, (refusal,)) is not None]
             if barred:
                 # The narrowest tag: a wider one may be refused for a neighbour's address and not for its own.
                 least = min(barred, key=lambda span: span.count)
@@ -57,7 +65,7 @@ class RefusedAddresses:
 
     def verdict(self, span: TagSpan, now: float) -> tuple[Quality, str]:
         """Quality and reason of a tag that was not asked because its place is refused."""
-        refusal = refusal_of(span, self.quarantine)
+        refusal = find_refusal(span, self.quarantine)
         if refusal is None:
             return Quality.NO_DATA, "its place has just rejoined and is read next time"
         wait = max(0.0, refusal.retry_at - now)
@@ -68,7 +76,7 @@ class RefusedAddresses:
         hopeless = self._hopeless.get((block.area, block.start, block.count))
         return hopeless is None or hopeless.retry_at <= now
 
-    def answered(self, block: AddressBlock) -> None:
+    def note_answer(self, block: AddressBlock) -> None:
         """The block as a whole answers (again)."""
         self._hopeless.pop((block.area, block.start, block.count), None)
 
@@ -82,11 +90,11 @@ class RefusedAddresses:
         now: float,
         silent: bool = False,
     ) -> None:
-        """Take over what a bisection found: `answered` if any part did, `reasons` by (start, stop) of what did not.
+        """Take over what a bisection found: `note_answer` if any part did, `reasons` by (start, stop) of what did not.
 
         What was `silent` waits longer: asking it takes a deadline each time, and on a line more.
         """
-        cap = self._cap * (SILENT_TIMES if silent else 1.0)
+        cap = self._cap * (SILENCE_CAP_FACTOR if silent else 1.0)
         key = (block.area, block.start, block.count)
         if not answered:
             before = self._hopeless.get(key)
@@ -101,18 +109,18 @@ class RefusedAddresses:
 
     def rejoin(self, trial: AddressBlock) -> None:
         """A trial has answered: its place is planned with its neighbours again."""
-        for refusal in self._within(trial):
-            self.quarantine = without(self.quarantine, refusal)
+        for refusal in self._inner_refusals(trial):
+            self.quarantine = remove_refusal(self.quarantine, refusal)
 
     def again(self, trial: AddressBlock, reason: str, now: float, *, silent: bool = False) -> None:
         """A trial was refused: it waits twice as long."""
-        cap = self._cap * (SILENT_TIMES if silent else 1.0)
-        for refusal in self._within(trial):
+        cap = self._cap * (SILENCE_CAP_FACTOR if silent else 1.0)
+        for refusal in self._inner_refusals(trial):
             strikes = refusal.strikes + 1
             wait = retry_delay(strikes, self._first, cap)
             again = replace(refusal, retry_at=now + wait, strikes=strikes, reason=reason)
             self.quarantine = with_refusal(self.quarantine, again)
 
-    def _within(self, trial: AddressBlock) -> Quarantine:
+    def _inner_refusals(self, trial: AddressBlock) -> Quarantine:
         refused = (refusal for refusal in self.quarantine if not refusal.is_seam and refusal.area is trial.area)
         return tuple(refusal for refusal in refused if trial.start <= refusal.start and refusal.stop <= trial.stop)

@@ -14,12 +14,12 @@ from collections.abc import Callable, Collection
 from drivers.errors import LinkDown
 from drivers.modbus.verify import HEADER, split_frames
 
-KEPT_S = 600.0
+ID_REUSE_DELAY_S = 600.0
 """So long an id is not used again after a question without an answer."""
-SETTLE_S = 0.05
+FRAME_REST_TIMEOUT_S = 0.05
 """The rest of a frame whose first bytes have come follows within so long: a system's delayed acknowledgement is 0.04 s
 (RFC 9293, 3.8.6.3), for which a peer that writes a frame in two pieces waits with the second."""
-LATEST = 1024
+MAX_RECENT_REQUESTS = 1024
 """Replies to so many requests, the latest, are reckoned with."""
 _AMBIGUOUS_BYTES = HEADER + 1
 """Bytes up to which a few registers may look like the beginning of a frame."""
@@ -39,7 +39,7 @@ class TransactionIds:
 
     def take(self, now: float) -> int:
         """The next id that no request without an answer has. Raises LinkDown where all are taken."""
-        while self._unanswered and next(iter(self._unanswered.values())) < now - KEPT_S:
+        while self._unanswered and next(iter(self._unanswered.values())) < now - ID_REUSE_DELAY_S:
             del self._unanswered[next(iter(self._unanswered))]
         if len(self._unanswered) >= _LAST_ID:
             raise LinkDown("every transaction id waits for an answer")
@@ -49,7 +49,7 @@ class TransactionIds:
         self._unanswered[self._last] = now
         return self._last
 
-    def answered(self, number: int) -> None:
+    def note_reply(self, number: int) -> None:
         """A reply with this id has come."""
         self._unanswered.pop(number, None)
 
@@ -60,7 +60,7 @@ class TransactionIds:
         if not _is_head(piece):
             return False
         if len(piece) > _AMBIGUOUS_BYTES:
-            return (self._last - _number(piece)) % _LAST_ID < LATEST
+            return (self._last - _number(piece)) % _LAST_ID < MAX_RECENT_REQUESTS
         return any(number.to_bytes(2, "big").startswith(piece[:2]) for number in self._unanswered if number != own)
 
 
@@ -80,7 +80,7 @@ class ReplyStream:
         self._settling: asyncio.TimerHandle | None = None
 
     @property
-    def unfinished(self) -> bytes:
+    def remainder(self) -> bytes:
         """What has come of a frame that is not whole, or of one that is not believed yet; empty if there is none."""
         return self._held or self._rest
 
@@ -114,7 +114,7 @@ class ReplyStream:
                 return
         if answers and answers[-1] == _number(frames[-1]) and (doubted or 0 < len(self._rest) < HEADER):
             self._held = frames.pop()
-            self._settling = asyncio.get_running_loop().call_later(SETTLE_S, self._settle)
+            self._settling = asyncio.get_running_loop().call_later(FRAME_REST_TIMEOUT_S, self._settle)
         for frame in frames:
             self._give(frame)
 

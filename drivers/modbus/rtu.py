@@ -30,7 +30,7 @@ def crc(data: bytes) -> bytes:
     return FramerRTU.compute_CRC(data).to_bytes(2, "big")
 
 
-def asked(frame: bytes) -> Asked:
+def parse_request(frame: bytes) -> Asked:
     """What a request of function 1 to 6, 15 or 16 asks for, from its own bytes; 17 and 43 have no address."""
     if frame[1] in SAYS_WHO:
         return Asked(0, frame[0], frame[1], 0, 0)
@@ -99,7 +99,7 @@ def _identity_length(data: bytes) -> int | None:
     return end + 2
 
 
-def unwrapped(request: Asked, frame: bytes) -> bytes:
+def unwrap(request: Asked, frame: bytes) -> bytes:
     """The frame as Modbus TCP would have it (the header's first six bytes are 0). Raises ReplyMismatch by the CRC."""
     if crc(frame[:-2]) != frame[-2:]:
         raise ReplyMismatch(f"{request}: the reply's CRC is wrong (noise on the line, or another baud rate or parity?)")

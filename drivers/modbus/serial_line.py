@@ -22,16 +22,16 @@ from drivers.errors import DeviceException, LinkDown, LinkFault, NotAsked, Reply
 from drivers.modbus import rtu
 from drivers.modbus.ascii import AsciiStream, ascii_frame
 from drivers.modbus.settings import ModbusSettings
-from drivers.modbus.verify import ECHOED, HEADER, Asked, check_reply, split_frames, words_of
+from drivers.modbus.verify import ECHOED, HEADER, Asked, check_reply, split_frames, unpack_words
 from drivers.modbus.wire import WireReply, socket_place
-from drivers.tap import Medium, current, moved
+from drivers.tap import Medium, current, make_frame
 
 GAP_S = 0.02
 """A pause that ends a reply of unknown length: long against an operating system's buffers, short against a deadline."""
-TORN_S = 5 * GAP_S
+TORN_REPLY_GAP_S = 5 * GAP_S
 """After a pause of so long on a serial port the rest of a reply does not come any more: its bytes follow one another
 within 1.5 characters (MODBUS over serial line V1.02, 2.5.1.1). A device server's network knows no such limit."""
-_MOST_NOISE = 8
+_MAX_NOISE_BYTES = 8
 """Bytes before a reply that are passed over: what a transceiver makes as it turns round, no frame (V1.02, 2.5.1.1)."""
 _TURN_ROUND = (b"\0", b"\xff")
 """Of such bytes the first; no device has these numbers."""
@@ -153,16 +153,16 @@ class LineWire:
         Raises ReplyTimeout, ReplyMismatch, DeviceException, or LinkDown if the line is gone.
         """
         frame = rtu.request_frame(request)
-        wanted = rtu.asked(frame)
+        wanted = rtu.parse_request(frame)
         until = _now() + deadline + self._on_line(len(frame) + rtu.reply_octets(wanted))
         if not again:
             self._asked.discard(wanted.unit)
         await self._settle(wanted, until)
         owed = self._quiet.owed.get(wanted.unit) if wanted.unit in self._asked else None
-        if owed is not None and owed.question == wanted and self._is_reply_to(wanted):
+        if owed is not None and owed.question == wanted and self._holds_reply(wanted):
             late, self._data = self._data, b""
-            self._checked(wanted, late)
-            return WireReply(words_of(wanted, late[3:-2]), owed.sent, self._clock())
+            self._check(wanted, late)
+            return WireReply(unpack_words(wanted, late[3:-2]), owed.sent, self._clock())
         before_sending()
         self._data = b""
         sent = self._clock()
@@ -178,17 +178,17 @@ class LineWire:
             reply = await self._reply(wanted, frame, until)
             received = self._clock()
             self._data = self._data[len(reply) :]
-            self._checked(wanted, reply)
+            self._check(wanted, reply)
         except (ReplyTimeout, ReplyMismatch) as error:
             self._quiet.failures[wanted.unit] = str(error)
             raise
         self._quiet.failures.pop(wanted.unit, None)
-        return WireReply(words_of(wanted, reply[3:-2]), sent, received)
+        return WireReply(unpack_words(wanted, reply[3:-2]), sent, received)
 
-    def _checked(self, wanted: Asked, reply: bytes) -> None:
+    def _check(self, wanted: Asked, reply: bytes) -> None:
         """Raises ReplyMismatch or DeviceException; the line is free where this was the reply, whatever it said."""
         try:
-            check_reply(wanted, rtu.unwrapped(wanted, reply))
+            check_reply(wanted, rtu.unwrap(wanted, reply))
         except ReplyMismatch:
             if len(reply) == rtu.reply_octets(wanted) and reply[:2] == bytes((wanted.unit, wanted.function)):
                 self._quiet.owed.pop(wanted.unit, None)  # it was the answer, with noise in it
@@ -206,11 +206,11 @@ class LineWire:
         pause = rtu.silence(self._settings.baud)
         while True:
             self._take_out_late(wanted.unit)
-            owed = self._awaited(wanted)
-            if owed is not None and not self._is_reply_to(owed.question):
+            owed = self._find_owed_reply(wanted)
+            if owed is not None and not self._holds_reply(owed.question):
                 left = owed.until - _now()
                 if owed.question.unit != wanted.unit and self._settings.serial:
-                    left = min(left, self._heard + TORN_S - _now())
+                    left = min(left, self._heard + TORN_REPLY_GAP_S - _now())
                     if left <= 0.0:
                         self._data, self.foreign = b"", self.foreign + 1
                         continue
@@ -225,27 +225,27 @@ class LineWire:
             # What has begun to come in this very pause may be the head of another unit's late reply, whose tail must
             # not meet our request.
             self._take_out_late(wanted.unit)
-            owed = self._awaited(wanted)
+            owed = self._find_owed_reply(wanted)
             if owed is not None and owed.question.unit != wanted.unit:
                 continue
-            if owed is None and self._is_repeated() and (silent_at := self._heard + TORN_S) > _now():
+            if owed is None and self._skip_repeats() and (silent_at := self._heard + TORN_REPLY_GAP_S) > _now():
                 if not await self._more(min(until, silent_at)) and silent_at > until:
                     raise NotAsked(f"{wanted}: not asked, as the answer before it is being repeated")
                 continue
             break
         self.foreign += bool(self._data)
 
-    def _is_repeated(self) -> bool:
+    def _skip_repeats(self) -> bool:
         """Whether the last answer begins to come once more: it would be the next one's. Whole ones are dropped."""
         last = self._answered
         if last is None:
             return False
-        while self._is_reply_to(last):
+        while self._holds_reply(last):
             self._data = self._data[rtu.reply_length(last, self._data) :]
             self.foreign += 1
         return bool(self._data) and self._data[:2] == bytes((last.unit, last.function))[: len(self._data)]
 
-    def _awaited(self, wanted: Asked) -> Owed | None:
+    def _find_owed_reply(self, wanted: Asked) -> Owed | None:
         """The late reply that has to come, or to become impossible, before `wanted` may be asked: of its own unit, or
         of another one of which a part has come."""
         now = _now()
@@ -255,7 +255,7 @@ class LineWire:
                 return owed
         return None
 
-    def _is_reply_to(self, question: Asked) -> bool:
+    def _holds_reply(self, question: Asked) -> bool:
         """True if what came in the meantime begins with a whole reply to the question."""
         return rtu.begins_reply(question, self._data)
 
@@ -263,7 +263,7 @@ class LineWire:
         """Drop whole late replies of units other than the one that is asked from the front of what has come."""
         while self._data and self._data[0] != asked_unit:
             owed = self._quiet.owed.get(self._data[0])
-            if owed is None or not self._is_reply_to(owed.question):
+            if owed is None or not self._holds_reply(owed.question):
                 return
             self._data = self._data[rtu.reply_length(owed.question, self._data) :]
             del self._quiet.owed[owed.question.unit]
@@ -310,12 +310,14 @@ class LineWire:
     def _begins_with_noise(self, wanted: Asked) -> bool:
         if self._settings.transport in ("tcp", "udp"):
             return False  # what came with a header is whole, and from whom it says it is
-        return self._data[:1] in _TURN_ROUND and self._data[0] != wanted.unit and len(self._data) <= _MOST_NOISE + 256
+        return (
+            self._data[:1] in _TURN_ROUND and self._data[0] != wanted.unit and len(self._data) <= _MAX_NOISE_BYTES + 256
+        )
 
     def _pass_noise(self, wanted: Asked) -> bool:
         """Drop what stands before the reply that was asked for, which its unit, function, length and CRC tell."""
-        for at in range(1, min(_MOST_NOISE, len(self._data) - 1) + 1):
-            if rtu.begins_reply(wanted, self._data[at:]) and not self._is_reply_to(wanted):
+        for at in range(1, min(_MAX_NOISE_BYTES, len(self._data) - 1) + 1):
+            if rtu.begins_reply(wanted, self._data[at:]) and not self._holds_reply(wanted):
                 self._data, self.foreign = self._data[at:], self.foreign + 1
                 return True
         return False
@@ -348,16 +350,16 @@ class LineWire:
 
     # ------------------------------------------------------------ called by the port
 
-    def heard_headed(self, plain: bytes, *, matches: bool) -> None:
+    def receive_frame(self, plain: bytes, *, matches: bool) -> None:
         """A frame without its header has come; `matches`: the header's number was that of the last request."""
         if not matches and self._settings.transaction_id != "any":
             self.foreign += 1
             return
         if self._settings.answers_as == plain[0]:
             plain = bytes((self._settings.unit,)) + plain[1:]
-        self.heard(plain + rtu.crc(plain))
+        self.receive(plain + rtu.crc(plain))
 
-    def heard(self, data: bytes) -> None:
+    def receive(self, data: bytes) -> None:
         """Bytes have come."""
         self._tell(data, sent=False)
         if self._ascii is not None:
@@ -367,16 +369,16 @@ class LineWire:
         self._data, self._heard = self._data + data, _now()
         self._arrived.set()
         if len(self._data) > _FLOOD:
-            self.broken("somebody floods the line with bytes that nobody asked for")
+            self.note_loss("somebody floods the line with bytes that nobody asked for")
 
     def _tell(self, data: bytes, *, sent: bool) -> None:
         """Let the evidence know, where somebody gathers it."""
         if self._tap is not None and self._port is not None:
             place, local = self._port.ends
             network: Medium = "udp" if self._settings.transport == "udp" else "tcp"
-            self._tap(moved(network if local else "serial", place, data, sent=sent, local=local))
+            self._tap(make_frame(network if local else "serial", place, data, sent=sent, local=local))
 
-    def broken(self, reason: str, fault: LinkFault = LinkFault.OTHER) -> None:
+    def note_loss(self, reason: str, fault: LinkFault = LinkFault.OTHER) -> None:
         """The line is gone."""
         if self._port is not None:
             self.abandon()
@@ -414,7 +416,7 @@ class _SerialPort:
             if self._serial.write(data) != len(data):
                 raise LinkDown(f"{self._serial.port}: the port takes no more bytes")
         except OSError as error:
-            self._wire.broken(str(error))
+            self._wire.note_loss(str(error))
             raise LinkDown(f"{self._serial.port}: {error}") from error
 
     def close(self) -> None:
@@ -427,10 +429,10 @@ class _SerialPort:
         try:
             data = self._serial.read(_CHUNK)
         except (OSError, TypeError) as error:  # TypeError: pyserial, when the port was closed meanwhile
-            self._wire.broken(f"the port is gone ({error})")
+            self._wire.note_loss(f"the port is gone ({error})")
             return
         if data:
-            self._wire.heard(data)
+            self._wire.receive(data)
 
 
 class _Dialled(asyncio.Protocol):
@@ -445,10 +447,10 @@ class _Dialled(asyncio.Protocol):
             self._transport = transport
 
     def data_received(self, data: bytes) -> None:
-        self._wire.heard(data)
+        self._wire.receive(data)
 
     def connection_lost(self, exc: Exception | None) -> None:
-        self._wire.broken("the peer closed the connection", LinkFault.CLOSED)
+        self._wire.note_loss("the peer closed the connection", LinkFault.CLOSED)
 
     @property
     def ends(self) -> tuple[str, str]:
@@ -481,16 +483,16 @@ class _Headed(_Dialled):
     def send(self, data: bytes) -> None:
         """Send a frame with a header in the place of its checksum."""
         self._number = self._number % 0xFFFF + 1
-        super().send(headed(self._number, data[:-2]))
+        super().send(add_header(self._number, data[:-2]))
 
     def data_received(self, data: bytes) -> None:
         try:
             frames, self._rest = split_frames(self._rest + data)
         except ReplyMismatch as error:
-            self._wire.broken(str(error), LinkFault.FOREIGN)
+            self._wire.note_loss(str(error), LinkFault.FOREIGN)
             return
         for frame in frames:
-            self._wire.heard_headed(frame[HEADER:], matches=int.from_bytes(frame[:2], "big") == self._number)
+            self._wire.receive_frame(frame[HEADER:], matches=int.from_bytes(frame[:2], "big") == self._number)
 
 
 class _Datagrams(asyncio.DatagramProtocol):
@@ -509,13 +511,13 @@ class _Datagrams(asyncio.DatagramProtocol):
         try:
             frames, rest = split_frames(data)
         except ReplyMismatch as error:
-            self._wire.broken(str(error), LinkFault.FOREIGN)
+            self._wire.note_loss(str(error), LinkFault.FOREIGN)
             return
         for frame in frames if not rest else ():
-            self._wire.heard_headed(frame[HEADER:], matches=int.from_bytes(frame[:2], "big") == self._number)
+            self._wire.receive_frame(frame[HEADER:], matches=int.from_bytes(frame[:2], "big") == self._number)
 
     def error_received(self, exc: Exception) -> None:
-        self._wire.broken(f"nothing takes datagrams there ({exc})", LinkFault.REFUSED)
+        self._wire.note_loss(f"nothing takes datagrams there ({exc})", LinkFault.REFUSED)
 
     @property
     def ends(self) -> tuple[str, str]:
@@ -528,7 +530,7 @@ class _Datagrams(asyncio.DatagramProtocol):
         """Send a frame with a header in the place of its checksum."""
         if self._transport is not None:
             self._number = self._number % 0xFFFF + 1
-            self._transport.sendto(headed(self._number, data[:-2]))
+            self._transport.sendto(add_header(self._number, data[:-2]))
 
     def close(self) -> None:
         """Close at once."""
@@ -536,7 +538,7 @@ class _Datagrams(asyncio.DatagramProtocol):
             self._transport.abort()
 
 
-def headed(number: int, plain: bytes) -> bytes:
+def add_header(number: int, plain: bytes) -> bytes:
     """Unit and PDU behind a header of Modbus TCP."""
     return number.to_bytes(2, "big") + b"\0\0" + len(plain).to_bytes(2, "big") + plain
 

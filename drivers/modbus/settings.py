@@ -193,14 +193,14 @@ def read_settings(settings: Mapping[str, Any]) -> ModbusSettings:
     return check_settings("modbus", ModbusSettings, settings)
 
 
-def place_of(settings: ModbusSettings) -> Hashable:
+def connection_place(settings: ModbusSettings) -> Hashable:
     """What tells one connection from another."""
     if settings.serial:
         return ("modbus", os.path.realpath(settings.serial))
-    return ("modbus", _one_spelling(settings.host), settings.port)
+    return ("modbus", _canonical_host(settings.host), settings.port)
 
 
-def _one_spelling(host: str) -> str:
+def _canonical_host(host: str) -> str:
     """One text for all spellings of an address, and for this machine's own name; other names are not looked up."""
     if host.lower() == "localhost":
         return "127.0.0.1"
@@ -209,15 +209,15 @@ def _one_spelling(host: str) -> str:
     return host.lower()
 
 
-def place_at(settings: Mapping[str, Any]) -> Hashable:
-    """`place_of` settings that are not checked yet (`Capabilities.shares`). Raises DriverError."""
-    return place_of(read_settings(settings))
+def shared_place(settings: Mapping[str, Any]) -> Hashable:
+    """`connection_place` settings that are not checked yet (`Capabilities.shares`). Raises DriverError."""
+    return connection_place(read_settings(settings))
 
 
-def device_at(settings: Mapping[str, Any]) -> Hashable:
+def device_identity(settings: Mapping[str, Any]) -> Hashable:
     """What tells the device from others, also on its connection (`Capabilities.identifies`). Raises DriverError."""
     checked = read_settings(settings)
-    return (place_of(checked), checked.unit)
+    return (connection_place(checked), checked.unit)
 
 
 def with_place(settings: Mapping[str, Any]) -> dict[str, Any]:

@@ -25,8 +25,8 @@ from drivers.errors import DeviceException, DriverError, LinkDown, LinkFault, No
 from drivers.link import Backoff, DeadPeer, Link
 from drivers.modbus.replies import TransactionIds
 from drivers.modbus.settings import ModbusSettings
-from drivers.modbus.transport import AnyWire, explained, make_transport
-from drivers.modbus.turns import AT_ONCE, ReplyTimes, Stall, Suspect, Turns, UnitHealth
+from drivers.modbus.transport import AnyWire, explain, make_transport
+from drivers.modbus.turns import RETRY_AT_ONCE_S, ReplyTimes, Stall, Suspect, Turns, UnitHealth
 from drivers.modbus.verify import NO_WAY_TO_UNIT, WRITES
 from drivers.modbus.wire import WireReply
 from drivers.supervision import Supervisor
@@ -34,9 +34,9 @@ from drivers.supervision import Supervisor
 _UNDER_A_QUESTION = frozenset({LinkFault.CLOSED, LinkFault.FOREIGN, LinkFault.CUT})
 """How a connection ends under a question that is to blame for it: the peer hangs up, what comes is not Modbus, or only
 a part of the reply."""
-_FEW_ANSWERS = 8
+_MAX_HANG_UP_ANSWERS = 8
 """A connection that ends after no more of them was ended by a habit of the device."""
-_MOST_OPEN_BY_HAND = 8
+_MAX_OPEN_MANUAL_QUESTIONS = 8
 """Questions without an answer on a connection: somebody looks on, and ends it soon."""
 _OF_THE_CONNECTION = (
     "transport", "certificates", "tls_name", "baud", "parity", "stopbits", "echo", "longest_reply", "connect_timeout",
@@ -152,10 +152,15 @@ class SharedLink:
             if turn.waited:
                 # Another driver of the same unit may have asked it meanwhile.
                 self._raise_if_resting(settings, health, urgent=urgent)
-            if self.hangs_up and self._answers and request.function_code in WRITES and self.link.connection is not None:
+            if (
+                self.ends_connections
+                and self._answers
+                and request.function_code in WRITES
+                and self.link.connection is not None
+            ):
                 # It may be hanging up at this moment, and nothing is sent twice: a write has a connection of its own.
-                self.give_up(self.link.connection, "the device ends its connections after a few answers")
-                await self.link.renewed()
+                self.end_connection(self.link.connection, "the device ends its connections after a few answers")
+                await self.link.renew()
             wire, started = self.link.connection, _now()
             # As a rule it is ready: what `_ready_to_ask` would come to.
             if wire is None or wire is not self._greeted or settings.pause_ms or self._ask_from > started:
@@ -173,36 +178,36 @@ class SharedLink:
                 line.counts["timeouts" if isinstance(error, ReplyTimeout) else "mismatches"] += 1
                 waited = _now() - started
                 if wire.fault is LinkFault.CUT:
-                    self._suspect = self._suspected(settings.unit, stalled=False)
-                shadowed = isinstance(error, ReplyTimeout) and self._shadowed(settings.unit, started)
+                    self._suspect = self._make_suspect(settings.unit, stalled=False)
+                shadowed = isinstance(error, ReplyTimeout) and self._joins_stall(settings.unit, started)
                 if shadowed or not self._is_its_own(settings, health, started):
-                    with self._noting_its_end(wire):
+                    with self._note_end(wire):
                         self.link.failed(wire, waited, str(error))
                 if request.function_code in WRITES and not isinstance(error, NotAsked):
-                    self.give_up(wire, "a write was not answered: what is left of it must not arrive later")
+                    self.end_connection(wire, "a write was not answered: what is left of it must not arrive later")
                 raise
             except DeviceException as error:
                 line.counts["exceptions"] += 1
-                self.link.answered(wire)
+                self.link.note_answer(wire)
                 if error.code in NO_WAY_TO_UNIT and len(self.health) > 1:
                     self._note_life(settings)
                     self._is_its_own(settings, health, started)
                 else:
                     self._note_answer(settings, health)
-                raise explained(error, wire) from None
+                raise explain(error, wire) from None
             except LinkDown as error:
                 # What ends the connection under its question again and again is the unit's own, as silence would be.
                 if wire.fault in _UNDER_A_QUESTION:
                     self._is_its_own(settings, health, started)
-                    self._suspect = self._suspected(settings.unit, stalled=False)
-                self.give_up(wire, str(error))
-                raise self._turned_away(error, wire) from None
+                    self._suspect = self._make_suspect(settings.unit, stalled=False)
+                self.end_connection(wire, str(error))
+                raise self._explain_end(error, wire) from None
             finally:
                 self._under_way -= 1
                 self._last_exchange = _now()
             self._times.take(self._last_exchange - started)
             health.times.take(self._last_exchange - health.asked_at)
-            self.link.answered(wire)
+            self.link.note_answer(wire)
             self._note_answer(settings, health)
             return reply
 
@@ -213,29 +218,29 @@ class SharedLink:
         """
         async with self._turns.turn(request.dev_id, urgent=True, probe=False):
             if self.link.connection is None:
-                await self.link.renewed()
+                await self.link.renew()
             wire = await self._ready_to_ask(line.settings)
             line.counts["requests"] += 1
             try:
-                reply = await wire.ask(request, deadline, again=again, most_open=_MOST_OPEN_BY_HAND)
+                reply = await wire.ask(request, deadline, again=again, most_open=_MAX_OPEN_MANUAL_QUESTIONS)
             except DeviceException as error:
                 line.counts["exceptions"] += 1
-                self.link.answered(wire)
+                self.link.note_answer(wire)
                 self._answered_at = _now()
-                raise explained(error, wire) from None
+                raise explain(error, wire) from None
             except (ReplyTimeout, ReplyMismatch) as error:
                 line.counts["timeouts" if isinstance(error, ReplyTimeout) else "mismatches"] += 1
                 raise
             except LinkDown as error:
-                self.give_up(wire, str(error))
-                raise self._turned_away(error, wire) from None
+                self.end_connection(wire, str(error))
+                raise self._explain_end(error, wire) from None
             finally:
                 self._last_exchange = _now()
-            self.link.answered(wire)
+            self.link.note_answer(wire)
             self._answered_at = _now()
             return reply
 
-    def _turned_away(self, error: LinkDown, wire: AnyWire) -> LinkDown:
+    def _explain_end(self, error: LinkDown, wire: AnyWire) -> LinkDown:
         """The end of a connection; what it may mean where nothing has been answered on any."""
         if self._answered_at or wire.fault is not LinkFault.CLOSED:
             return error
@@ -265,7 +270,7 @@ class SharedLink:
     async def ready(self) -> None:
         """Have a connection again after `rest`. What comes of it the next exchange tells."""
         if self.link.connection is None:
-            await self.link.renewed()
+            await self.link.renew()
 
     def rest(self) -> None:
         """Leave the connection to others until the next exchange, unless a unit is being asked."""
@@ -300,7 +305,7 @@ class SharedLink:
                     fault=LinkFault.SILENT,
                 )
             return
-        left = max(rest, 0.0 if health.retry_at == AT_ONCE else max(health.retry_at, self._next_probe) - now)
+        left = max(rest, 0.0 if health.retry_at == RETRY_AT_ONCE_S else max(health.retry_at, self._next_probe) - now)
         if left <= 0 and not urgent:
             return
         wait = f"asked again in {left:.1f} s" if left > 0 else "asked again with the next reading"
@@ -325,13 +330,13 @@ class SharedLink:
             self._charge(settings, health)
         health.wasted.waited = 0.0
         self._note_life(settings)
-        health.answered(self.link.connects)
+        health.note_answer(self.link.connects)
 
     def _note_life(self, settings: ModbusSettings) -> None:
         """Something has been answered: the connection lives."""
         self._answered_at, self._stall = _now(), None
         self._answers += 1
-        if self._answers > _FEW_ANSWERS:
+        if self._answers > _MAX_HANG_UP_ANSWERS:
             self._hang_ups = 0
         if self._suspect is not None and self._suspect.stalled and self._suspect.unit != settings.unit:
             # The others answer on the new connection. Whoever was asked when the last one stalled may have been the
@@ -364,7 +369,7 @@ class SharedLink:
         share = self._share
         health.wasted.fill(_now(), share, settings.longest_read + share * settings.silent_cap, seconds)
 
-    def _shadowed(self, unit: int, started: float) -> bool:
+    def _joins_stall(self, unit: int, started: float) -> bool:
         """Whether a question has had no answer because an earlier one, to another unit, has stopped the connection."""
         if self._answered_at > started:
             return False
@@ -387,34 +392,34 @@ class SharedLink:
             self._charge(self.settings, health, now - stall.since)
         if there:
             health.times.take(now - health.asked_at)
-            health.heard()
+            health.note_late_answer()
 
     # ------------------------------------------------------------ the connection
 
-    def give_up(self, wire: AnyWire, reason: str) -> None:
+    def end_connection(self, wire: AnyWire, reason: str) -> None:
         """End this connection; the next one is waited for, so that it costs the other units nothing but that."""
-        with self._noting_its_end(wire):
+        with self._note_end(wire):
             self.link.lost(wire, reason, wire.fault)
 
     @contextmanager
-    def _noting_its_end(self, wire: AnyWire) -> Iterator[None]:
+    def _note_end(self, wire: AnyWire) -> Iterator[None]:
         """If this ends the connection: the next is waited for, and the unit that stalled it is asked after another."""
         present, proven = wire is self.link.connection, self.link.proven
         yield
         if not present or self.link.connection is not None:
             return
-        if proven and wire.fault is LinkFault.CLOSED and self._answers <= _FEW_ANSWERS:
+        if proven and wire.fault is LinkFault.CLOSED and self._answers <= _MAX_HANG_UP_ANSWERS:
             self._hang_ups += 1
         # A device that hangs up between two questions takes the next call, and so does one that has a habit of it.
-        hangs_up = wire.fault is LinkFault.CLOSED and (not self._under_way or self.hangs_up)
+        hangs_up = wire.fault is LinkFault.CLOSED and (not self._under_way or self.ends_connections)
         self.renewing = proven and (len(self.health) > 1 or hangs_up)
         self._made.clear()
         if self._stall is not None and self._stall.others:
-            self._suspect = self._suspected(self._stall.unit, stalled=True)
+            self._suspect = self._make_suspect(self._stall.unit, stalled=True)
         self._stall = None
 
     @property
-    def hangs_up(self) -> bool:
+    def ends_connections(self) -> bool:
         """True for a peer that has a habit of ending connections after a few answers."""
         return self._hang_ups > 1
 
@@ -422,7 +427,7 @@ class SharedLink:
         """True for the unit with whose question the last connection ended, until another one has been asked."""
         return self._suspect is not None and self._suspect.unit == unit and _now() < self._suspect.until
 
-    def _suspected(self, unit: int, *, stalled: bool) -> Suspect | None:
+    def _make_suspect(self, unit: int, *, stalled: bool) -> Suspect | None:
         patience = self.settings.connect_timeout + self.settings.timeout
         return Suspect(unit, _now() + patience, stalled) if len(self.health) > 1 else None
 
@@ -433,7 +438,7 @@ class SharedLink:
                     await self._made.wait()
             self.renewing = False
         if self.link.connection is None and self.settings.close_between_scans:
-            await self.link.renewed()
+            await self.link.renew()
         wire = self.link.connection
         if wire is None:
             one = self.settings.one_client
@@ -442,7 +447,7 @@ class SharedLink:
         return wire
 
     async def _connect(self) -> AnyWire:
-        wire = self.transport.wire(lambda reason: self.give_up(wire, reason))
+        wire = self.transport.wire(lambda reason: self.end_connection(wire, reason))
         await wire.connect()
         self.renewing, self._answers = False, 0
         self._made.set()
@@ -510,7 +515,7 @@ class UnitLine:
             return await self._shared.exchange(self, request, before_sending, again=again, urgent=urgent)
         except LinkDown:
             written = request.function_code in WRITES
-            next_call = self._shared.renewing or self._shared.hangs_up
+            next_call = self._shared.renewing or self._shared.ends_connections
             if written or not next_call or self._shared.suspects(self.settings.unit):
                 raise
             # Another unit has ended the connection under a read, by a write or by what came, or the device has hung up:
@@ -535,9 +540,9 @@ class UnitLine:
         return self._shared.link.connects, self.counts["timeouts"] + self.counts["mismatches"]
 
     @property
-    def hangs_up(self) -> bool:
+    def ends_connections(self) -> bool:
         """Whether the device is known to end the connection after its answers."""
-        return self._shared.hangs_up
+        return self._shared.ends_connections
 
     def statistics(self) -> Mapping[str, float]:
         """The unit's counters, and those of the connection that it has a part of."""

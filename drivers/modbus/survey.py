@@ -1,7 +1,7 @@
 """A Modbus device asked by hand, over its driver's own connection and by its rules (see `drivers.survey`).
 
 Tags are read as the gateway reads them. A single question is sent once, and fails as it fails; the first one to a
-device is waited for, and asked again, over FIRST_S.
+device is waited for, and asked again, over FIRST_ANSWER_S.
 """
 
 import asyncio
@@ -22,12 +22,12 @@ from drivers.modbus.wire import WireReply, read_request
 from drivers.survey import Raw, ReadWords
 from drivers.tag import Quality, Tag
 
-FIRST_S = 3.0
+FIRST_ANSWER_S = 3.0
 """Seconds for which the first question to a device is asked and waited for."""
 SEARCH_S = 20.0
 """Seconds for which places are looked for that a device refuses by silence."""
 _SILENT = frozenset({Quality.TIMEOUT, Quality.NOT_CONNECTED})
-_REGULAR = 3
+_REGULAR_OBJECT_ID = 3
 """The first object of the regular category of an identification."""
 
 
@@ -48,7 +48,7 @@ class ModbusSurvey:
     def __init__(self, settings: ModbusSettings, clock: Clock) -> None:
         self._settings = settings
         # A person looks on: a connection is not given up while the first question is asked.
-        patient = {"max_failures": 100, "max_silence": max(settings.max_silence, 2 * FIRST_S)}
+        patient = {"max_failures": 100, "max_silence": max(settings.max_silence, 2 * FIRST_ANSWER_S)}
         self.driver: ModbusDriver = make_modbus(
             settings.model_copy(update=patient), clock=clock, connections=Connections()
         )
@@ -91,7 +91,7 @@ class ModbusSurvey:
         said = await self._objects(0, unit)
         if any(said.values()):
             with suppress(DriverError):
-                said |= {name: text for name, text in (await self._objects(_REGULAR, unit)).items() if text}
+                said |= {name: text for name, text in (await self._objects(_REGULAR_OBJECT_ID, unit)).items() if text}
         return said
 
     async def _objects(self, wanted: int, unit: int | None) -> dict[str, str]:
@@ -124,9 +124,9 @@ class ModbusSurvey:
                 await self._exchange(read_request(span.area, span.start, span.count, self._unit(None)))
             if self._answered:
                 samples = await self.driver.read(tags)
-        until, searching = _now() + SEARCH_S, self.driver.searching
+        until, searching = _now() + SEARCH_S, self.driver.is_searching
         while searching and _now() < until:
-            searching = self.driver.searching
+            searching = self.driver.is_searching
             samples = await self.driver.read(tags)  # once more after its end, for all that is not refused
         self._tried = self._tried or any(sample.sent is not None for sample in samples)
         return [self.driver.raw(tag, sample) for tag, sample in zip(tags, samples, strict=True)]
@@ -145,7 +145,7 @@ class ModbusSurvey:
             try:
                 return await self._once(request, deadline, again=again)
             except ReplyTimeout:
-                again, deadline = True, min(2 * deadline, began + FIRST_S - _now())
+                again, deadline = True, min(2 * deadline, began + FIRST_ANSWER_S - _now())
                 if deadline < self._settings.timeout:
                     raise
             finally:

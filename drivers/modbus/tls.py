@@ -83,10 +83,10 @@ def load_identity(folder: Path) -> Identity:
     except (OSError, *_UNREADABLE) as error:
         reason = getattr(error, "reason", None) or getattr(error, "strerror", None) or str(error)
         raise DriverError(f"modbus: certificates: {folder} cannot be used ({reason}); make them anew") from None
-    return Identity(folder, context, role_of(certificate), certificate.not_valid_after_utc)
+    return Identity(folder, context, certificate_role(certificate), certificate.not_valid_after_utc)
 
 
-def role_of(certificate: x509.Certificate) -> str:
+def certificate_role(certificate: x509.Certificate) -> str:
     """The role in a certificate; empty where there is none."""
     try:
         value = certificate.extensions.get_extension_for_oid(ROLE).value

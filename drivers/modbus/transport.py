@@ -52,7 +52,7 @@ class ModbusTransport:
     cautions: Callable[[], tuple[str, ...]]
 
 
-def explained(error: DeviceException, wire: AnyWire) -> DeviceException:
+def explain(error: DeviceException, wire: AnyWire) -> DeviceException:
     """The device's refusal with what it may mean on the wire over which it came."""
     if error.code != _ILLEGAL_FUNCTION or not wire.refusal_hint:
         return error
@@ -71,13 +71,13 @@ def make_transport(
     """
     place = (settings.host, settings.port)
 
-    def headed(on_lost: Callable[[str], None], secured: Secured | None = None) -> AnyWire:
+    def make_wire(on_lost: Callable[[str], None], secured: Secured | None = None) -> AnyWire:
         if on_late is None:
             return Wire(*place, ids=ids, clock=clock, on_lost=on_lost, secured=secured)
         return NumberedWire(*place, ids=ids, clock=clock, on_lost=on_lost, on_late=on_late, secured=secured)
 
     if settings.transport == "tcp" and not settings.by_shape:
-        return ModbusTransport(headed, tuple)
+        return ModbusTransport(make_wire, tuple)
     if settings.transport != "tls":  # a line, or a connection that is treated as one
         # One for all wires to come: what is still under way on the line outlives a reconnection.
         quiet = Quiet()
@@ -90,12 +90,12 @@ def make_transport(
 
     folder = Path(settings.certificates)
 
-    def secured(on_lost: Callable[[str], None]) -> AnyWire:
+    def make_tls_wire(on_lost: Callable[[str], None]) -> AnyWire:
         try:
             identity = tls.load_identity(folder)
         except DriverError as error:
             raise LinkDown(str(error)) from None
         name, hint = settings.tls_name or settings.host, tls.refusal_hint(identity.role)
-        return headed(on_lost, Secured(identity.context, name, tls.sentence, hint))
+        return make_wire(on_lost, Secured(identity.context, name, tls.sentence, hint))
 
-    return ModbusTransport(secured, lambda: tls.cautions(folder, dt.datetime.now(dt.UTC)))
+    return ModbusTransport(make_tls_wire, lambda: tls.cautions(folder, dt.datetime.now(dt.UTC)))

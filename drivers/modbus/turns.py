@@ -8,10 +8,10 @@ from drivers.modbus.plan import retry_delay
 
 URGENT_IN_A_ROW = 8
 """So many urgent turns are given one after another while something else waits; then that has one."""
-AT_ONCE = 0.0
+RETRY_AT_ONCE_S = 0.0
 SHORT_WAIT_S = 0.05
 """A unit that has failed while others answer is waited for so long at least."""
-LONG_PROBE = 8
+LONG_PROBE_INTERVAL = 8
 """Each so-many-th question to a silent unit has the whole deadline: the unit may have become slower than the others."""
 
 
@@ -50,12 +50,12 @@ class Turns:
         return Turn(self, unit, urgent=urgent, probe=probe)
 
     async def take(self, unit: int, *, urgent: bool, probe: bool) -> bool:
-        """Wait for a turn of the unit, which `give_back` ends; True if it had to be waited for."""
+        """Wait for a turn of the unit, which `end_turn` ends; True if it had to be waited for."""
         had = self._had.get(unit, 0.0)
         if not self._places and self._taken < self.outstanding and not (probe and self._probes):
             # Nobody else waits, as nearly always: what `_grant` would come to.
             self._had[unit] = max(had, self._now)
-            self._note_granted(unit, urgent=urgent, probe=probe)
+            self._note_grant(unit, urgent=urgent, probe=probe)
             return False
         place = _Waiter(unit, urgent, probe, asyncio.get_running_loop().create_future())
         self._order.setdefault(unit)
@@ -73,11 +73,11 @@ class Turns:
                 self._places -= 1
                 self._grant()
             else:
-                self.give_back(unit, 0.0, probe=probe)
+                self.end_turn(unit, 0.0, probe=probe)
             raise
         return True
 
-    def give_back(self, unit: int, seconds: float, *, probe: bool) -> None:
+    def end_turn(self, unit: int, seconds: float, *, probe: bool) -> None:
         """End a turn that was held for so long."""
         self._had[unit] += seconds
         self._taken -= 1
@@ -94,10 +94,10 @@ class Turns:
         while self._taken < self.outstanding and (place := self._next()) is not None:
             self._waiting[place.unit].remove(place)
             self._places -= 1
-            self._note_granted(place.unit, urgent=place.urgent, probe=place.probe)
+            self._note_grant(place.unit, urgent=place.urgent, probe=place.probe)
             place.granted.set_result(None)
 
-    def _note_granted(self, unit: int, *, urgent: bool, probe: bool) -> None:
+    def _note_grant(self, unit: int, *, urgent: bool, probe: bool) -> None:
         self._order.pop(unit, None)
         self._order[unit] = None
         self._taken += 1
@@ -136,7 +136,7 @@ class Turn:
 
     async def __aexit__(self, *_error: object) -> None:
         held = asyncio.get_running_loop().time() - self._begun
-        self._turns.give_back(self._unit, held, probe=self._probe)
+        self._turns.end_turn(self._unit, held, probe=self._probe)
 
 
 @dataclass(slots=True)
@@ -175,7 +175,7 @@ class UnitHealth:
         """True for a unit that is asked rarely until it answers."""
         return self.silent_since is not None
 
-    def answered(self, connection: int) -> None:
+    def note_answer(self, connection: int) -> None:
         """It has answered, over this connection."""
         self.connection, self.failures, self.waited = connection, 0, 0.0
         self.silent_since, self.probes, self.late = None, 0, False
@@ -194,10 +194,10 @@ class UnitHealth:
         self.probes += 1
         self.late, self.failing_since, self.retry_at = False, now, now + retry_delay(self.probes, first, cap)
 
-    def heard(self) -> None:
+    def note_late_answer(self) -> None:
         """Something of it has come too late for its question: it is there, and is asked at once with all patience."""
         if self.silent:
-            self.retry_at, self.late = AT_ONCE, True
+            self.retry_at, self.late = RETRY_AT_ONCE_S, True
 
     def patience(self, deadline: float, longest: float, usual: float) -> float:
         """How long to wait in the others' time for a unit that has failed while they answered.
@@ -207,7 +207,7 @@ class UnitHealth:
         """
         if self.late:
             return longest
-        if self.silent and self.probes % LONG_PROBE == 0:
+        if self.silent and self.probes % LONG_PROBE_INTERVAL == 0:
             return deadline
         return min(deadline, max(SHORT_WAIT_S, self.times.usual or usual))
 
@@ -233,14 +233,14 @@ class WastedTime:
 
     def fill(self, now: float, share: float, most: float, seconds: float = 0.0) -> None:
         """Put in what was waited, and `seconds` beyond it; never to more than `most`."""
-        self.level, self.at = min(most, self._left(now, share) + self.waited + seconds), now
+        self.level, self.at = min(most, self._current_level(now, share) + self.waited + seconds), now
         self.waited = 0.0
 
     def rest(self, now: float, share: float, free: float) -> float:
         """Seconds until the level is no more than `free`."""
-        return max(0.0, self._left(now, share) - free) / share
+        return max(0.0, self._current_level(now, share) - free) / share
 
-    def _left(self, now: float, share: float) -> float:
+    def _current_level(self, now: float, share: float) -> float:
         return max(0.0, self.level - share * (now - self.at))
 
 

@@ -61,7 +61,7 @@ class Asked:
         return f"{_TABLES[self.function]}:{self.address} count {1 if self.function in ECHOED else self.count}"
 
 
-def asked(request: bytes) -> Asked:
+def parse_request(request: bytes) -> Asked:
     """Read a request of function 1 to 6, 15 or 16, or of 17 or 43 (which have neither address nor count)."""
     if request[7] in SAYS_WHO:
         return Asked(int.from_bytes(request[:2], "big"), request[6], request[7], 0, 0)
@@ -131,12 +131,12 @@ def check_reply(request: Asked, reply: bytes) -> None:
             )
 
 
-def quality_of(code: int) -> Quality:
+def exception_quality(code: int) -> Quality:
     """What a device exception makes of a reading."""
     return EXCEPTIONS.get(code, ("", Quality.BAD))[1]
 
 
-def words_of(request: Asked, data: bytes) -> tuple[int, ...]:
+def unpack_words(request: Asked, data: bytes) -> tuple[int, ...]:
     """The registers, or bits as 0 and 1, in the data of a verified reply (after its byte count); none of a write's.
 
     Of what a device says of itself they are its bytes, behind MEI type or byte count.

@@ -38,8 +38,8 @@ from drivers.driver import BeforeSending, Clock, anyhow
 from drivers.errors import DeviceException, DriverError, LinkDown, LinkFault, ReplyMismatch, ReplyTimeout
 from drivers.modbus.address import Area
 from drivers.modbus.replies import ReplyStream, TransactionIds
-from drivers.modbus.verify import WRITES, Asked, asked, check_reply, words_of
-from drivers.tap import current, moved
+from drivers.modbus.verify import WRITES, Asked, check_reply, parse_request, unpack_words
+from drivers.tap import current, make_frame
 
 FLOOD = 65536
 """More than the longest frame (260 bytes) many times over. Beyond it a peer that nobody asked is flooding the line."""
@@ -53,7 +53,7 @@ OTHER_ID = (
 _LARGEST_CHUNK = 1 << 20
 _PROBE_S, _PROBES = 1, 2
 # pymodbus times nothing here: every exchange and every connect has a deadline of ours, and it must not fire first.
-_NEVER = 3600.0
+_NO_TIMEOUT_S = 3600.0
 
 _READS: dict[Area, type[ModbusPDU]] = {
     Area.COIL: ReadCoilsRequest,
@@ -119,8 +119,8 @@ class Wire:
         self._clock = clock
         self._on_lost = on_lost
         self._secured = secured
-        self._client = self._made(host, port, secured)
-        self._client.ctx.callback_disconnected = self._disconnected  # type: ignore[method-assign]
+        self._client = self._make_client(host, port, secured)
+        self._client.ctx.callback_disconnected = self._on_disconnect  # type: ignore[method-assign]
         self._client.ctx.callback_data = self._take  # type: ignore[method-assign]
         self._client.ctx.max_buffer_size = _LARGEST_CHUNK
         self._request: Asked | None = None
@@ -140,12 +140,12 @@ class Wire:
         self.refusal_hint = secured.refusal_hint if secured else ""
         self._tap = current()
 
-    def _made(self, host: str, port: int, secured: Secured | None) -> AsyncModbusTcpClient:
+    def _make_client(self, host: str, port: int, secured: Secured | None) -> AsyncModbusTcpClient:
         """pymodbus's client for the connection, with everything that it does by itself turned off."""
         if secured is None:
-            return AsyncModbusTcpClient(host, port=port, retries=0, reconnect_delay=0, timeout=_NEVER)
+            return AsyncModbusTcpClient(host, port=port, retries=0, reconnect_delay=0, timeout=_NO_TIMEOUT_S)
         client = AsyncModbusTlsClient(
-            host, port=port, sslctx=secured.context, retries=0, reconnect_delay=0, timeout=_NEVER
+            host, port=port, sslctx=secured.context, retries=0, reconnect_delay=0, timeout=_NO_TIMEOUT_S
         )
         create = client.ctx.loop.create_connection
         names = {"ssl": secured.context, "server_hostname": secured.name}
@@ -204,7 +204,7 @@ class Wire:
             began = asyncio.get_running_loop().time()
             await self._answer_to_another(deadline)
             deadline -= asyncio.get_running_loop().time() - began
-        if part := self._stream.unfinished:
+        if part := self._stream.remainder:
             self._break_cut(reason := NOT_BEHIND_A_PART.format(len(part)))
             raise LinkDown(reason, fault=LinkFault.CUT)
         transport = self._client.ctx.transport
@@ -214,7 +214,7 @@ class Wire:
         foreign, self._request, self._late = self.foreign, None, 0.0
 
         def too_late() -> None:
-            others, part = self.foreign - foreign, self._stream.unfinished
+            others, part = self.foreign - foreign, self._stream.remainder
             late = self._late
             why = LATE.format(late) if late else OTHER_ID.format(others) if others else ""
             remedy = ANY_ID if others and not late and not part else None
@@ -242,7 +242,7 @@ class Wire:
         self._attempts.add(number)
         data = self._client.ctx.framer.buildFrame(request)
         # Read from the very bytes that go: what was asked is what the reply is held against.
-        self._request, self._sent, self._unasked = asked(data), self._clock(), 0
+        self._request, self._sent, self._unasked = parse_request(data), self._clock(), 0
         self._open[number] = (self._request, self._sent)
         self._tell(data, sent=True)
         transport.write(data)
@@ -286,7 +286,7 @@ class Wire:
         transport = self._client.ctx.transport
         if self._tap is not None and isinstance(transport, asyncio.Transport):
             ends = [socket_place(transport.get_extra_info(name)) for name in ("peername", "sockname")]
-            self._tap(moved("tcp", ends[0], data, sent=sent, local=ends[1]))
+            self._tap(make_frame("tcp", ends[0], data, sent=sent, local=ends[1]))
 
     def _take_frame(self, frame: bytes) -> None:
         """End the exchange with the frame if it answers the request, or with what is wrong in it."""
@@ -296,7 +296,7 @@ class Wire:
             del self._open[oldest]  # what was asked before it and is silent keeps nothing else from being asked
         question, sent = self._open.pop(number, (None, 0.0))
         if question is not None:
-            self._ids.answered(number)
+            self._ids.note_reply(number)
         self._any_answer.set()
         # An earlier attempt at this very question is answered as well; the same asked by an earlier reading is not.
         if (
@@ -317,10 +317,10 @@ class Wire:
             self._fail(error)
             return
         self._sent, self._unasked = sent, 0
-        outcome.set_result(WireReply(words_of(request, frame[9:]), sent, self._received))
+        outcome.set_result(WireReply(unpack_words(request, frame[9:]), sent, self._received))
 
-    def _disconnected(self, exc: Exception | None) -> None:
-        where = " in the middle of a reply" if self._stream.unfinished else ""
+    def _on_disconnect(self, exc: Exception | None) -> None:
+        where = " in the middle of a reply" if self._stream.remainder else ""
         reason, self.fault = f"the peer closed the connection{where}", LinkFault.CLOSED
         if self._secured is not None and isinstance(exc, ssl.SSLError):
             reason, self.fault = self._secured.sentence(exc), LinkFault.OTHER
@@ -376,7 +376,7 @@ def no_connection(place: str, error: Exception, secured: Secured | None) -> Link
     """A failed attempt to connect, with the system's own reason."""
     plain = (error.strerror if isinstance(error, OSError) else None) or str(error)
     reason = secured.sentence(error) if secured else plain
-    return LinkDown(f"{place} does not connect: {reason}", fault=_fault_of(error))
+    return LinkDown(f"{place} does not connect: {reason}", fault=_connect_fault(error))
 
 
 def socket_place(name: tuple[str, int] | None) -> str:
@@ -392,7 +392,7 @@ _FAULTS = {
 _ERRNO = re.compile(r"\[Errno (-?\d+)\]")
 
 
-def _fault_of(error: Exception) -> LinkFault:
+def _connect_fault(error: Exception) -> LinkFault:
     """Why a connection was not made. A refusal by one of a host's addresses counts before anything else."""
     numbers = [error.errno] if isinstance(error, OSError) and error.errno is not None else []
     if not numbers:

@@ -45,8 +45,8 @@ class SoftSettings(Section):
 
 
 # A stream looks at the clock this often (s of the event loop): the driver's clock may be any, and may jump.
-_LOOK = 0.02
-_STREAM_LIMIT = 10_000
+_POLL_S = 0.02
+_MAX_STREAM_SAMPLES = 10_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,7 +164,7 @@ class SoftDriver:
             self._counts["failed"] += 1
             return [Sample(tag.name, None, failure.quality, now, reason=failure.reason) for tag in tags]
         row = self._row(now)
-        return [_sample(tag, self._held(tag, row, now), now, now) for tag in tags]
+        return [_sample(tag, self._device_value(tag, row, now), now, now) for tag in tags]
 
     # ------------------------------------------------------------ Writes
 
@@ -216,31 +216,31 @@ class SoftDriver:
         if self._recording is None:
             return
         # A clock that jumps passes many rows at once; a reader gets the newest of them.
-        for row in range(max(after + 1, last - _STREAM_LIMIT), last + 1):
-            time = self._played_at(self._recording, row)
+        for row in range(max(after + 1, last - _MAX_STREAM_SAMPLES), last + 1):
+            time = self._play_time(self._recording, row)
             for tag in listener.tags.values():
                 if tag.name not in self._values:
-                    yield _sample(tag, self._held(tag, row, time), time, None)
+                    yield _sample(tag, self._device_value(tag, row, time), time, None)
 
     # ------------------------------------------------------------ inside
 
-    def _held(self, tag: Tag, row: int, now: float) -> Reading:
+    def _device_value(self, tag: Tag, row: int, now: float) -> Reading:
         """What the device holds for the tag: what was put or written, else what the recording says."""
         if tag.name in self._values:
             value, quality, reason = self._values[tag.name]
             return _as_tag(tag, value) if quality is Quality.GOOD else (value, quality, reason)
         if self._recording is None:
             return None, Quality.WAITING_FOR_INITIAL_DATA, "nothing has been put yet"
-        return self._recorded(tag, self._recording, row, now)
+        return self._recording_value(tag, self._recording, row, now)
 
-    def _recorded(self, tag: Tag, recording: SoftRecording, row: int, now: float) -> Reading:
+    def _recording_value(self, tag: Tag, recording: SoftRecording, row: int, now: float) -> Reading:
         signal = next((name for name in (tag.name, tag.address) if name in recording.columns), None)
         if signal is None:
             names = ", ".join(recording.columns)
             return None, Quality.CONFIGURATION_ERROR, f"the recording has no column {tag.name}; it has {names}"
         if row < 0:
             return None, Quality.WAITING_FOR_INITIAL_DATA, "the recording has not begun"
-        age = (now - self._played_at(recording, row)) * self._speed
+        age = (now - self._play_time(recording, row)) * self._speed
         if age > self._settings.max_gap:
             return None, Quality.NO_DATA, f"a gap in the recording: its last row is {age:.6g} s old"
         return _as_tag(tag, recording.value(signal, row))
@@ -249,11 +249,11 @@ class SoftDriver:
         if self._recording is None:
             return -1
         start = self._start(self._recording)
-        return self._recording.row_at(self._recording.times[0] + (now - start) * self._speed)
+        return self._recording.find_row(self._recording.times[0] + (now - start) * self._speed)
 
-    def _played_at(self, recording: SoftRecording, row: int) -> float:
+    def _play_time(self, recording: SoftRecording, row: int) -> float:
         """The row's moment by the driver's clock."""
-        offset = recording.time_of(row) - recording.times[0]
+        offset = recording.row_time(row) - recording.times[0]
         return self._start(recording) + offset / self._speed
 
     def _start(self, recording: SoftRecording) -> float:
@@ -280,13 +280,13 @@ class _Listener:
     def __init__(self, tags: Mapping[str, Tag]) -> None:
         self.tags = tags
         self.wake = asyncio.Event()
-        self._changes: deque[tuple[Tag, Reading]] = deque(maxlen=_STREAM_LIMIT)
+        self._changes: deque[tuple[Tag, Reading]] = deque(maxlen=_MAX_STREAM_SAMPLES)
 
     def hear(self, name: str, held: tuple[Value | None, Quality, str]) -> int:
         """Note a change; answers how many changes had to be dropped for it."""
         if name not in self.tags:
             return 0
-        dropped = len(self._changes) == _STREAM_LIMIT
+        dropped = len(self._changes) == _MAX_STREAM_SAMPLES
         value, quality, reason = held
         tag = self.tags[name]
         self._changes.append((tag, _as_tag(tag, value) if quality is Quality.GOOD else (value, quality, reason)))
@@ -302,7 +302,7 @@ class _Listener:
     async def wait(self) -> None:
         """Until something is heard, or it is time to look at the clock."""
         with suppress(TimeoutError):
-            async with asyncio.timeout(_LOOK):
+            async with asyncio.timeout(_POLL_S):
                 await self.wake.wait()
         self.wake.clear()
 

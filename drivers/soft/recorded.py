@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 from itertools import pairwise
 from pathlib import Path
 
-from drivers.csv_rows import unguarded
+from drivers.csv_rows import strip_guards
 from drivers.errors import DriverError
 from drivers.named_files import regular
 from drivers.tag import Value
@@ -31,14 +31,14 @@ class SoftRecording:
         span = self.times[-1] - self.times[0]
         return span * len(self.times) / (len(self.times) - 1) if span > 0 else 1.0
 
-    def row_at(self, time: float) -> int:
+    def find_row(self, time: float) -> int:
         """The last row at or before `time`, -1 before the first; a looped recording counts on from cycle to cycle."""
         if not self.loop or time < self.times[0]:
             return bisect_right(self.times, time) - 1
         cycle, rest = divmod(time - self.times[0], self.period)
         return int(cycle) * len(self.times) + bisect_right(self.times, self.times[0] + rest) - 1
 
-    def time_of(self, row: int) -> float:
+    def row_time(self, row: int) -> float:
         """When the row is played, in the recording's own time."""
         cycle, index = divmod(row, len(self.times))
         return self.times[index] + cycle * self.period
@@ -100,7 +100,7 @@ def _rows(path: Path) -> Iterator[tuple[int, list[str]]]:
         with regular(path).open(encoding="utf-8-sig", newline="") as stream:
             reader = csv.reader(stream, strict=True)
             for row in reader:
-                yield number, unguarded(row)
+                yield number, strip_guards(row)
                 number = reader.line_num + 1
     except csv.Error as error:
         raise DriverError(f"{path}, line {number}: is not CSV: {error}") from None

@@ -15,7 +15,7 @@ from drivers.vehicle.j1939 import identifier
 from drivers.vehicle.log import Log, open_log, require_frames
 from drivers.vehicle.replay import CanLogSettings
 
-_LOOK = 5_000
+_FRAMES_PER_REPORT = 5_000
 _MOST_IDENTIFIERS = 10_000
 
 Progress = Callable[[str, float], None]
@@ -41,7 +41,7 @@ class Decoded:
         """
         known: dict[tuple[str, int, bool], tuple[str, str]] = {}
         for number, frame in enumerate(self.log.frames()):
-            if number % _LOOK == 0:
+            if number % _FRAMES_PER_REPORT == 0:
                 progress(f"{number} frames", self.log.progress)
             key = (frame.channel, frame.id, frame.extended)
             # A log of noise has no end of identifiers: beyond so many they are counted together.
@@ -62,7 +62,7 @@ class Decoded:
     @property
     def problem(self) -> str:
         """What of the log was no data frame, and what of the DBC file no message, in words; "" if nothing."""
-        return "; ".join(filter(None, (self.log.summary(), *self.decoder.left_out)))
+        return "; ".join(filter(None, (self.log.summary(), *self.decoder.omissions)))
 
 
 def decode_log(path: Path, settings: Mapping[str, Any], tags: Sequence[Tag]) -> Decoded:

@@ -12,9 +12,9 @@ from drivers.can import (
     Reception,
     SignalMap,
     TagReading,
+    decode_value,
     frame_key,
     is_message_tag,
-    value_of,
 )
 from drivers.errors import AddressError, DriverError
 from drivers.tag import Tag
@@ -45,7 +45,7 @@ class Vehicle:
     @property
     def parameters(self) -> Sequence[obd.ObdTag]:
         """The OBD-II parameters that the tags need, for whoever asks for them."""
-        return [obd.wanted(tag) for tag in self._obd]
+        return [obd.parse_tag(tag) for tag in self._obd]
 
     def listen(self, tags: Sequence[Tag]) -> None:
         """Add tags; those that are listened for already stay as they are."""
@@ -54,9 +54,9 @@ class Vehicle:
             return
         self._tags |= {tag.name: tag for tag in fresh}
         self.problems = {}
-        self._obd = self._meaningful(obd.wanted, obd_tags=True)
+        self._obd = self._meaningful(obd.parse_tag, obd_tags=True)
         source = self._settings.source
-        trucks = self._meaningful(lambda tag: j1939.wanted(tag, source, self._dbc), obd_tags=False)
+        trucks = self._meaningful(lambda tag: j1939.parse_tag(tag, source, self._dbc), obd_tags=False)
         self._listeners = [obd.ObdListener(self._obd)] if self._obd else []
         if trucks:
             s = self._settings
@@ -133,9 +133,9 @@ class Decoder:
             self._timeouts[tag.name] = place.timeout
 
     @property
-    def left_out(self) -> tuple[str, ...]:
+    def omissions(self) -> tuple[str, ...]:
         """What of the DBC file cannot be used, in sentences."""
-        return self._signals.left_out
+        return self._signals.omissions
 
     def take(self, frame: CanFrame) -> list[TagReading]:
         """What the frame, or the message that it completes, says of the tags.
@@ -147,7 +147,7 @@ class Decoder:
             key = frame_key(frame.id, extended=frame.extended)
             for slot in self._reception.take(key, frame, frame.time):
                 for tag, field in self._fields.get(id(slot), ()):
-                    readings.append(TagReading(tag, value_of(tag, field, frame.data)))
+                    readings.append(TagReading(tag, decode_value(tag, field, frame.data)))
         return readings
 
     def timeout(self, tag: Tag) -> float:

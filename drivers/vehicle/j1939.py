@@ -65,7 +65,7 @@ def identifier(number: int) -> Identifier:
     return Identifier(number >> 26, group, number & 0xFF, BROADCAST)
 
 
-def wanted(tag: Tag, source: int, dbc: Dbc | None) -> J1939Tag:
+def parse_tag(tag: Tag, source: int, dbc: Dbc | None) -> J1939Tag:
     """What the tag's address means; `source` is meant where it has no @, `dbc` is the file of `j1939:` addresses.
 
     Raises AddressError with what would be right.
@@ -101,7 +101,7 @@ class J1939Listener:
         self._counts = dict.fromkeys(("frames", "single", "not_j1939", "transport"), 0)
         self._wanted: dict[tuple[int, int], list[J1939Tag]] = {}
         for tag in tags:
-            parameter = wanted(tag, source, dbc)
+            parameter = parse_tag(tag, source, dbc)
             self._wanted.setdefault((parameter.pgn, parameter.source), []).append(parameter)
 
     def take(self, frame: CanFrame) -> Sequence[TagReading]:
@@ -215,7 +215,7 @@ def _pgn(tag: Tag, where: VehicleAddress, _: Dbc | None) -> GroupSignal:
     return GroupSignal(int(match["pgn"], 16), Bits(start, int(match["bits"])), signed=tag.dtype in _SIGNED)
 
 
-def _named(tag: Tag, where: VehicleAddress, dbc: Dbc | None) -> GroupSignal:
+def _dbc_signal(tag: Tag, where: VehicleAddress, dbc: Dbc | None) -> GroupSignal:
     """A signal of a DBC file, in the parameter group of its message whatever the source address there."""
     if dbc is None:
         raise AddressError(f"{tag.name}: address {tag.address!r} needs a DBC file; give its path as dbc")
@@ -226,4 +226,4 @@ def _named(tag: Tag, where: VehicleAddress, dbc: Dbc | None) -> GroupSignal:
     return GroupSignal(pgn, field.bits, completed.scale, completed.offset, completed.dtype in _SIGNED)
 
 
-_SPACES = {"spn": _spn, "pgn": _pgn, "j1939": _named}
+_SPACES = {"spn": _spn, "pgn": _pgn, "j1939": _dbc_signal}

@@ -75,15 +75,15 @@ class TransportSessions:
 
     def control(self, time: float, key: Key, data: bytes) -> None:
         """Take a TP.CM frame from `key.source` to `key.destination`: it begins, steers or ends a session."""
-        self._expire(time, (key, _back(key)))
+        self._expire(time, (key, _reverse(key)))
         kind = data[0] if len(data) == 8 else -1
         pgn = int.from_bytes(data[5:8], "little")
         if kind in (RTS, BAM):
             self._begin(time, key, data, pgn)
         elif kind in (CTS, END_OF_MESSAGE):
-            self._answered(time, _back(key), data, pgn)
+            self._take_answer(time, _reverse(key), data, pgn)
         elif kind == ABORT:
-            self._aborted(key, pgn)
+            self._take_abort(key, pgn)
         else:
             self.frames["orphans"] += 1
 
@@ -104,14 +104,14 @@ class TransportSessions:
         if number != session.repeat or number > session.packets:
             self._drop(key, "lost")
             return None
-        return self._stored(key, session, number, data[1:])
+        return self._store(key, session, number, data[1:])
 
     def restart(self) -> None:
         """Let go of all sessions: what comes is another connection's."""
         for key in list(self._open):
             self._drop(key, "lost")
 
-    def _stored(self, key: Key, session: _OpenMessage, number: int, part: bytes) -> Message | None:
+    def _store(self, key: Key, session: _OpenMessage, number: int, part: bytes) -> Message | None:
         session.repeat = number + 1
         if number < session.next:
             return None  # asked for again by its receiver; we had it
@@ -139,7 +139,7 @@ class TransportSessions:
         self._expire(time, list(self._open))
         self._open[key] = _OpenMessage(pgn, size, packets, time)
 
-    def _answered(self, time: float, key: Key, data: bytes, pgn: int) -> None:
+    def _take_answer(self, time: float, key: Key, data: bytes, pgn: int) -> None:
         """What the receiver says: which packets it wants next (CTS), or that it has all."""
         session = self._open.get(key)
         if session is None or session.pgn != pgn or key.destination == BROADCAST:
@@ -154,9 +154,9 @@ class TransportSessions:
             if not 1 <= data[2] <= session.next:  # it has packets that we have not heard
                 self._drop(key, "lost")
 
-    def _aborted(self, key: Key, pgn: int) -> None:
+    def _take_abort(self, key: Key, pgn: int) -> None:
         """Either side may give up."""
-        for side in (key, _back(key)):
+        for side in (key, _reverse(key)):
             session = self._open.get(side)
             if session is not None and session.pgn == pgn:
                 session.frames += 1
@@ -180,5 +180,5 @@ class TransportSessions:
         self.sessions[why] += 1
 
 
-def _back(key: Key) -> Key:
+def _reverse(key: Key) -> Key:
     return Key(key.channel, key.destination, key.source)

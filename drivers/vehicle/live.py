@@ -13,7 +13,7 @@ from drivers.tag import Quality, Tag
 from drivers.vehicle.decoding import Vehicle
 from drivers.vehicle.obd_poll import Poller
 
-_RETRY = 1.0
+_RETRY_S = 1.0
 
 
 class LiveVehicle:
@@ -92,7 +92,7 @@ class LiveVehicle:
             while True:
                 with suppress(DriverError):
                     await poller.run(send)
-                await asyncio.sleep(_RETRY)
+                await asyncio.sleep(_RETRY_S)
 
         self._polling = self._supervisor.task("OBD requests", ask)
 

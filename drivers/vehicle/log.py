@@ -153,18 +153,18 @@ class _CheckedBlf(can.BLFReader):
                 raise BLFParseError(f"a container is packed in a way that is not known ({method})")
             yield from self._parse_container(data)
             if not whole:
-                raise BLFParseError(f"a container is cut short; {self._announced}")
+                raise BLFParseError(f"a container is cut short; {self._announcement}")
         if (size := self.file.tell()) < self.file_size:
-            raise BLFParseError(f"it ends after {size} bytes; {self._announced}")
+            raise BLFParseError(f"it ends after {size} bytes; {self._announcement}")
         self.stop()
 
     @property
-    def _announced(self) -> str:
+    def _announcement(self) -> str:
         return f"its header announces {self.object_count} objects in {self.file_size} bytes"
 
     def _parse_container(self, data: bytes) -> Iterator[can.Message]:
         before = len(self._tail)
-        end = _stuck(self._tail + data)
+        end = _short_object_offset(self._tail + data)
         if end is None:
             yield from super()._parse_container(data)
             return
@@ -172,7 +172,7 @@ class _CheckedBlf(can.BLFReader):
         raise BLFParseError(_NO_LENGTH)
 
 
-def _stuck(data: bytes) -> int | None:
+def _short_object_offset(data: bytes) -> int | None:
     """Where an object of a container says that it is shorter than its own header, if one does."""
     size, at = OBJ_HEADER_BASE_STRUCT.size, 0
     while (at := data.find(b"LOBJ", at, at + 8)) >= 0 and at + size <= len(data):
@@ -192,7 +192,7 @@ _MDF_LISTS = {
 _MDF_FIRST, _MOST_BLOCKS = 64, 1_000_000
 
 
-def circling(stream: BinaryIO) -> bool:
+def has_loop(stream: BinaryIO) -> bool:
     """True for an MF4 file one of whose lists comes back to itself: asammdf would follow it without end."""
     open_, done = set[tuple[str, int]](), set[tuple[str, int]]()
     waiting = [(("HD", _MDF_FIRST), False)]
@@ -312,7 +312,7 @@ class Log:
             # asammdf and its decompressors raise errors of their own; they are there if an MF4 is read.
             names = [(module, name) for module, name in _MF4_RAISES if find_spec(module.partition(".")[0]) is not None]
             errors += (RuntimeError, *(getattr(import_module(module), name) for module, name in names))
-        if self.format == "mf4" and stream is self._raw and circling(self._raw):
+        if self.format == "mf4" and stream is self._raw and has_loop(self._raw):
             self.note("broken", "after 0 frames: a list of its blocks comes back to itself")
             return
         try:
@@ -412,7 +412,7 @@ class _Lines:
         self.ended = self._broken = False
         self.first: str | None = None
         self._ahead: deque[bytes] = deque()
-        while len(self._ahead) < _HEAD_LINES and (octets := self._read_on()):
+        while len(self._ahead) < _HEAD_LINES and (octets := self._read_line()):
             self._ahead.append(octets)
         self._rewrite = kind.dialect([octets.decode("utf-8", "replace") for octets in self._ahead])
 
@@ -458,9 +458,9 @@ class _Lines:
             self._log.note("refused", f"line {self.number} is not text")
 
     def _read(self) -> bytes:
-        return self._ahead.popleft() if self._ahead else self._read_on()
+        return self._ahead.popleft() if self._ahead else self._read_line()
 
-    def _read_on(self) -> bytes:
+    def _read_line(self) -> bytes:
         if self._broken:
             return b""
         try:

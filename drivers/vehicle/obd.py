@@ -21,7 +21,7 @@ ANSWER, REFUSAL = 0x40, 0x7F
 RESPONSE_PENDING = 0x78
 ENGINE = (0x7E8, 0x18DAF110)
 """The answers of the engine's control unit, 11-bit and 29-bit (ISO 15765-4); the default of an address without @."""
-REFUSED_WITHIN = 5.0
+REFUSAL_WINDOW_S = 5.0
 """Seconds in which an answer belongs to the request before it (P2*, ISO 15765-4)."""
 
 # Word in an address -> service, parameter, and the field of it: the list as text, or how many.
@@ -69,7 +69,7 @@ class _Request:
     parameters: bytes
 
 
-def wanted(tag: Tag) -> ObdTag:
+def parse_tag(tag: Tag) -> ObdTag:
     """What the tag's address means. Raises AddressError with what would be right."""
     where = address.place(tag)
     name, _, part = where.what.partition(".")
@@ -104,7 +104,7 @@ class ObdListener:
         self._requests: dict[tuple[str, int], _Request] = {}
         self._counts = dict.fromkeys(("answers", "unread", "refusals", "unasked_refusals", "requests"), 0)
         for tag in tags:
-            obd_tag = wanted(tag)
+            obd_tag = parse_tag(tag)
             units = ENGINE if obd_tag.where.source is None else (obd_tag.where.source,)
             for unit in units:
                 self._wanted.setdefault((unit, obd_tag.service, obd_tag.parameter), []).append(obd_tag)
@@ -142,7 +142,7 @@ class ObdListener:
     def _payload(self, frame: CanFrame, payload: bytes) -> Sequence[TagReading]:
         service = payload[0] - ANSWER
         if payload[0] == REFUSAL:
-            return self._refused(frame, payload)
+            return self._take_refusal(frame, payload)
         readings: Sequence[TagReading] | None = None
         if service == CURRENT:
             readings = self._current(frame.id, payload)
@@ -211,7 +211,7 @@ class ObdListener:
         request = _Request(frame.time, frame.data[1], bytes(frame.data[2 : length + 1]))
         self._requests[frame.channel, asked_unit(frame.id, frame.extended)] = request
 
-    def _refused(self, frame: CanFrame, payload: bytes) -> Sequence[TagReading]:
+    def _take_refusal(self, frame: CanFrame, payload: bytes) -> Sequence[TagReading]:
         """A refusal makes the tags of the request that it answers bad; "response pending" changes nothing."""
         if len(payload) != 3:
             self._counts["unread"] += 1
@@ -220,7 +220,7 @@ class ObdListener:
         self._counts["refusals"] += 1
         if code == RESPONSE_PENDING:
             return ()
-        request = self._request_before(frame, service)
+        request = self._find_request(frame, service)
         if request is None:
             self._counts["unasked_refusals"] += 1
             return ()
@@ -230,14 +230,14 @@ class ObdListener:
         obd_tags = [obd_tag for number in parameters for obd_tag in self._wanted.get((frame.id, service, number), ())]
         return [TagReading(obd_tag.tag, (None, quality, reason)) for obd_tag in obd_tags]
 
-    def _request_before(self, frame: CanFrame, service: int) -> _Request | None:
+    def _find_request(self, frame: CanFrame, service: int) -> _Request | None:
         """The latest request for the service, to this unit or to all."""
         # A refusal names the service alone: what was asked for is known only from the request.
         requests = [self._requests.get((frame.channel, unit)) for unit in (frame.id, 0)]
         fitting = [
             request
             for request in requests
-            if request and request.service == service and 0 <= frame.time - request.time <= REFUSED_WITHIN
+            if request and request.service == service and 0 <= frame.time - request.time <= REFUSAL_WINDOW_S
         ]
         return max(fitting, key=lambda request: request.time, default=None)
 
@@ -267,7 +267,7 @@ def trouble_code(high: int, low: int) -> str:
 
 
 def _field(obd_tag: ObdTag, field: PidField, frame: bytes) -> Reading:
-    if not all(condition.met(frame) for condition in field.conditions):
+    if not all(condition.holds(frame) for condition in field.conditions):
         return None, Quality.NO_DATA, f"{field.name} is not there in this vehicle"
     raw = field.bits.get(frame)
     if raw in field.unused or raw in obd_tag.tag.sentinels:

@@ -14,7 +14,7 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
-from drivers.can import Bits, LayoutCondition, bits_of, conditions_of
+from drivers.can import Bits, LayoutCondition, layout_conditions, signal_bits
 
 if TYPE_CHECKING:
     from cantools.database.can import Signal
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 FILE = Path(__file__).with_name("obd.dbc")
 ANSWER_TO_CURRENT = 0x41
-_BEFORE_DATA = 3
+_HEADER_BYTES = 3
 _NAME = re.compile(r"S01P([0-9A-F]{2})_(\w+)")
 _RESERVED = "reserved"
 
@@ -72,13 +72,13 @@ def pids() -> Mapping[int, Pid]:
             signals.setdefault(int(match[1], 16), []).append((match[2], signal))
     table = {}
     for number, named in signals.items():
-        named.sort(key=lambda pair: bits_of(pair[1]).end)
-        length = max(bits_of(signal).size for _, signal in named) - _BEFORE_DATA
+        named.sort(key=lambda pair: signal_bits(pair[1]).end)
+        length = max(signal_bits(signal).size for _, signal in named) - _HEADER_BYTES
         fields = {
             name: PidField(
                 name=name,
-                bits=bits_of(signal),
-                conditions=tuple(conditions_of(message, signal)),
+                bits=signal_bits(signal),
+                conditions=tuple(layout_conditions(message, signal)),
                 scale=float(signal.scale),
                 offset=float(signal.offset),
                 unit=signal.unit or "",

@@ -16,7 +16,7 @@ from drivers.vehicle.obd import ANSWER, CURRENT, ENGINE, REFUSAL, RESPONSE_PENDI
 _PADDING = b"\x55"
 _FLOW_CONTROL = b"\x30\x00\x00".ljust(8, _PADDING)
 # A unit that says "response pending" may take this much longer (P2*, ISO 15765-4).
-_PENDING = 5.0
+_PENDING_TIMEOUT_S = 5.0
 
 
 class ObdRequest(NamedTuple):
@@ -35,7 +35,7 @@ class ObdRequest(NamedTuple):
         return (bytes([len(body)]) + body).ljust(8, _PADDING)
 
 
-def requests_for(wanted: Sequence[ObdTag], *, extended: bool) -> list[ObdRequest]:
+def plan_requests(wanted: Sequence[ObdTag], *, extended: bool) -> list[ObdRequest]:
     """What to ask so that every parameter is answered once; `extended` for tags that name no unit."""
     requests: dict[ObdRequest, None] = {}
     for obd_tag in wanted:
@@ -84,7 +84,7 @@ class Poller:
     def describe(self) -> list[str]:
         """What is asked for, in sentences."""
         period = self._settings.poll_period
-        requests = requests_for(self._wanted(), extended=self._settings.poll_29bit)
+        requests = plan_requests(self._wanted(), extended=self._settings.poll_29bit)
         return [
             f"0x{request.request_id:03X} is asked every {period:g} s: {request.data[:3].hex(' ')}"
             for request in requests
@@ -96,7 +96,7 @@ class Poller:
         loop = asyncio.get_running_loop()
         while True:
             due = loop.time() + self._settings.poll_period
-            for request in requests_for(self._wanted(), extended=self._settings.poll_29bit):
+            for request in plan_requests(self._wanted(), extended=self._settings.poll_29bit):
                 await self._ask(request)
             await asyncio.sleep(max(0.0, due - loop.time()))
 
@@ -107,7 +107,7 @@ class Poller:
         self._send(request.request_id, request.extended, request.data)
         await self._wait(self._settings.poll_timeout)
         if self._pending and not self._answered.is_set():
-            await self._wait(_PENDING)
+            await self._wait(_PENDING_TIMEOUT_S)
         self.counts["polls_unanswered"] += not self._answered.is_set()
 
     async def _wait(self, seconds: float) -> None:

@@ -35,9 +35,9 @@ class CanLogSettings(DecodingSettings):
 
 # The event loop gets its turn after so many frames.
 _BURST = 500
-_JITTER = 1.0
+_MAX_STEP_BACK_S = 1.0
 """Seconds by which logged times may step back as buses are written in turn; more is a clock that was set back."""
-_AFTER_END = 1.0
+_REPLAY_GAP_S = 1.0
 """Seconds between the last frame of a log and its first one when it is played anew."""
 
 
@@ -54,14 +54,14 @@ class Timeline:
     _shift: float | None = None
     _played: float = 0.0
 
-    def at(self, logged: float) -> float:
+    def play_time(self, logged: float) -> float:
         """The frame's moment on the line: never before the one given last."""
         if self._shift is None:
             self._shift = self._played - logged
         step = logged + self._shift - self._played
         if step < 0.0:
             self.counts["back"] += 1
-        if step < -_JITTER:
+        if step < -_MAX_STEP_BACK_S:
             self._shift -= step
         elif step > self.max_gap:
             self.counts["shortened"] += 1
@@ -72,7 +72,7 @@ class Timeline:
     def again(self) -> None:
         """The log begins anew."""
         self._shift = None
-        self._played += _AFTER_END
+        self._played += _REPLAY_GAP_S
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,10 +127,10 @@ class CanLogDriver:
     async def open(self) -> None:
         """Begin to play, or to answer again; the log went on meanwhile. Raises LinkDown if the file has gone."""
         self._open = True
-        if not self._begun():
+        if not self._begin():
             raise LinkDown(f"{self._log.path}: is not there any more")
 
-    def _begun(self) -> bool:
+    def _begin(self) -> bool:
         if not self._opened and self._log.path.is_file():
             self._opened = True
             self._began = self._clock() if self._began is None else self._began
@@ -156,7 +156,7 @@ class CanLogDriver:
         self._counts["requests"] += 1
         if not self._open:
             return [self._no(tag, Quality.NOT_CONNECTED, "not opened") for tag in tags]
-        if not self._begun():
+        if not self._begin():
             return [self._no(tag, Quality.NOT_CONNECTED, f"{self._log.path} is not there any more") for tag in tags]
         async with self._lock:
             self._decoder.listen(tags)
@@ -189,7 +189,7 @@ class CanLogDriver:
         while self._next is not None and self._next[1] <= due:
             frame, played = self._next
             self._take(frame, played)
-            self._next = self._following()
+            self._next = self._next_frame()
             burst += 1
             if burst % _BURST == 0:
                 await asyncio.sleep(0)
@@ -203,12 +203,12 @@ class CanLogDriver:
             self._counts["readings"] += 1
             self._held[reading.tag.name] = _Held(reading.reading, moment, played)
 
-    def _following(self) -> tuple[CanFrame, float] | None:
+    def _next_frame(self) -> tuple[CanFrame, float] | None:
         """The next frame of the bus and its moment on the line; with `loop` the log never ends."""
         for _ in range(2):
             for frame in self._frames:
                 if self._settings.bus in (None, frame.channel):
-                    return frame, self._timeline.at(frame.time)
+                    return frame, self._timeline.play_time(frame.time)
             if not self._settings.loop:
                 return None
             self._timeline.again()
@@ -217,7 +217,7 @@ class CanLogDriver:
 
     def _rewind(self) -> None:
         self._rewind_log()
-        self._next = self._following()
+        self._next = self._next_frame()
 
     def _rewind_log(self) -> None:
         self._counts["rounds"] += 1

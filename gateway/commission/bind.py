@@ -17,10 +17,10 @@ from gateway.commission.files import (
     BlockPlace,
     FileChange,
     Files,
-    carry_out,
+    apply_change,
     edit_files,
     pairs,
-    settings_of,
+    split_settings,
     template,
 )
 from gateway.commission.options import SharedOptions, bit_option, link_options
@@ -79,7 +79,7 @@ def bind(given: SharedOptions, **options: Any) -> None:
     """
 
     def work(files: Files) -> CommandResult:
-        device, plant = settings_of(options["keep"])
+        device, plant = split_settings(options["keep"])
         tags = []
         if options["name"]:
             keys = {key: options[key] for key in (*ENCODING, *_LIMITS) if options[key] is not None}
@@ -103,7 +103,7 @@ def bind(given: SharedOptions, **options: Any) -> None:
             address = _address(files, options["block"])
             block = BlockPlace(address, options["block_of"], names, options["layout"], options["timer"])
         wanted = FileChange(tags, block, options["heartbeat"], device, plant)
-        return CommandResult(carry_out(files, wanted, template(), dry_run=options["dry_run"]))
+        return CommandResult(apply_change(files, wanted, template(), dry_run=options["dry_run"]))
 
     if options["block_of"] and not options["block"]:
         raise click.UsageError("--block-of says which block --block places; give --block ADDRESS too")

@@ -21,18 +21,18 @@ from gateway.commission.read import read_raw
 from gateway.commission.session import (
     CheckStep,
     Site,
-    device_of,
-    failed,
+    conclude_steps,
+    failed_step,
+    find_period,
+    list_block_words,
     make_target,
     ok,
     perform,
-    period_of,
-    result_of,
+    require_device,
     step_lines,
     warning,
-    words_of,
 )
-from gateway.commission.writeback.write_plan import problems_of
+from gateway.commission.writeback.write_plan import writing_problems
 from gateway.console import CommandResult, Line, Part
 from gateway.entry import Exit, exit_code, sentences
 from gateway.settings import Config, load_plant
@@ -58,7 +58,7 @@ async def check_configuration(sites: Mapping[str, Site], *, offline: bool) -> Co
         from gateway.machine.model import models_at_start  # loads what runs a model, which a device alone needs not
 
         models = models_at_start(config)
-        steps += [*_models(config, models), *_contract(first), *_found(config, models), *_clock()]
+        steps += [*_models(config, models), *_contract(first), *_finding_steps(config, models), *_clock()]
     rows: list[dict[str, Any]] = []
     absent: list[DriverError] = []
     for name, site in sites.items():
@@ -68,15 +68,15 @@ async def check_configuration(sites: Mapping[str, Site], *, offline: bool) -> Co
                 rows += [{"link": name, **row} for row in await _readings(site, own)]
             except DriverError as error:
                 absent.append(error)
-                own.append(failed("reading", str(error)))
+                own.append(failed_step("reading", str(error)))
                 gone = {"value": None, "quality": Quality.NOT_CONNECTED.name, "reason": str(error)}
                 rows += [{"link": name, "tag": tag.name, **gone} for tag in site.target.tags]
         of_link = f"link {name!r}: " if len(sites) > 1 else ""
         steps += [replace(step, sentence=of_link + step.sentence) for step in own]
-    result = result_of(
+    result = conclude_steps(
         steps,
         links={name: site.target.place for name, site in sites.items()},
-        tags=len(device_of(first).tags),
+        tags=len(require_device(first).tags),
         readings=rows,
         open_points=[step.sentence for step in steps if step.state == "warning"],
     )
@@ -88,12 +88,12 @@ async def check_configuration(sites: Mapping[str, Site], *, offline: bool) -> Co
 
 
 def _files(site: Site) -> list[CheckStep]:
-    device, config = device_of(site), site.target.config
+    device, config = require_device(site), site.target.config
     named = f"{config.path} and {device.path}" if config else str(device.path)
     try:
-        driver = site.target.make_driver(words_of(site))
+        driver = site.target.make_driver(list_block_words(site))
     except DriverError as error:
-        return [failed("files", f"{device.path}: device: {error}")]
+        return [failed_step("files", f"{device.path}: device: {error}")]
     steps = [
         ok("files", f"{named} {'are' if config else 'is'} in order: {len(device.tags)} tags, driver {device.driver}")
     ]
@@ -102,17 +102,17 @@ def _files(site: Site) -> list[CheckStep]:
     return steps
 
 
-def _found(config: Config, models: ModelsAtStart) -> list[CheckStep]:
+def _finding_steps(config: Config, models: ModelsAtStart) -> list[CheckStep]:
     """What the judge of the plant file finds beside what has a step of its own."""
     from gateway.plant import check_common, check_machine
 
     found = [one for one in check_machine(config, models) if one.part != "model"]
     found += check_common(config) if config.leads else []
-    steps = [(failed if finding.grave else warning)(finding.part, finding.sentence) for finding in found]
-    return steps + [step for step in _told(config) if step.name not in {one.part for one in found}]
+    steps = [(failed_step if finding.grave else warning)(finding.part, finding.sentence) for finding in found]
+    return steps + [step for step in _recipient_steps(config) if step.name not in {one.part for one in found}]
 
 
-def _told(config: Config) -> list[CheckStep]:
+def _recipient_steps(config: Config) -> list[CheckStep]:
     """Who is told of alarms and of what is on record; nothing is sent."""
     steps = []
     if config.notify.to:
@@ -139,32 +139,32 @@ def _clock() -> list[CheckStep]:
 
 def _places(site: Site) -> list[CheckStep]:
     """Addresses that cannot be, tags that share registers, a block too long for one write."""
-    device = device_of(site)
-    plan = read_plan(site.target.driver, site.target.settings, device.tags, words_of(site))
+    device = require_device(site)
+    plan = read_plan(site.target.driver, site.target.settings, device.tags, list_block_words(site))
     if plan is None:
         return []
     problems = (*plan.problems, *plan.overlaps)
     if problems:
-        return [failed("places", problem) for problem in problems]
+        return [failed_step("places", problem) for problem in problems]
     count = sum(request.count for request in plan.requests)
     return [ok("places", f"{len(plan.requests)} requests for {count} addresses; none is used twice")]
 
 
 def _models(config: Config, models: ModelsAtStart) -> list[CheckStep]:
     """The models of each predicted temperature, and that the plant has what they read."""
-    if all(one.model.path is None for one in config.followed):
-        key = "no temperature has a model" if len(config.followed) > 1 else "model.path is not set"
+    if all(one.model.path is None for one in config.temperature_configs):
+        key = "no temperature has a model" if len(config.temperature_configs) > 1 else "model.path is not set"
         return [warning("model", f"{key}: the gateway watches the limit and predicts nothing")]
     loaded, problem = models
-    steps = [failed("model", problem)] if problem else []
-    for one, (first, members) in zip(config.followed, loaded, strict=True):
+    steps = [failed_step("model", problem)] if problem else []
+    for one, (first, members) in zip(config.temperature_configs, loaded, strict=True):
         if one.model.path is None:
             steps.append(warning("model", f"{one.model.temperature} has no model: it is watched and not predicted"))
-        steps += [_judged(model, one.model.temperature) for model in (first, *members) if model is not None]
+        steps += [_judge_model(model, one.model.temperature) for model in (first, *members) if model is not None]
     return steps
 
 
-def _judged(loaded: LoadedModel, tag: str) -> CheckStep:
+def _judge_model(loaded: LoadedModel, tag: str) -> CheckStep:
     """One model, and whether it may be used."""
     model, verdict = loaded.model, loaded.verdict
     machine = model.provenance.settings.get("machine")
@@ -174,17 +174,17 @@ def _judged(loaded: LoadedModel, tag: str) -> CheckStep:
     parts += [] if verdict is None else [f"it is {verdict.sentence}"]
     parts += [loaded.warning] if loaded.warning else []
     if verdict is not None and verdict.word == "unfit":
-        return failed("model", "; ".join(parts))
+        return failed_step("model", "; ".join(parts))
     limited = loaded.warning or (verdict is not None and verdict.word != "fit")
     return (warning if limited else ok)("model", "; ".join(parts))
 
 
 def _contract(site: Site) -> list[CheckStep]:
     """What writing needs, unless nothing is to be written."""
-    device, config = device_of(site), site.target.config
+    device, config = require_device(site), site.target.config
     if not device.writebacks or (config is not None and config.writeback.mode == "off"):
         return [ok("write-back", "off: nothing is written")]
-    problems = list(problems_of(site, device))
+    problems = list(writing_problems(site, device))
     if problems:
         return [warning("write-back", problem) for problem in problems]
     plan = read_plan(site.target.driver, site.target.settings, device.tags, device.block_words)
@@ -203,7 +203,7 @@ def _contract(site: Site) -> list[CheckStep]:
 
 
 async def _readings(site: Site, steps: list[CheckStep]) -> list[dict[str, Any]]:
-    device = device_of(site)
+    device = require_device(site)
     raws = await read_raw(site, device.tags)
     samples = [raw.sample for raw in raws]
     bad = [sample for sample in samples if not sample.quality.is_good]
@@ -215,7 +215,7 @@ async def _readings(site: Site, steps: list[CheckStep]) -> list[dict[str, Any]]:
     # Where nothing at all can be read one sentence says so, instead of one a tag.
     for sample in bad if len(bad) < len(samples) else ():
         # A sensor that is off says so in the right place: that is no fault of the configuration.
-        report = warning if sample.quality in _SAYS_SO else failed
+        report = warning if sample.quality in _SAYS_SO else failed_step
         steps.append(report("reading", f"{sample.tag} is {sample.quality.name}: {sample.reason}"))
     if not bad:
         steps.append(ok("reading", f"all {len(samples)} tags are good"))
@@ -229,7 +229,7 @@ async def _readings(site: Site, steps: list[CheckStep]) -> list[dict[str, Any]]:
 
 async def _heartbeat(site: Site, before: Sequence[Sample]) -> list[CheckStep]:
     """Whether the PLC's program counts, within the time that the configuration gives it."""
-    device, config = device_of(site), site.target.config
+    device, config = require_device(site), site.target.config
     if device.heartbeat is None:
         sentence = (
             "no heartbeat is named: a program that stands still cannot be told from one at rest (decanter "
@@ -238,8 +238,8 @@ async def _heartbeat(site: Site, before: Sequence[Sample]) -> list[CheckStep]:
         return [warning("heartbeat", sentence)]
     first = next(sample.value for sample in before if sample.tag == device.heartbeat)
     if first == 0:
-        return [failed("heartbeat", f"{device.heartbeat} is 0: the PLC's program does not run")]
-    patience = max(config.device.heartbeat_period if config else 0.0, period_of(site))
+        return [failed_step("heartbeat", f"{device.heartbeat} is 0: the PLC's program does not run")]
+    patience = max(config.device.heartbeat_period if config else 0.0, find_period(site))
     begun = time.monotonic()
     tag = device.by_name[device.heartbeat]
     # Asked five times within its patience: a program that counts fast may stand at the same number at one moment.
@@ -249,7 +249,7 @@ async def _heartbeat(site: Site, before: Sequence[Sample]) -> list[CheckStep]:
         if now.value not in (first, None):
             took = time.monotonic() - begun
             return [ok("heartbeat", f"{device.heartbeat} went from {first} to {now.value} within {took:.2g} s")]
-    return [failed("heartbeat", f"{device.heartbeat} stood at {first} for {patience:g} s: does the program run?")]
+    return [failed_step("heartbeat", f"{device.heartbeat} stood at {first} for {patience:g} s: does the program run?")]
 
 
 # ---------------------------------------------------------------- several machines
@@ -268,7 +268,7 @@ def _several(given: SharedOptions) -> list[str]:
     return names if len(names) > 1 else []
 
 
-def _over_links(given: SharedOptions, site: Site) -> dict[str, Site]:
+def _link_sites(given: SharedOptions, site: Site) -> dict[str, Site]:
     """The device over each of its links, where none is named."""
     if site.target.config is None or given.link is not None:
         return {site.target.kind: site}
@@ -280,7 +280,7 @@ def _over_links(given: SharedOptions, site: Site) -> dict[str, Site]:
     return {links[0].name: site, **others}
 
 
-def _together(results: Mapping[str, CommandResult]) -> CommandResult:
+def _join_machines(results: Mapping[str, CommandResult]) -> CommandResult:
     """The results of all machines; the first one that is not in order gives exit code and sentence."""
     failing = {name: result for name, result in results.items() if result.complaint}
     data = {
@@ -314,7 +314,7 @@ def check(given: SharedOptions, offline: bool) -> None:
             given,
             "check",
             {"offline": offline},
-            lambda site: check_configuration(_over_links(given, site), offline=offline),
+            lambda site: check_configuration(_link_sites(given, site), offline=offline),
             step_lines,
         )
         return
@@ -330,9 +330,9 @@ def check(given: SharedOptions, offline: bool) -> None:
             of_one = replace(given, machine=name)
             target = make_target(given.plant, given=given.settings, machine=name)
             results[name] = await check_configuration(
-                _over_links(of_one, replace(site, target=target)), offline=offline
+                _link_sites(of_one, replace(site, target=target)), offline=offline
             )
-        return _together(results)
+        return _join_machines(results)
 
     with sentences():
         first = make_target(given.plant, machine=names[0])

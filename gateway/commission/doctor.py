@@ -21,23 +21,23 @@ from gateway.commission.session import (
     RecordsError,
     Site,
     Target,
-    broken_at,
-    failed,
+    conclude_steps,
+    failed_step,
+    find_break,
+    find_target,
     ok,
     perform,
-    result_of,
     running_gateway,
     step_lines,
-    target_of,
     versions,
     warning,
 )
-from gateway.commission.survey import addresses_of, local_end
+from gateway.commission.survey import local_end, resolve_host
 from gateway.console import CommandResult
 from gateway.entry import sentences
 
 LEAST_FREE_MB = 500
-OLDEST = 1_735_689_600.0
+OLDEST_TIME_S = 1_735_689_600.0
 """2025-01-01: a clock before it was never set."""
 _ARPHRD_CAN = "280"
 """What /sys/class/net/NAME/type says of a CAN interface (linux/if_arp.h)."""
@@ -50,9 +50,9 @@ async def examine_machine(site: Site, records: Path) -> CommandResult:
     steps = [ok("software", ", ".join(f"{name} {number}" for name, number in installed.items()))]
     # The clock: every record and every comparison with the HMI has its time.
     now, error = time.strftime("%Y-%m-%d %H:%M:%S UTC", time.gmtime()), clock_error()
-    if time.time() < OLDEST:
+    if time.time() < OLDEST_TIME_S:
         sentence = f"it is {now} by this machine's clock, which was never set: set it before anything else"
-        steps.append(failed("clock", sentence))
+        steps.append(failed_step("clock", sentence))
     elif error is None or isinf(error):
         sentence = f"{now}, and no time server steers this clock: compare it with the HMI's, and set up NTP"
         steps.append(warning("clock", sentence))
@@ -70,32 +70,34 @@ async def examine_machine(site: Site, records: Path) -> CommandResult:
     free = shutil.disk_usage(place).free / 1e6
     sentence = f"{free:,.0f} MB free at {place}"
     enough = free >= LEAST_FREE_MB
-    steps.append(ok("disk", sentence) if enough else failed("disk", f"only {sentence}: records and history need room"))
+    steps.append(
+        ok("disk", sentence) if enough else failed_step("disk", f"only {sentence}: records and history need room")
+    )
     if not records.is_file() or not records.stat().st_size:
         steps.append(ok("records", f"{records}: begins with this command"))
     else:
         try:
-            line = broken_at(records)
+            line = find_break(records)
         except RecordsError as broken:
-            steps.append(failed("records", str(broken)))
+            steps.append(failed_step("records", str(broken)))
         else:
             changed = f"{records}: line {line} does not follow the one before it: the file was changed"
-            steps.append(ok("records", f"{records}: unbroken") if line is None else failed("records", changed))
+            steps.append(ok("records", f"{records}: unbroken") if line is None else failed_step("records", changed))
     steps.append(_can(target))
     steps += await asyncio.to_thread(_serial_ports, target)
     if "host" in target.settings:
         # The way to the device, without asking it anything.
         host = str(target.settings["host"])
         try:
-            address = (await addresses_of(host))[0]
+            address = (await resolve_host(host))[0]
             steps.append(ok("way", f"{host} is {address}, reached from {local_end(address)}"))
         except (OSError, UnicodeError) as unreachable:
             sentence = (
                 f"there is no way from here to {host!r} ({unreachable}): check the name, the address and the network"
             )
-            steps.append(failed("way", sentence, LinkDown(sentence)))
+            steps.append(failed_step("way", sentence, LinkDown(sentence)))
     steps += _files(target)
-    return result_of(steps, versions=installed)
+    return conclude_steps(steps, versions=installed)
 
 
 def _can(target: Target) -> CheckStep:
@@ -106,11 +108,11 @@ def _can(target: Target) -> CheckStep:
     if target.medium != "can" or target.settings.get("interface", "socketcan") != "socketcan":
         return ok("can", f"interfaces of the kernel: {', '.join(interfaces) or 'none'}")
     if wanted not in interfaces:
-        return failed(
+        return failed_step(
             "can", f"there is no CAN interface {wanted!r} here (there are: {', '.join(interfaces) or 'none'})"
         )
     if wanted not in up:
-        return failed("can", f"{wanted} is down: ip link set {wanted} up type can bitrate ...")
+        return failed_step("can", f"{wanted} is down: ip link set {wanted} up type can bitrate ...")
     return ok("can", f"{wanted} is up")
 
 
@@ -120,9 +122,13 @@ def _serial_ports(target: Target) -> list[CheckStep]:
     if not wanted:
         return [ok("serial", f"ports: {', '.join(ports) or 'none'}")]
     if not Path(wanted).exists():
-        return [failed("serial", f"there is no {wanted} here (there are: {', '.join(ports) or 'none'}): plugged in?")]
+        return [
+            failed_step("serial", f"there is no {wanted} here (there are: {', '.join(ports) or 'none'}): plugged in?")
+        ]
     if not os.access(wanted, os.R_OK | os.W_OK):
-        return [failed("serial", f"this user may not open {wanted}: add it to the port's group (dialout), log in anew")]
+        return [
+            failed_step("serial", f"this user may not open {wanted}: add it to the port's group (dialout), log in anew")
+        ]
     return [ok("serial", f"{wanted} is there and may be opened")]
 
 
@@ -163,5 +169,5 @@ def doctor(given: SharedOptions) -> None:
     """
     with sentences():
         anything = given.plant or given.device or given.link or given.settings
-        target = target_of(given) if anything else Target("this machine", "", {})
+        target = find_target(given) if anything else Target("this machine", "", {})
     perform(given, "doctor", {}, lambda site: examine_machine(site, given.records), step_lines, target=target)

@@ -15,23 +15,23 @@ import click
 from drivers.errors import DeviceException, LinkDown
 from drivers.survey import AsksRegisters
 from drivers.tag import DType, Tag
-from gateway.commission.encodings import Observation, ShownNumber, advise, parse_shown, rank
+from gateway.commission.encodings import Observation, ShownNumber, advise, parse_display, rank
 from gateway.commission.options import SharedOptions, link_options
 from gateway.commission.session import (
     Site,
+    find_target,
     perform,
     read_records,
-    read_through,
+    read_samples,
     running_gateway,
-    target_of,
 )
-from gateway.commission.survey import LAST, Register, parse_register
+from gateway.commission.survey import LAST_ADDRESS, Register, parse_register
 from gateway.console import CommandResult, Part, Rows
 from gateway.entry import sentences
 
-BEFORE, AFTER = 2, 5
+REGISTERS_BEFORE, REGISTERS_AFTER = 2, 5
 """Registers read besides the one that was given: twice off by one, and a value of four registers."""
-FORGOTTEN_S = 4 * 3600.0
+READING_MEMORY_S = 4 * 3600.0
 """Earlier readings of the same address are taken into account for so long."""
 SHOWN_ROWS = 8
 
@@ -50,8 +50,8 @@ async def guess_encoding(site: Site, register: Register, text: str, earlier: Seq
 
     Raises ReadingError for a text that is no reading; DriverError where the registers cannot be read.
     """
-    shown = parse_shown(text)
-    base, words = await _registers_around(site, register)
+    shown = parse_display(text)
+    base, words = await _neighbour_words(site, register)
     now = {"base": base, "words": words, "reading": text}
     readings = [*earlier, now]
     if isinstance(shown, bool):
@@ -59,7 +59,7 @@ async def guess_encoding(site: Site, register: Register, text: str, earlier: Seq
     observations = [
         Observation(reading["base"], tuple(reading["words"]), number)
         for reading in readings
-        if isinstance(number := parse_shown(reading["reading"]), ShownNumber)
+        if isinstance(number := parse_display(reading["reading"]), ShownNumber)
     ]
     candidates = rank(observations, register.number)
     advice = advise(candidates, observations)
@@ -75,7 +75,7 @@ async def guess_encoding(site: Site, register: Register, text: str, earlier: Seq
         "observation": now,
         "readings": len(observations),
         "candidates": rows,
-        "settled": advice.settled and bool(candidates),
+        "settled": advice.is_settled and bool(candidates),
         "advice": list(advice.sentences),
         "second_reading": {"below": advice.below, "above": advice.above},
     }
@@ -86,16 +86,16 @@ async def guess_encoding(site: Site, register: Register, text: str, earlier: Seq
     return CommandResult(data, "" if candidates else complaint)
 
 
-async def _registers_around(site: Site, register: Register) -> tuple[int, list[int]]:
+async def _neighbour_words(site: Site, register: Register) -> tuple[int, list[int]]:
     """The registers around one: by the running gateway's connection where one runs, else by one of our own."""
     line = running_gateway(site.target)
     if line is None:
         async with site.registers() as survey:
-            return await read_around(survey, register)
+            return await read_neighbours(survey, register)
     places = [Register(register.table, number) for number in range(*_window(register))]
     tags = [Tag(str(place), str(place), DType.BOOL if register.is_bit else DType.UINT16) for place in places]
     with closing(line):
-        _, samples = await asyncio.to_thread(read_through, line, tags, ())
+        _, samples = await asyncio.to_thread(read_samples, line, tags, ())
     site.notes.append("read through the running gateway")
     known = {parse_register(sample.tag).number: int(sample.value or 0) for sample in samples if sample.quality.is_good}
     if not known:
@@ -106,7 +106,7 @@ async def _registers_around(site: Site, register: Register) -> tuple[int, list[i
 
 def _window(register: Register) -> tuple[int, int]:
     """The first register to be read, and the one after the last."""
-    return max(0, register.number - BEFORE), min(LAST, register.number + AFTER) + 1
+    return max(0, register.number - REGISTERS_BEFORE), min(LAST_ADDRESS, register.number + REGISTERS_AFTER) + 1
 
 
 def _stretch(known: Mapping[int, int], number: int) -> tuple[int, int]:
@@ -119,7 +119,7 @@ def _stretch(known: Mapping[int, int], number: int) -> tuple[int, int]:
     return low, high
 
 
-async def read_around(survey: AsksRegisters, register: Register) -> tuple[int, list[int]]:
+async def read_neighbours(survey: AsksRegisters, register: Register) -> tuple[int, list[int]]:
     """The registers around one: the first one's number, and the words, of one moment where the device allows it.
 
     Where a neighbour is refused they are asked one by one, and those that follow one another nearest to the address are
@@ -157,7 +157,7 @@ def earlier_readings(path: Path, place: str, register: Register, now: float) -> 
         and record.place == place
         and record.result.get("address") == str(register)
         and "observation" in record.result
-        and now - record.time <= FORGOTTEN_S
+        and now - record.time <= READING_MEMORY_S
     ]
 
 
@@ -166,7 +166,7 @@ def _states(register: Register, readings: Sequence[dict[str, Any]], now: dict[st
     flags = [
         Flag(reading["base"], tuple(reading["words"]), state)
         for reading in readings
-        if isinstance(state := parse_shown(reading["reading"]), bool)
+        if isinstance(state := parse_display(reading["reading"]), bool)
     ]
     bits: list[dict[str, Any]] = []
     # Lists count registers from 0 or from 1, so that the neighbours are as likely; the given one comes first.
@@ -210,7 +210,7 @@ def guess(given: SharedOptions, address: str, reading: str | None, fresh: bool) 
     """
     with sentences():
         register = parse_register(address)
-        target = target_of(given)
+        target = find_target(given)
         own = target.capabilities
         if not own.registers:
             raise ValueError(

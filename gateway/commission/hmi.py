@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from drivers.codec import encode, other_order, registers_needed
+from drivers.codec import encode, other_order, register_count
 from drivers.errors import EncodingError
 from drivers.tag import DType, Tag, Value
-from gateway.commission.encodings import ReadingError, ShownNumber, parse_shown
-from gateway.commission.files import COLUMNS, ListError, flag_of, key_of, read_sheet
+from gateway.commission.encodings import ReadingError, ShownNumber, parse_display
+from gateway.commission.files import COLUMNS, ListError, header_key, parse_flag, read_sheet
 
 _COLUMNS: Mapping[str, tuple[str, ...]] = {
     "name": COLUMNS["name"],
@@ -74,7 +74,7 @@ class Point:
         return None if self.read is None or isinstance(self.read, str) else float(self.read)
 
 
-def definition_of(tag: Tag) -> str:
+def definition_hash(tag: Tag) -> str:
     """A short hash of where and how the tag lies: what was proved for another place is not proved for this one."""
     text = repr((tag.address, tag.dtype.value, tag.order.value, tag.scale, tag.offset, tag.bit, tag.length))
     return hashlib.sha256(text.encode()).hexdigest()[:12]
@@ -88,13 +88,13 @@ def read_hmi_list(path: Path, tags: Sequence[Tag], now: float) -> list[HmiReadin
 
     Times without a date are of the day of `now`, in this machine's time zone. Raises ListError.
     """
-    known = {key_of(tag.name): tag.name for tag in tags}
+    known = {header_key(tag.name): tag.name for tag in tags}
     readings = []
     try:
         sheet = read_sheet(path, _COLUMNS, ("name", "value"))
     except ListError as error:
         # A list with a column a tag: any one of the tags is enough to know the header by.
-        columns = {"time": _COLUMNS["time"], **{tag.name: (key_of(tag.name),) for tag in tags}}
+        columns = {"time": _COLUMNS["time"], **{tag.name: (header_key(tag.name),) for tag in tags}}
         for tag in tags:
             with suppress(ListError):
                 sheet = read_sheet(path, columns, (tag.name,))
@@ -108,13 +108,13 @@ def read_hmi_list(path: Path, tags: Sequence[Tag], now: float) -> list[HmiReadin
         return readings
     for line in sheet.lines:
         name, text = line.get("name"), line.get("value")
-        if key_of(name) not in known:
+        if header_key(name) not in known:
             raise ListError(
                 f"{sheet.where(line, 'name')}: {name!r} is no tag of the device file; give one of its names"
             )
         if text:
             when = _time(sheet.where(line, "time"), line.get("time"), now)
-            readings.append(HmiReading(known[key_of(name)], text, when, sheet.where(line, "value")))
+            readings.append(HmiReading(known[header_key(name)], text, when, sheet.where(line, "value")))
     return readings
 
 
@@ -168,7 +168,7 @@ def compare(
         number = float(wanted)
         passed = min(max(number, min(numbers) - slack), max(numbers) + slack)
         display, at = ShownNumber(number, step), np.array([passed])
-        exact = bool(display.rounded_from(at)[0] or display.cut_from(at)[0])
+        exact = bool(display.rounding_mask(at)[0] or display.truncation_mask(at)[0])
     return Point(
         tag=tag.name,
         shown=shown.text,
@@ -176,7 +176,7 @@ def compare(
         ok=ok,
         reason=reason,
         tolerance=tolerance,
-        definition=definition_of(tag),
+        definition=definition_hash(tag),
         time=now,
         exact=exact,
     )
@@ -184,19 +184,19 @@ def compare(
 
 def _meaning(tag: Tag, shown: HmiReading, slack: float) -> tuple[Value, float, float]:
     """What the text says, the tolerance, and what its last digit counts (0 for what is no number)."""
-    key = key_of(shown.text)
+    key = header_key(shown.text)
     if tag.dtype is DType.STRING:
         return shown.text, 0.0, 0.0
     for number, label in tag.labels.items():
-        if key_of(label) == key:
+        if header_key(label) == key:
             return number, 0.0, 0.0
     if tag.dtype is DType.BOOL or tag.bit is not None:
-        flag = flag_of(key)
+        flag = parse_flag(key)
         if flag is None:
             raise ListError(f"{shown.where or tag.name}: {shown.text!r} is no state; give 1 or 0, on or off")
         return flag, 0.0, 0.0
     try:
-        reading = parse_shown(shown.text)
+        reading = parse_display(shown.text)
     except ReadingError as error:
         raise ListError(f"{shown.where or tag.name}: {error}") from None
     if isinstance(reading, bool):
@@ -230,13 +230,13 @@ def _agreement(wanted: Value, values: Sequence[Value], tolerance: float, tag: Ta
 # ---------------------------------------------------------------- proof
 
 
-def left_to_do(tag: Tag, points: Sequence[Point]) -> str:
+def missing_proof(tag: Tag, points: Sequence[Point]) -> str:
     """What is missing until the tag is proved ("": nothing): two distinct values of a number, both states of a flag.
 
     A number needs a third one where a register may be a neighbour's: it held the same word at each, or a reading agreed
     within the tolerance only.
     """
-    here = [point for point in points if point.tag == tag.name and point.definition == definition_of(tag)]
+    here = [point for point in points if point.tag == tag.name and point.definition == definition_hash(tag)]
     own = [point for point in here if point.ok]
     if not own:
         return f"compared and did not agree: {here[-1].reason}" if here else "not compared yet"
@@ -257,7 +257,7 @@ def left_to_do(tag: Tag, points: Sequence[Point]) -> str:
         return f"{off}: it moved, or a register is a neighbour's: compare {3 - len(distinct)} more values at rest"
     if len(distinct) < 2:
         return f"compared at {at} only"
-    words = [encode(tag, _number(point)) for point in distinct] if registers_needed(tag) > 1 else []
+    words = [encode(tag, _number(point)) for point in distinct] if register_count(tag) > 1 else []
     if any(len(set(word)) == 1 for word in zip(*words, strict=True)):
         return f"compared at {at} only: a register held the same both times and may be a neighbour's: compare a third"
     return ""
@@ -267,7 +267,7 @@ def _number(point: Point) -> float:
     return point.number or 0.0
 
 
-def points_of(result: Mapping[str, Any]) -> list[Point]:
+def parse_points(result: Mapping[str, Any]) -> list[Point]:
     """The comparisons in the record of an earlier `verify`; what is none is left out."""
     points = []
     for plain in result.get("points", ()):

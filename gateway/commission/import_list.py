@@ -21,11 +21,11 @@ from gateway.commission.files import (
     Files,
     IoList,
     Reading,
-    carry_out,
+    apply_change,
     edit_files,
     pairs,
     read_io_list,
-    settings_of,
+    split_settings,
     template,
 )
 from gateway.commission.options import SharedOptions, link_options, only_option
@@ -33,7 +33,7 @@ from gateway.commission.read import ORDERS
 from gateway.console import CommandResult
 
 
-def as_listed(command: Callable[..., Any]) -> Callable[..., Any]:
+def list_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """The options that say how a list is meant where it does not say so itself."""
     options = (
         click.option(
@@ -56,8 +56,8 @@ def as_listed(command: Callable[..., Any]) -> Callable[..., Any]:
     return command
 
 
-def reading_of(options: Mapping[str, Any], **more: Any) -> Reading:
-    """How a list is read, by the options of `as_listed`."""
+def make_reading(options: Mapping[str, Any], **more: Any) -> Reading:
+    """How a list is read, by the options of `list_options`."""
     given = {key: options[key] for key in ("order", "shift", "gain", "numbers", "plc") if options[key] is not None}
     return Reading(**given, **more)
 
@@ -81,7 +81,7 @@ def reading_of(options: Mapping[str, Any], **more: Any) -> Reading:
     callback=pairs,
     help="How often a group of a SunSpec model is there; may be given again.",
 )
-@as_listed
+@list_options
 @only_option
 @click.option("--without", multiple=True, metavar="TAG", help="Leave this tag out; may be given again.")
 @click.option("--rename", multiple=True, metavar="OLD=NEW", callback=pairs, help="Give a tag of the list another name.")
@@ -100,9 +100,9 @@ def import_list(given: SharedOptions, path: Path, **options: Any) -> None:
     """
 
     def work(files: Files) -> CommandResult:
-        device, plant = settings_of(options["keep"])
+        device, plant = split_settings(options["keep"])
         registers = capabilities(files.driver).registers
-        how = reading_of(
+        how = make_reading(
             options,
             table=options["registers"],
             registers=registers,
@@ -167,7 +167,7 @@ def import_outcome(
         count = len(io_list.problems)
         sentence = f"{count} rows cannot be used, nothing was written: correct them, or give --skip-bad"
         return CommandResult({**data, "diff": "", "written": False, "files": [], "backups": []}, sentence)
-    done = carry_out(files, wanted, template, dry_run=dry_run)
+    done = apply_change(files, wanted, template, dry_run=dry_run)
     left = [f"import: a row was left out: {problem}" for problem in io_list.problems]
     left += [f"import: {tag.unread}" for tag in io_list.tags if tag.unread]
     return CommandResult({**data, **done, "open_points": left})

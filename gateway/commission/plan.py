@@ -12,16 +12,16 @@ import click
 from drivers.driver import Explains, PlanKind
 from drivers.survey import read_plan
 from gateway.commission.options import SharedOptions, audit_option, link_options, period_option
-from gateway.commission.session import Site, audit_path, device_of, perform, period_of, words_of
-from gateway.commission.survey import parse_register, reference_of
+from gateway.commission.session import Site, audit_path, find_period, list_block_words, perform, require_device
+from gateway.commission.survey import parse_register, reference_number
 from gateway.commission.writeback.write_plan import plan_writing, writing_view
 from gateway.console import CommandResult, Line, Part, Rows
 
 
 async def plan_scan(site: Site, given_period: float | None) -> CommandResult:
     """The plan of a scan. A failed check where a tag cannot be read or the worst case is longer than the period."""
-    device, period = device_of(site), period_of(site, given_period)
-    scan_plan = read_plan(site.target.driver, site.target.settings, device.tags, words_of(site))
+    device, period = require_device(site), find_period(site, given_period)
+    scan_plan = read_plan(site.target.driver, site.target.settings, device.tags, list_block_words(site))
     if scan_plan is None:
         # A device that is not read in requests of its own: what its driver says of the plan.
         driver = site.target.make_driver()
@@ -70,8 +70,8 @@ async def plan_scan(site: Site, given_period: float | None) -> CommandResult:
 
 
 def _reference(place: str, count: int) -> str:
-    first = reference_of(place)
-    return f"{first}-{parse_register(place).moved(count - 1).reference}" if first and count > 1 else first
+    first = reference_number(place)
+    return f"{first}-{parse_register(place).shift(count - 1).reference}" if first and count > 1 else first
 
 
 @click.command(short_help="The requests of one scan, and their longest time; with --write what would be written.")

@@ -19,11 +19,11 @@ from gateway.commission.session import (
     CONNECT_S,
     CheckStep,
     Site,
-    failed,
+    conclude_steps,
+    failed_step,
     mention_gateway,
     ok,
     perform,
-    result_of,
     step_lines,
     warning,
 )
@@ -31,21 +31,21 @@ from gateway.commission.survey import (
     BEHIND_GATEWAY,
     ILLEGAL_FUNCTION,
     Register,
-    addresses_of,
     connect_sentence,
     first_register,
-    greeting_of,
+    guess_service,
     local_end,
-    looks_like,
     not_modbus,
     probe_bus,
+    read_greeting,
+    resolve_host,
 )
 from gateway.console import CommandResult, Part
 
 ROUND_TRIPS = 10
 TIMEOUTS_S = (0.2, 0.3, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 5.0, 10.0, 20.0, 30.0, 60.0)
 """Timeouts that are proposed."""
-QUIET_S = 0.25
+UNREQUESTED_WAIT_S = 0.25
 """A first answer that takes longer than this and than all others comes of a device that is silent at first."""
 OTHER_UNITS = (1, 255, 0, 2, 247)
 """Asked when the given unit is silent: what devices and gateways use where nothing was set."""
@@ -77,8 +77,8 @@ async def probe_device(site: Site) -> CommandResult:
             async with site.driver():
                 steps.append(ok("connection", f"the driver {site.target.driver!r} has its device"))
         except DriverError as error:
-            steps.append(failed("connection", str(error), error))
-    return result_of(steps, **facts)
+            steps.append(failed_step("connection", str(error), error))
+    return conclude_steps(steps, **facts)
 
 
 async def _probe_modbus(site: Site, steps: list[CheckStep], facts: dict[str, Any]) -> None:
@@ -89,12 +89,12 @@ async def _probe_modbus(site: Site, steps: list[CheckStep], facts: dict[str, Any
         # like a device that is off.
         host = str(settings["host"])
         try:
-            facts["addresses"] = await addresses_of(host)
+            facts["addresses"] = await resolve_host(host)
         except (OSError, UnicodeError):
             sentence = (
                 f"{host!r} is no address, and no name that this machine can resolve: check it, or give the address"
             )
-            steps.append(failed("name", sentence, LinkDown(sentence)))
+            steps.append(failed_step("name", sentence, LinkDown(sentence)))
             return
         steps.append(ok("name", f"{host} is {', '.join(facts['addresses'])}"))
         try:
@@ -103,14 +103,14 @@ async def _probe_modbus(site: Site, steps: list[CheckStep], facts: dict[str, Any
             sentence = (
                 f"this machine has no way to {facts['addresses'][0]} ({error.strerror}): check its network settings"
             )
-            steps.append(failed("route", sentence, LinkDown(sentence)))
+            steps.append(failed_step("route", sentence, LinkDown(sentence)))
             return
         steps.append(ok("route", f"from {facts['local']} to {facts['addresses'][0]}"))
     habits: dict[str, Any] = {}
     failures: list[CheckStep] = []
     while True:
         tried: list[CheckStep] = []
-        remedy = await _asked(site, habits, tried, facts)
+        remedy = await _ask_device(site, habits, tried, facts)
         failures = failures or tried
         if not remedy or remedy.items() <= habits.items() or len(habits) >= MOST_REMEDIES:
             break
@@ -124,7 +124,7 @@ async def _probe_modbus(site: Site, steps: list[CheckStep], facts: dict[str, Any
             steps.append(warning("habit", f"{_HABITS[key]}: {_toml(key, value)} in [device] of the device file"))
 
 
-async def _asked(
+async def _ask_device(
     site: Site, habits: Mapping[str, Any], steps: list[CheckStep], facts: dict[str, Any]
 ) -> Mapping[str, Any] | None:
     """Connection, first reply, who it is: None; else the settings by which what came may be read, empty for none."""
@@ -138,8 +138,8 @@ async def _asked(
                 f"{error}: is the adapter plugged in, is another program using it, and may this user open it (dialout)?"
             )
             if "host" in settings:
-                sentence = connect_sentence(str(settings["host"]), port_of(settings), error)
-            steps.append(failed("connection", sentence, error))
+                sentence = connect_sentence(str(settings["host"]), tcp_port(settings), error)
+            steps.append(failed_step("connection", sentence, error))
             return {}
         steps.append(ok("connection", f"{site.target.place} is open"))
         found = await _speaks(site, survey, steps)
@@ -154,7 +154,7 @@ def _toml(key: str, value: object) -> str:
     return f"{key} = {str(value).lower() if isinstance(value, bool) else json.dumps(value)}"
 
 
-def port_of(settings: Mapping[str, Any]) -> int:
+def tcp_port(settings: Mapping[str, Any]) -> int:
     """The TCP port, the standard's where none is given."""
     return int(settings.get("port", 802 if settings.get("transport") == "tls" else 502))
 
@@ -174,7 +174,7 @@ async def _speaks(site: Site, survey: AsksRegisters, steps: list[CheckStep]) -> 
         if error.code in BEHIND_GATEWAY:
             text = f"a gateway answers for unit {unit} that it cannot reach it (exception {error.code})"
             text += _hint(await _other_units(survey, unit))
-            steps.append(failed("modbus", text, error))
+            steps.append(failed_step("modbus", text, error))
             return {}
         # Any other exception is the unit's own: it speaks Modbus, and merely has no such register.
         took = 1e3 * (time.monotonic() - begun)
@@ -189,15 +189,15 @@ async def _speaks(site: Site, survey: AsksRegisters, steps: list[CheckStep]) -> 
                 f"something answers, and no answer to unit {unit} has its request's transaction id ({error}): give "
                 'transaction_id = "any", or a longer timeout if they only come late'
             )
-            steps.append(failed("modbus", sentence, error))
+            steps.append(failed_step("modbus", sentence, error))
             return error.remedy
         cause: ReplyTimeout | LinkDown = error
         other = LINKS[site.target.kind].mistaken_for if site.target.kind in LINKS else ""
         if not others and other:
             # A server that greets (SSH, SMTP, FTP) may have done so before the first request or only now.
-            received = site.evidence.greeting or await greeting_of(str(settings["host"]), port_of(settings))
-            if looks_like(received):
-                sentence = not_modbus(port_of(settings), received)
+            received = site.evidence.greeting or await read_greeting(str(settings["host"]), tcp_port(settings))
+            if guess_service(received):
+                sentence = not_modbus(tcp_port(settings), received)
                 cause = LinkDown(sentence)
             else:
                 sentence += (
@@ -205,18 +205,18 @@ async def _speaks(site: Site, survey: AsksRegisters, steps: list[CheckStep]) -> 
                     f"another client, or does it want other frames (--link {other})? `decanter plc scan units` tries "
                     "all units"
                 )
-        steps.append(failed("modbus", sentence, cause))
+        steps.append(failed_step("modbus", sentence, cause))
         return error.remedy
     except ReplyMismatch as error:
         keeps = "" if "answers_as" in str(error) else ": what answers does not keep to the protocol"
-        steps.append(failed("modbus", f"{error}{keeps}", LinkDown(str(error))))
+        steps.append(failed_step("modbus", f"{error}{keeps}", LinkDown(str(error))))
         return error.remedy
     except LinkDown as error:
         # The peer was there and broke off: it speaks another protocol, or it is busy.
         received = site.evidence.greeting
-        foreign = received and (error.fault is LinkFault.FOREIGN or looks_like(received))
-        sentence = not_modbus(port_of(settings), received) if foreign else str(error)
-        steps.append(failed("modbus", sentence, error))
+        foreign = received and (error.fault is LinkFault.FOREIGN or guess_service(received))
+        sentence = not_modbus(tcp_port(settings), received) if foreign else str(error)
+        steps.append(failed_step("modbus", sentence, error))
         return {}
     else:
         steps.append(ok("modbus", f"unit {unit} answers in {1e3 * words.seconds:.1f} ms"))
@@ -267,9 +267,11 @@ async def _identity(site: Site, survey: AsksRegisters, steps: list[CheckStep], f
         try:
             reason = await survey.stranger()
         except DriverError as error:
-            steps.append(failed("pinned", f"whether this is the pinned device is not known: {error}", error))
+            steps.append(failed_step("pinned", f"whether this is the pinned device is not known: {error}", error))
             return
-        steps.append(failed("pinned", reason, LinkDown(reason)) if reason else ok("pinned", "it is the pinned device"))
+        steps.append(
+            failed_step("pinned", reason, LinkDown(reason)) if reason else ok("pinned", "it is the pinned device")
+        )
     elif lasting := {name: text for name, text in said.items() if name != _OF_THE_FIRMWARE}:
         facts["proposed_identity"] = lasting
         marks = ", ".join(f"{json.dumps(name)} = {json.dumps(text)}" for name, text in lasting.items())
@@ -307,7 +309,7 @@ async def _facts(
     steps.append(ok("round trip", f"{ROUND_TRIPS} requests, ms: {sentence}"))
     # An answer that took long, and no other one did: the device was silent at first, and is not slow.
     first, slowest = survey.statistics().get("seconds_to_first", 0.0), facts["round_trip_ms"]["max"] / 1e3
-    if first > QUIET_S and first > 4 * slowest:
+    if first > UNREQUESTED_WAIT_S and first > 4 * slowest:
         pause = 0.1 * ceil(10 * first)
         facts["habits"] = {**facts.get("habits", {}), "pause_after_connect": pause}
         sentence = f"answers nothing for up to {first:.1f} s after connecting: pause_after_connect = {pause:.1f}"
@@ -344,21 +346,21 @@ def probe(given: SharedOptions, write: bool, pin: bool) -> None:
 
     async def work(site: Site) -> CommandResult:
         result = await probe_device(site)
-        return _kept(given, result, pin=pin) if write and not result.complaint else result
+        return _keep_findings(given, result, pin=pin) if write and not result.complaint else result
 
     perform(given, "probe", {"write": write, "pin": pin}, work, _view)
 
 
-def _kept(given: SharedOptions, result: CommandResult, *, pin: bool) -> CommandResult:
+def _keep_findings(given: SharedOptions, result: CommandResult, *, pin: bool) -> CommandResult:
     """What was found, in the device file. Raises ConfigError or OSError."""
     # What changes files loads more than a probe needs.
-    from gateway.commission.files import FileChange, carry_out, find_files, template
+    from gateway.commission.files import FileChange, apply_change, find_files, template
 
     found = dict(result.data.get("habits", {}))
     if pin:
         found |= {"identity": identity} if (identity := result.data.get("proposed_identity")) else {}
     files = find_files(given.plant, given.device, given.link, given.settings, given.machine)
-    done = carry_out(files, FileChange(device=found), template(), dry_run=False) if found else {"written": False}
+    done = apply_change(files, FileChange(device=found), template(), dry_run=False) if found else {"written": False}
     return replace(result, data={**result.data, **done})
 
 

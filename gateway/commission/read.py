@@ -10,13 +10,13 @@ from typing import Any
 
 import click
 
-from drivers.codec import registers_needed
+from drivers.codec import register_count
 from drivers.driver import Explains, PlanKind
 from drivers.survey import Raw
 from drivers.tag import DType, Order, Quality, Tag
 from gateway.commission.options import SharedOptions, bit_option, link_options
-from gateway.commission.session import Site, perform, read_through, running_gateway
-from gateway.commission.survey import SDO_S, AddressTextError, parse_stretch, reference_of
+from gateway.commission.session import Site, perform, read_samples, running_gateway
+from gateway.commission.survey import SDO_S, AddressTextError, parse_stretch, reference_number
 from gateway.console import CommandResult, Part, Rows
 from gateway.entry import Exit
 
@@ -39,7 +39,7 @@ class How:
     count: int = 1
 
 
-def tags_of(site: Site, wanted: Sequence[str], how: How) -> list[Tag]:
+def select_tags(site: Site, wanted: Sequence[str], how: How) -> list[Tag]:
     """The tags to read: names of the device file, or addresses, which are then their own names; none: all tags.
 
     Raises ValueError for what is neither.
@@ -63,7 +63,7 @@ def tags_of(site: Site, wanted: Sequence[str], how: How) -> list[Tag]:
             except AddressTextError as error:
                 others = f", and no tag of the device file, which has {', '.join(known)}" if known else ""
                 raise ValueError(f"{error}{others}") from None
-            places = [first.moved(step * registers_needed(plain)) for step in range(max(count, how.count))]
+            places = [first.shift(step * register_count(plain)) for step in range(max(count, how.count))]
             kind = DType.BOOL if first.is_bit else dtype
             tags += [replace(plain, name=str(place), address=str(place), dtype=kind) for place in places]
     return tags
@@ -71,7 +71,7 @@ def tags_of(site: Site, wanted: Sequence[str], how: How) -> list[Tag]:
 
 async def read_tags(site: Site, wanted: Sequence[str], how: How) -> CommandResult:
     """Read once. The exit code is that of the worst: nothing good at all by its kind, some bad a failed check."""
-    tags = tags_of(site, wanted, how)
+    tags = select_tags(site, wanted, how)
     raws = await read_raw(site, tags)
     plainly = how.dtype is None and how.bit is None
     if plainly and site.target.capabilities.nodes:
@@ -87,11 +87,11 @@ async def read_tags(site: Site, wanted: Sequence[str], how: How) -> CommandResul
     rows = []
     for raw in raws:
         sample, words = raw.sample, list(raw.raw) if raw.raw is not None else None
-        digits = 4 if reference_of(raw.place) else 2  # a register's words, or bytes
+        digits = 4 if reference_number(raw.place) else 2  # a register's words, or bytes
         row: dict[str, Any] = {
             "tag": sample.tag,
             "address": raw.place,
-            "reference": reference_of(raw.place),
+            "reference": reference_number(raw.place),
             "raw": words,
             "hex": "" if words is None else " ".join(f"{word:0{digits}X}" for word in words),
             "value": sample.value,
@@ -129,7 +129,7 @@ async def read_raw(site: Site, tags: Sequence[Tag]) -> list[Raw]:
     line = running_gateway(site.target)
     if line is not None:
         with closing(line):
-            reply, samples = await asyncio.to_thread(read_through, line, tags, site.target.tags)
+            reply, samples = await asyncio.to_thread(read_samples, line, tags, site.target.tags)
         site.notes.append(f"read through the running gateway (pid {reply['pid']}), which shows values and no raw words")
         by_name = {tag.name: tag for tag in tags}
         return [Raw(by_name[sample.tag], sample, by_name[sample.tag].address, 1) for sample in samples]

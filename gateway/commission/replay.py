@@ -125,7 +125,7 @@ async def replay_recording(site: Site, config: Config, recording: SiteRecording,
         "blocks_valid": seen.valid,
         "model": str(config.model.path) if config.model.path is not None else None,
     }
-    needed = [name for name in missing if name in {*config.watched, config.model.temperature}]
+    needed = [name for name in missing if name in {*config.watched_temperatures, config.model.temperature}]
     complaint = f"the recording lacks {', '.join(needed)}, which the gateway needs: nothing could be predicted"
     return CommandResult(data, complaint if needed else "")
 
@@ -151,7 +151,7 @@ async def _replay(config: Config, recording: SiteRecording, progress: Progress) 
                     await machine.take(scan)
                     # The clock stands still meanwhile: a forecast is done before the next scan, on any machine.
                     if machine.model is not None:
-                        await machine.model.outlook.finished()
+                        await machine.model.outlook.finish()
                     seen.take(machine, scan.time)
                     share = (scan.time - recording.times[0]) / max(recording.duration, 1e-9)
                     progress(f"{seen.scans} scans", min(1.0, share))

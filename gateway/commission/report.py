@@ -14,7 +14,7 @@ from gateway.commission.options import SharedOptions, audit_option, record_optio
 from gateway.commission.session import audit_path, login
 from gateway.console import CommandResult, Line, Part, Rows, conclude
 from gateway.entry import sentences
-from gateway.machine.writing import places_for
+from gateway.machine.writing import find_places
 from gateway.settings import load_plant
 from gateway.store import AuditEntry, open_audit
 
@@ -62,7 +62,7 @@ def report(
         now, by, log_path = time.time(), given.by or login(), audit_path(audit, given)
         records = regular(given.records).read_bytes()
         config = load_plant(given.plant)[0] if given.plant is not None else None
-        data = gather(given.records, places_for(log_path, config), site=site, by=by, now=now, remarks=remarks)
+        data = gather(given.records, find_places(log_path, config), site=site, by=by, now=now, remarks=remarks)
         data["site"] = site or "; ".join(data["places"]) or "no device"
         own_seal = write(out, data, records)
         # The seal stands apart from the report too: whoever makes all of it anew makes another seal.

@@ -8,7 +8,7 @@ import click
 
 from drivers.capabilities import Capabilities
 from gateway.commission.options import SharedOptions, link_options
-from gateway.commission.session import Site, perform, target_of
+from gateway.commission.session import Site, find_target, perform
 from gateway.commission.survey import (
     BASES,
     parse_stretch,
@@ -134,7 +134,7 @@ def scan(given: SharedOptions, what: str, stretch: str | None, **options: Any) -
         else:
             arguments = {"stretch": stretch or "holding:0-999", "requests": options.get("requests", 3000)}
             first, count = parse_stretch(arguments["stretch"])
-        target = target_of(given)
+        target = find_target(given)
         own = target.capabilities
         if not kind.offered(own):
             others = [f"decanter plc scan {other}" for other, each in KINDS.items() if each.offered(own)]

@@ -18,16 +18,16 @@ from drivers.survey import read_plan
 from drivers.tag import Quality, Sample
 from gateway.commission.files import ScanRecorder
 from gateway.commission.options import SharedOptions, link_options, period_option
-from gateway.commission.session import Site, device_of, mention_gateway, perform, period_of, words_of
+from gateway.commission.session import Site, find_period, list_block_words, mention_gateway, perform, require_device
 from gateway.console import CommandResult, Part, Progress, Rows, progress
-from gateway.repeated import without_measured
+from gateway.repeated import drop_measurements
 from gateway.store import percentile
 
 PERIODS_S = (0.05, 0.1, 0.2, 0.25, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 30.0, 60.0)
 """Periods that are recommended."""
-SPARE = 2.0
+PERIOD_MARGIN = 2.0
 """A recommended period is so many times what 95 % of the scans take, and longer than every single one."""
-FIRST_S = 3.0
+FIRST_VALUES_S = 3.0
 _WAITING = Quality.WAITING_FOR_INITIAL_DATA
 
 
@@ -57,7 +57,7 @@ class SoakTally:
         self.silent += any(sample.quality is Quality.TIMEOUT for sample in bad)
         self.bad.update(sample.tag for sample in bad)
         # A reason with a value in it is another one in each scan: the first of its kind stands for all.
-        self.reasons.update({self.kinds.setdefault(without_measured(sample.reason), sample.reason) for sample in bad})
+        self.reasons.update({self.kinds.setdefault(drop_measurements(sample.reason), sample.reason) for sample in bad})
         self.ages += [max(0.0, begun + seconds - sample.time) for sample in samples if sample.quality.is_good]
 
 
@@ -65,7 +65,7 @@ async def soak_device(
     site: Site, duration: float, given_period: float | None, record: Path | None, progress: Progress
 ) -> CommandResult:
     """Scan for `duration` seconds. A failed check where scans were lost or do not fit. Ctrl-C gives what there is."""
-    device, period = device_of(site), period_of(site, given_period)
+    device, period = require_device(site), find_period(site, given_period)
     mention_gateway(site)
     recorder = ScanRecorder(record, device.tags) if record is not None else None
     tally, before = SoakTally(), {}
@@ -73,7 +73,7 @@ async def soak_device(
         async with _open_driver(site) as driver:
             try:
                 # A device that speaks by itself is heard out once before anything is counted.
-                until = time.monotonic() + FIRST_S
+                until = time.monotonic() + FIRST_VALUES_S
                 while site.target.capabilities.speaks and time.monotonic() < until:
                     if all(sample.quality is not _WAITING for sample in await driver.read(device.tags)):
                         break
@@ -108,13 +108,13 @@ async def soak_device(
 
 @asynccontextmanager
 async def _open_driver(site: Site) -> AsyncIterator[Driver]:
-    """The driver with a connection; one on a bus has FIRST_S to hear its device. Raises DriverError."""
+    """The driver with a connection; one on a bus has FIRST_VALUES_S to hear its device. Raises DriverError."""
     driver = site.target.make_driver()
     try:
         try:
             await driver.open()
         except DriverError as error:
-            until = time.monotonic() + FIRST_S
+            until = time.monotonic() + FIRST_VALUES_S
             while site.target.capabilities.speaks and not driver.connected and time.monotonic() < until:
                 await asyncio.sleep(0.02)
             if not driver.connected:
@@ -137,7 +137,7 @@ def _summary(
     if not seconds:
         return CommandResult({"scans": 0}, "no scan was finished; give a longer --seconds")
     # A cycle with the write-back is longer than a scan, by the number of its requests.
-    plan = read_plan(site.target.driver, site.target.settings, site.target.tags, words_of(site))
+    plan = read_plan(site.target.driver, site.target.settings, site.target.tags, list_block_words(site))
     factor = 1.0 if plan is None or not plan.requests else 1.0 + len(plan.writes) / len(plan.requests)
     data: dict[str, Any] = {
         "scans": scans,
@@ -197,7 +197,7 @@ def recommend_period(seconds: Sequence[float], factor: float = 1.0) -> float:
 
     `factor` is what a cycle takes beside the scan. Beyond the table it is whole minutes.
     """
-    needed = factor * max(SPARE * percentile(list(seconds), 0.95), max(seconds))
+    needed = factor * max(PERIOD_MARGIN * percentile(list(seconds), 0.95), max(seconds))
     return next((period for period in PERIODS_S if period >= needed), 60.0 * ceil(needed / 60.0))
 
 

@@ -13,10 +13,10 @@ import click
 from drivers.device_file import STATUS_TAGS
 from drivers.tag import Tag, Value
 from gateway.commission.files import ListError, SiteRecording, read_recording
-from gateway.commission.hmi import HmiReading, Point, compare, left_to_do, points_of, read_hmi_list
+from gateway.commission.hmi import HmiReading, Point, compare, missing_proof, parse_points, read_hmi_list
 from gateway.commission.options import SharedOptions, link_options, only_option
 from gateway.commission.read import read_raw, shown_value
-from gateway.commission.session import Site, device_of, perform, read_records
+from gateway.commission.session import Site, perform, read_records, require_device
 from gateway.console import CommandResult, Part, Rows
 from gateway.machine import ORDERS
 
@@ -32,7 +32,7 @@ def tags_to_prove(site: Site, only: Sequence[str]) -> list[Tag]:
 
     Raises ValueError for a name that is no tag.
     """
-    device = device_of(site)
+    device = require_device(site)
     if unknown := [name for name in only if name not in device.by_name]:
         raise ValueError(f"--only {unknown[0]}: is no tag of {device.path}; give one of {', '.join(device.by_name)}")
     contract = {device.heartbeat, *STATUS_TAGS, *ORDERS}
@@ -45,7 +45,9 @@ def earlier_points(path: Path) -> list[Point]:
     """The comparisons of all earlier verifications. Raises RecordsError."""
     if not path.exists():
         return []
-    return [point for record in read_records(path) if record.command == "verify" for point in points_of(record.result)]
+    return [
+        point for record in read_records(path) if record.command == "verify" for point in parse_points(record.result)
+    ]
 
 
 async def compare_with_list(
@@ -65,7 +67,7 @@ async def compare_with_list(
     `clock_offset` is by how much the HMI's clock is ahead (s). Raises ListError, HistorianError or DriverError.
     """
     now = time.time()
-    known = {tag.name: tag for tag in device_of(site).tags}
+    known = {tag.name: tag for tag in require_device(site).tags}
     wanted = {tag.name for tag in tags}
     shown = [reading for reading in read_hmi_list(path, tuple(known.values()), now) if reading.tag in wanted]
     if not shown:
@@ -131,9 +133,9 @@ async def ask_for_each(
     The PLC's value is not shown before the answer: who knows it, reads it.
     """
     points: list[Point] = []
-    while left := [tag for tag in tags if left_to_do(tag, [*before, *points])]:
+    while left := [tag for tag in tags if missing_proof(tag, [*before, *points])]:
         for tag in left:
-            missing = left_to_do(tag, [*before, *points])
+            missing = missing_proof(tag, [*before, *points])
             unit = f" in {tag.unit}" if tag.unit else ""
             answer = (await asyncio.to_thread(ask, f"{tag.name}{unit} ({missing}): what does the HMI show?")).strip()
             if answer.lower() == "q":
@@ -149,7 +151,7 @@ async def ask_for_each(
                 continue
             points.append(point)
             tell(f"  agrees with {point.read}" if point.ok else f"  DOES NOT AGREE: {point.reason}")
-        rest = any(left_to_do(tag, [*before, *points]) for tag in left)
+        rest = any(missing_proof(tag, [*before, *points]) for tag in left)
         question = "bring the plant into another state, then press Enter (q ends)"
         if rest and (await asyncio.to_thread(ask, question)).strip().lower() == "q":
             break
@@ -164,7 +166,7 @@ def conclude_points(
     With `complete` it is one too where something is to be done.
     """
     everything = [*before, *points]
-    left = {tag.name: todo for tag in tags if (todo := left_to_do(tag, everything))}
+    left = {tag.name: todo for tag in tags if (todo := missing_proof(tag, everything))}
     wrong = [point for point in points if not point.ok]
     data: dict[str, Any] = {
         "points": [asdict(point) for point in points],

@@ -20,9 +20,9 @@ from rich.text import Text
 from drivers.survey import Raw
 from drivers.tag import Sample, Tag, Value
 from gateway.commission.options import SharedOptions, link_options
-from gateway.commission.read import How, shown_value, tags_of
-from gateway.commission.session import Site, perform, read_through, running_gateway
-from gateway.commission.survey import reference_of
+from gateway.commission.read import How, select_tags, shown_value
+from gateway.commission.session import Site, perform, read_samples, running_gateway
+from gateway.commission.survey import reference_number
 from gateway.console import CommandResult, Part, Rows
 
 WIDTH = 48
@@ -52,7 +52,7 @@ class WatchedTag:
         changed = before is None or (before.value, before.quality) != (sample.value, sample.quality)
         self.changes += before is not None and changed
         self.last = raw
-        number = number_of(sample)
+        number = sample_number(sample)
         self.history.append(number)
         if number is None:
             self.bad += not sample.quality.is_good
@@ -89,7 +89,7 @@ class Mark:
     values: Mapping[str, Value | None]
 
 
-def number_of(sample: Sample) -> float | None:
+def sample_number(sample: Sample) -> float | None:
     """A good sample's value as a number (a flag is 0 or 1); None for a bad one, and for text."""
     if not sample.quality.is_good or sample.value is None or isinstance(sample.value, str):
         return None
@@ -115,24 +115,24 @@ async def open_look(site: Site, tags: Sequence[Tag]) -> AsyncIterator[Look]:
     if line is not None:
         by_name = {tag.name: tag for tag in tags}
 
-        async def through() -> list[Raw]:
-            _, samples = await asyncio.to_thread(read_through, line, tags, site.target.tags)
+        async def read_gateway() -> list[Raw]:
+            _, samples = await asyncio.to_thread(read_samples, line, tags, site.target.tags)
             return [Raw(by_name[sample.tag], sample, by_name[sample.tag].address, 1) for sample in samples]
 
         site.notes.append("read through the running gateway, which shows values and no raw words")
         with closing(line):
-            yield through
+            yield read_gateway
     elif site.target.capabilities.registers:
         async with site.registers() as survey:
             yield lambda: survey.tags(tags)
     else:
         async with site.driver() as driver:
 
-            async def driven() -> list[Raw]:
+            async def read_driver() -> list[Raw]:
                 samples = await driver.read(tags)
                 return [Raw(tag, sample, tag.address, 1) for tag, sample in zip(tags, samples, strict=True)]
 
-            yield driven
+            yield read_driver
 
 
 async def watch_tags(
@@ -183,7 +183,7 @@ def watch(given: SharedOptions, what: Sequence[str], period: float, seconds: flo
     arguments = {"what": list(what), "period": period, "seconds": seconds}
 
     async def work(site: Site) -> CommandResult:
-        seen = [WatchedTag(tag) for tag in tags_of(site, what, How())]
+        seen = [WatchedTag(tag) for tag in select_tags(site, what, How())]
         marks: list[Mark] = []
         live = sys.stdout.isatty() and not given.as_json
 
@@ -212,7 +212,7 @@ def watch(given: SharedOptions, what: Sequence[str], period: float, seconds: flo
         never = next((row for row in rows if not row["good"] and row["quality"] != "GOOD"), None)
         return CommandResult(data, f"{never['tag']} was never good: {never['reason']}" if never else "")
 
-    perform(given, "watch", arguments, work, _view_at_the_end)
+    perform(given, "watch", arguments, work, _final_view)
 
 
 @contextmanager
@@ -220,7 +220,7 @@ def _stop_event(seconds: float | None, on_enter: Callable[[], bool] | None) -> I
     """An event that is set by Ctrl-C, by SIGTERM, and after `seconds`; Enter calls `on_enter` while that says True."""
     stop, loop = asyncio.Event(), asyncio.get_running_loop()
 
-    def entered() -> None:
+    def on_input() -> None:
         if on_enter is not None and not on_enter():
             loop.remove_reader(sys.stdin)
 
@@ -229,7 +229,7 @@ def _stop_event(seconds: float | None, on_enter: Callable[[], bool] | None) -> I
     if seconds is not None:
         loop.call_later(seconds, stop.set)
     if on_enter is not None:
-        loop.add_reader(sys.stdin, entered)
+        loop.add_reader(sys.stdin, on_input)
     try:
         yield stop
     finally:
@@ -258,20 +258,20 @@ def _view(place: str, seen: Sequence[WatchedTag], marks: Sequence[Mark], width: 
         cells = [tag.name]
         if wide:
             raw = " ".join(f"{word:04X}" for word in last.raw) if last and last.raw else ""
-            cells += [" ".join(filter(None, (tag.address, reference_of(tag.address)))), raw]
+            cells += [" ".join(filter(None, (tag.address, reference_number(tag.address)))), raw]
         cells += [" ".join(filter(None, (_cell(sample.value if sample else None), tag.unit)))]
         # The device's clock may be ahead of this one, and an age is not negative.
         cells += ["", ""] if sample is None else [sample.quality.name, f"{max(0.0, time.time() - sample.time):.1f} s"]
         cells += [_cell(watched.low), _cell(watched.high)]
         if marks:
             cells += [_cell(marks[-1].values.get(tag.name))]
-        cells += [sparkline_of(watched, width)]
+        cells += [tag_sparkline(watched, width)]
         style = "" if sample is not None and sample.quality.is_good else "red"
         grid.add_row(*(Text(cell, style=style) for cell in cells))
     return grid
 
 
-def sparkline_of(watched: WatchedTag, width: int) -> str:
+def tag_sparkline(watched: WatchedTag, width: int) -> str:
     """As much of the last readings as a terminal of this width has room for."""
     # The other columns take about 70 characters, and 40 more with raw words and reference numbers.
     return sparkline(watched.history, max(8, min(WIDTH, width - (110 if width >= _WIDE else 70))))
@@ -298,7 +298,7 @@ def _lines(changed: Sequence[WatchedTag]) -> None:
         click.echo("  ".join(filter(None, (*words, raw, sample.reason))))
 
 
-def _view_at_the_end(data: Mapping[str, Any]) -> Iterator[Part]:
+def _final_view(data: Mapping[str, Any]) -> Iterator[Part]:
     columns = ("tag", "value", "unit", "quality", "min", "max", "good", "bad", "changes")
     yield Rows(
         "watched", columns, [row | {key: _cell(row[key]) for key in ("value", "min", "max")} for row in data["tags"]]

@@ -10,5 +10,5 @@ from gateway.console.options import (
     socket_option,
 )
 from gateway.console.output import Progress, make_folder, progress, table
-from gateway.console.places import SERVICE_FOLDER, config_dir, find_plant_file, service_of, shipped
+from gateway.console.places import SERVICE_FOLDER, config_dir, find_plant_file, find_service, shipped_file
 from gateway.console.result import CommandResult, Drawing, Line, LongText, Part, Rows, View, conclude

@@ -8,11 +8,11 @@ from typing import Any, Literal
 
 LONGEST_WORD = 28
 """Characters of a table's word that is kept whole: any number, a time, an address, most names."""
-EASY_READING = 20
+MIN_TEXT_COLUMN_WIDTH = 20
 """Characters at least of a column of longer texts."""
-GAP = 3
+COLUMN_GAP = 3
 """Characters between two columns."""
-EDGES = 2
+EDGE_WIDTH = 2
 """Characters around all of them."""
 Progress = Callable[[str, float], None]
 """Takes what is being done, and the share of the work that is done (0..1)."""
@@ -56,11 +56,11 @@ def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[object]]) 
         natural.append(max(cell.cell_len for cell in own))
         words = (cell_len(word) for cell in own for word in cell.plain.split())
         # A longer word, such as a path, is folded within; a number is never that long.
-        least.append(max(min(max(words, default=0), LONGEST_WORD), min(natural[-1], EASY_READING)))
-    width = console.width - EDGES
+        least.append(max(min(max(words, default=0), LONGEST_WORD), min(natural[-1], MIN_TEXT_COLUMN_WIDTH)))
+    width = console.width - EDGE_WIDTH
     for band in bands(least, width):
         grid = Table(title=Text(title), title_justify="left", header_style="bold", box=SIMPLE_HEAD, pad_edge=False)
-        left = width - GAP * (len(band) - 1) - sum(least[index] for index in band)
+        left = width - COLUMN_GAP * (len(band) - 1) - sum(least[index] for index in band)
         for position, index in enumerate(sorted(band, key=lambda index: natural[index] - least[index])):
             more = min(natural[index] - least[index], left // (len(band) - position))
             least[index], left = least[index] + more, left - more
@@ -77,7 +77,7 @@ def bands(least: Sequence[int], width: int) -> list[list[int]]:
     """The columns of each table, by their least widths: the first one in every table, the others each in one."""
     tables = [[0]] if least else []
     for index in range(1, len(least)):
-        if len(tables[-1]) > 1 and sum(least[each] + GAP for each in (*tables[-1], index)) - GAP > width:
+        if len(tables[-1]) > 1 and sum(least[each] + COLUMN_GAP for each in (*tables[-1], index)) - COLUMN_GAP > width:
             tables.append([0])
         tables[-1].append(index)
     return tables

@@ -24,7 +24,7 @@ class ServicePlaces:
     log: Path
 
 
-def service_of(folder: Path) -> ServicePlaces | None:
+def find_service(folder: Path) -> ServicePlaces | None:
     """The installed service that runs the plant of a folder; None where it is no service's.
 
     In a folder of SERVICE_FOLDER it is that of a group of machines: the unit `decanter@GROUP`.
@@ -67,7 +67,7 @@ def config_dir() -> Path:
     return packaged if packaged.is_dir() else Path(__file__).parent.parent.parent / "config"
 
 
-def shipped(kind: str, name: str) -> Path:
+def shipped_file(kind: str, name: str) -> Path:
     """The file called `name` (a path, or a bare name such as `skab`) of `config/<kind>/`; a path that exists wins."""
     path = Path(name)
     if path.exists() or path.suffix:

@@ -23,10 +23,10 @@ from gateway.console import (
     map_option,
     progress,
     seed_option,
-    shipped,
+    shipped_file,
 )
 from gateway.demo.child import DemoError
-from gateway.demo.folder import clear, held
+from gateway.demo.folder import clear, hold_folder
 from gateway.demo.heat import alarm_rows, headline
 from gateway.demo.lead_time import AHEAD_S
 from gateway.demo.links import DEFAULT_LINK, LINKS
@@ -36,20 +36,20 @@ from gateway.demo.prepare import (
     PLANT_LIMIT,
     DemoBearing,
     DemoRun,
-    limit_for,
+    choose_limit,
     pace,
-    predicted,
+    predictable_tags,
     split,
     suits,
     write_device,
 )
 from gateway.demo.summary import BEARING_COLUMNS, bearing_row, findings, result
 from gateway.entry import Exit, fail, sentences
-from gateway.lab.learning.learn import learn_from, write
+from gateway.lab.learning.learn import learn_traces, write
 from gateway.lab.traces.load import load
 from sim.lab.learning import LearningError
 from sim.lab.recordings import ColumnMap, load_map, write_trace
-from sim.plant import heat_day_uncontrolled, heat_history
+from sim.plant import heat_history, uncontrolled_heat_day
 from sim.sha import Trace, encode
 
 if TYPE_CHECKING:
@@ -121,7 +121,7 @@ def demo(
     if not console.is_terminal:
         console = Console(stderr=as_json, width=140)
     try:
-        with interruptible(), sentences(), held(out):
+        with interruptible(), sentences(), hold_folder(out):
             setting = prepare(paths, map_name, limit=limit, seconds=seconds, seed=seed, link=link, out=out)
             data = perform(setting, console, as_json=as_json)
     except KeyboardInterrupt:
@@ -173,20 +173,20 @@ def prepare(
             traces, column_map = load(paths, map_name)
             training, rest = split(traces)
         else:
-            column_map = load_map(shipped("traces", map_name))
+            column_map = load_map(shipped_file("traces", map_name))
             trip = PLANT_LIMIT if limit is None else limit
             training = [replace(day, events=encode(day, column_map.alphabet)) for day in heat_history(seed, limit=trip)]
-            rest = heat_day_uncontrolled(seed, limit=trip)
+            rest = uncontrolled_heat_day(seed, limit=trip)
         # A map that was made for the trace has one block, of the temperature that the column map names.
         fits = suits(template, rest)
-        tags = predicted(template, rest, column_map.temperature) if fits else (column_map.temperature,)
+        tags = predictable_tags(template, rest, column_map.temperature) if fits else (column_map.temperature,)
         learned, refused = learn_each(tags, training, column_map, seed=seed, report=report)
         notes += refused
     clear(out)
     # The live plant's history reaches the limit and is tripped there: it is no reason for another one.
     bearings = []
     for tag, model in learned.items():
-        bound, note = limit_for(training if paths else [], tag, limit)
+        bound, note = choose_limit(training if paths else [], tag, limit)
         folder = "model" if tag == tags[0] else f"model_{tag}"
         write(out / folder, model)
         bearings.append(DemoBearing(model=model.model, folder=folder, limit=bound))
@@ -235,7 +235,7 @@ def learn_each(
 
     The first is learned here and the others beside it, on the other cores. Raises LearningError for the first.
     """
-    learn = partial(learn_from, training, column_map, name="demo", seed=seed)
+    learn = partial(learn_traces, training, column_map, name="demo", seed=seed)
     if len(tags) == 1:
         return {tags[0]: learn(report=report)}, []
     # A child of its own, as a thread would share one core with this one. Ctrl-C reaches it too, and is for its parent
@@ -261,8 +261,8 @@ def show(data: dict[str, Any]) -> Iterator[Part]:
         ["free-run error", _error(data["errors"]["free_run"])],
         ["one-step error", _error(data["errors"]["one_step"])],
         ["scan to confirmed write", f"p50 {latency['p50']:.1f} ms, p99 {latency['p99']:.1f} ms"],
-        ["outage noticed", _after(outage["detected_s"], "it began")],
-        ["good readings again", _after(outage["recovered_s"], "it ended")],
+        ["outage noticed", _delay_text(outage["detected_s"], "it began")],
+        ["good readings again", _delay_text(outage["recovered_s"], "it ended")],
         ["wrong values held for good", f"{data['wrong_good']} of {data['judged']} judged by the PLC"],
     ]
     caveat = "SYNTHETIC data, " if data["synthetic"] else ""
@@ -283,5 +283,5 @@ def _error(error: dict[str, float]) -> str:
     return f"rmse {error['rmse']:.3f} °C, mean absolute {error['mae']:.3f} °C"
 
 
-def _after(value: float | None, what: str) -> str:
+def _delay_text(value: float | None, what: str) -> str:
     return "never" if value is None else f"{value:.2f} s after {what}"

@@ -19,7 +19,7 @@ FURTHER_PICTURE = "demo_"
 
 
 @contextmanager
-def held(folder: Path) -> Iterator[None]:
+def hold_folder(folder: Path) -> Iterator[None]:
     """Make the folder, or take over an earlier demonstration's; freed when the process ends, however it ends.
 
     Raises ValueError, in one sentence, where there is something else, or another demonstration runs there.

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from gateway.demo.child import DemoError
-from gateway.demo.lead_time import first_reached, rivals, score
+from gateway.demo.lead_time import first_crossing, rivals, score
 from gateway.demo.prepare import P_LIMIT, DemoBearing, DemoRun
 from gateway.settings import load_device
 from gateway.store import reading, stored_rows, to_trace
@@ -35,8 +35,8 @@ def heat_result(
     which are those of this run until the PLC acts, less those that the gateway lost in the outage.
     """
     temperature = setting.model.temperature
-    begin, without = started(without, happened)
-    reached = first_reached(without, temperature, setting.limit)
+    begin, without = align_start(without, happened)
+    reached = first_crossing(without, temperature, setting.limit)
     acted, tripped = (_first(happened, event) for event in ("feed reduced", "drum tripped"))
     seen = to_trace(historian)
     hottest = float(np.nanmax(seen.signals[temperature]))
@@ -47,7 +47,7 @@ def heat_result(
     judged = tuple(moment for moment in alarms if acted is None or moment <= acted)
     others = rivals(
         setting.model,
-        _as_seen(without, happened),
+        _hide_outage(without, happened),
         temperature=temperature,
         limit=setting.limit,
         p_limit=P_LIMIT,
@@ -60,24 +60,24 @@ def heat_result(
         *(score(name, moments, reached) for name, moments in others.items()),
     ]
 
-    def since(moment: float | None) -> float | None:
+    def offset(moment: float | None) -> float | None:
         return None if moment is None else moment - begin
 
     return {
         "limit": setting.limit,
-        "alarm_s": since(alarms[0] if alarms else None),
-        "acted_s": since(acted),
+        "alarm_s": offset(alarms[0] if alarms else None),
+        "acted_s": offset(acted),
         "feed": None if reduced is None else reduced["feed"],
         "acted_on": None if reduced is None else blocks[reduced.get("block", "")],
         "hottest": hottest,
-        "tripped_s": since(tripped),
-        "without_reached_s": since(reached),
+        "tripped_s": offset(tripped),
+        "without_reached_s": offset(reached),
         "without_hottest": float(np.max(without.signals[temperature])),
         "alarms": [each.plain() | {"raised": [moment - begin for moment in each.raised]} for each in scores],
     }
 
 
-def started(without: Trace, happened: Sequence[Mapping[str, Any]]) -> tuple[float, Trace]:
+def align_start(without: Trace, happened: Sequence[Mapping[str, Any]]) -> tuple[float, Trace]:
     """When the PLC let its plant go (plant s UTC), and the day without the gateway as if it had begun then."""
     begin = _first(happened, "start")
     if begin is None:
@@ -89,7 +89,7 @@ def _first(happened: Sequence[Mapping[str, Any]], event: str) -> float | None:
     return next((float(row["time"]) for row in happened if row["event"] == event), None)
 
 
-def _as_seen(trace: Trace, happened: Sequence[Mapping[str, Any]]) -> Trace:
+def _hide_outage(trace: Trace, happened: Sequence[Mapping[str, Any]]) -> Trace:
     """The trace without its rows during the outage."""
     begun, ended = _first(happened, "fault began"), _first(happened, "fault ended")
     if begun is None:

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gateway.demo.heat import headline, raised_alarms, started
+from gateway.demo.heat import align_start, headline, raised_alarms
 from gateway.demo.lead_time import TRUE_WITHIN_S
 from gateway.demo.prepare import DemoBearing, DemoRun
-from gateway.store import history, matured, to_trace
+from gateway.store import history, mature_forecasts, to_trace
 from sim.lab.pictures import blank_figure
 from sim.sha import Array, Trace
 
@@ -33,7 +33,7 @@ def draw_heat(
 ) -> Path:
     """Draw the run from its `historian`, its figures `heat` and the PLC's events `happened` into `path`."""
 
-    begin, without = started(setting.trace, happened)
+    begin, without = align_start(setting.trace, happened)
 
     def clock(absolute: Array) -> Array:
         return (np.asarray(absolute, dtype=float) - begin) / 60.0
@@ -50,7 +50,7 @@ def draw_heat(
         for moment in raised_alarms(historian, setting, bearing):
             axis.axvline(float(clock(np.array(moment))), color=FORECAST, linewidth=1)
     if heat["alarm_s"] is not None:
-        _forecast_at(upper, historian, begin + heat["alarm_s"], clock)
+        _draw_forecast(upper, historian, begin + heat["alarm_s"], clock)
     _story(upper, heat, setting.limit)
     for row in happened:
         if row["event"] == "fault began":
@@ -96,7 +96,7 @@ def _course(
     alone = without.signals[temperature]
     axis.plot(clock(without.times), alone, "--", color=WITHOUT, linewidth=1.5, label="same day without the gateway")
     axis.plot(clock(seen.times), seen.measured, ".", color=MEASURED, markersize=3, label="measured")
-    due = matured(historian, temperature=temperature).get(ISSUED_S)
+    due = mature_forecasts(historian, temperature=temperature).get(ISSUED_S)
     if due is not None:
         at = due.times + ISSUED_S
         shown = at <= seen.times[-1]
@@ -116,10 +116,10 @@ def _course(
     axis.set_ylabel(f"{temperature} (°C)")
 
 
-def _forecast_at(axis: Axes, historian: Path, moment: float, clock: Callable[[Array], Array]) -> None:
+def _draw_forecast(axis: Axes, historian: Path, moment: float, clock: Callable[[Array], Array]) -> None:
     """The whole forecast that the alarm was raised by: the newest one at that moment, at each of its horizons."""
     points = []
-    for horizon, forecasts in sorted(matured(historian).items()):
+    for horizon, forecasts in sorted(mature_forecasts(historian).items()):
         before = np.flatnonzero(forecasts.times <= moment)
         if before.size:
             fan = forecasts.quantiles[before[-1]]

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from gateway.machine.model import forecasts_along
+from gateway.machine.model import forecast_trace
 from gateway.settings import ForecastSection
 from sim.sha import Array, Mask, Model, Trace, plain_model
 
@@ -31,7 +31,7 @@ class AlarmScore:
 
     `lead_s` is from the first true alarm to the limit, `usable_s` from the moment at which a PLC might act on it: None
     if none was true. `missed`: the limit was reached without one. `false` counts the alarms after which the limit was
-    not reached in time; `raised` are all (absolute s).
+    not reached in time; `alarm_times` are all (absolute s).
     """
 
     name: str
@@ -46,13 +46,13 @@ class AlarmScore:
         return asdict(self)
 
 
-def first_reached(trace: Trace, temperature: str, limit: float) -> float | None:
+def first_crossing(trace: Trace, temperature: str, limit: float) -> float | None:
     """When the reading first reaches the limit (absolute s); None if it never does."""
     reached = np.flatnonzero(trace.signals[temperature] >= limit)
     return float(trace.times[reached[0]]) if reached.size else None
 
 
-def raised(times: Array, met: Mask) -> tuple[float, ...]:
+def alarm_times(times: Array, met: Mask) -> tuple[float, ...]:
     """When an alarm is raised whose condition is `met` (n,) or not at `times` (n,)."""
     moments: list[float] = []
     last = -np.inf
@@ -101,7 +101,7 @@ def trend_alarm(times: Array, readings: Array, limit: float, ahead: float) -> tu
         slope = float(centred @ y / (centred @ centred))
         now = float(y.mean() - slope * x.mean())
         met[row] = max(now, now + slope * ahead) >= limit
-    return raised(times, met)
+    return alarm_times(times, met)
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,14 +127,14 @@ class ChancesAlong:
         # Between two forecasts the older one stands: seen at every scan as the gateway's alarm sees it.
         place = np.searchsorted(self.times, self.scans, side="right") - 1
         stands = np.where(place >= 0, chances[np.maximum(place, 0)] if chances.size else nan, nan) > p_limit
-        return raised(self.scans, stands), raised(self.scans, stands & self.familiar)
+        return alarm_times(self.scans, stands), alarm_times(self.scans, stands & self.familiar)
 
 
-def chances_along(model: Model, trace: Trace, *, limit: float, period: float, scan_period: float) -> ChancesAlong:
+def forecast_chances(model: Model, trace: Trace, *, limit: float, period: float, scan_period: float) -> ChancesAlong:
     """What the gateway with `model` forecasts along a trace, every `period` s, of the limit."""
     section = ForecastSection(horizons=(60.0, 300.0, AHEAD_S), period=period)
     zones: list[tuple[float, bool]] = []
-    made = forecasts_along(
+    made = forecast_trace(
         [model],
         trace,
         section,
@@ -164,7 +164,7 @@ def rivals(
     for member in model.plain:
         if member.name == "persistence":
             walk = plain_model(model, member)
-            seen = chances_along(walk, trace, limit=limit, period=period, scan_period=scan_period)
+            seen = forecast_chances(walk, trace, limit=limit, period=period, scan_period=scan_period)
             alarms["persistence"], _ = seen.alarm(ahead=AHEAD_S, p_limit=p_limit)
     for ahead in (AHEAD_S, 300.0):
         name = f"trend, {ahead / 60:.0f} min ahead"

@@ -9,7 +9,7 @@ from typing import Any
 from rich.console import RenderableType
 from rich.text import Text
 
-from gateway.outside.panel import framed, number, status_rows
+from gateway.outside.panel import frame_rows, number, status_rows
 from gateway.outside.status import read_status
 
 
@@ -23,7 +23,7 @@ class DemoPhase(Enum):
     ENDED = "end of the trace"
 
 
-def phase_of(status: Mapping[str, Any], plc: Mapping[str, Any], before: DemoPhase) -> DemoPhase:
+def demo_phase(status: Mapping[str, Any], plc: Mapping[str, Any], before: DemoPhase) -> DemoPhase:
     """Where it is by what the gateway itself says: an outage begins when it is noticed, and not before.
 
     So a title never says something else than the rows under it. The PLC's faults and the phase `before` only tell an
@@ -74,4 +74,4 @@ def demo_table(status: Mapping[str, Any], plc: Mapping[str, Any], temperature: s
     replay = Text(f"{place}, {number(plc.get('speed'), 0)} times real time")
     rows = {"replay": replay, **status_rows(read_status(status)), **plc_rows(plc)}
     style = "bold red" if phase in (DemoPhase.OUTAGE, DemoPhase.LOST) else "bold"
-    return framed(Text(f"decanter demo, {temperature}: {phase.value}", style=style), rows)
+    return frame_rows(Text(f"decanter demo, {temperature}: {phase.value}", style=style), rows)

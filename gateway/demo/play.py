@@ -11,7 +11,7 @@ from rich.live import Live
 
 from gateway.demo.child import DemoError, last_words
 from gateway.demo.links import LINKS
-from gateway.demo.live import DemoPhase, demo_table, newest_status, phase_of
+from gateway.demo.live import DemoPhase, demo_phase, demo_table, newest_status
 from gateway.demo.prepare import DemoRun, write_plant
 from gateway.demo.processes import READY_S, PlcProcess, gateway, software_plc
 
@@ -39,7 +39,7 @@ def play(setting: DemoRun, console: Console, *, quiet: bool) -> tuple[Path, Path
                 raise DemoError(f"the gateway did not get a good reading: {last_words(folder / 'gateway.out')}")
             time.sleep(0.02)
         plc.command("start")
-        plc.command("fault", fault={"kind": "refuse", "start": setting.outage_at, "duration": OUTAGE_S})
+        plc.command("fault", fault={"kind": "refuse", "start": setting.outage_time, "duration": OUTAGE_S})
         states = _states(setting, plc, process, status)
         if console.is_terminal and not quiet:
             with Live(console=console, refresh_per_second=8) as screen:
@@ -69,6 +69,6 @@ def _states(
         account, seen = plc.command("status"), newest_status(status)
         ended = bool(account["ended"])
         if seen is not None and seen["prediction"]:
-            phase = phase_of(seen, account, phase)
+            phase = demo_phase(seen, account, phase)
             yield phase, demo_table(seen, account, setting.model.temperature, phase)
         time.sleep(0.0 if ended else REFRESH_S)

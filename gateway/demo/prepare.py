@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.named_files import writing
+from drivers.named_files import name_write_errors
 from gateway.settings import load_device
 from sim.sha import Alphabet, Model, Switch, Trace
 
@@ -22,7 +22,7 @@ REPLAY_S = 30.0
 """Real seconds that a replay is to take when nobody asks for another time."""
 LEAST_REPLAY_S = 5.0
 """Plant seconds that a replay must have: below it there is no room for an outage and a recovery at real speed."""
-LEAST_INSIDE = 0.5
+MIN_SHARE_INSIDE = 0.5
 """Of a signal's readings, the share that a register's range must hold for the register to be meant for it."""
 FIRST_REGISTER = 1000
 """Where the signals of a foreign trace begin: above the service registers and the block of the decanter's map."""
@@ -32,7 +32,7 @@ P_LIMIT = 0.5
 """The chance of reaching the limit that is worth an alarm."""
 LEAST_FORECAST_S = 0.3
 """Real seconds between two forecasts at least: one must be made, and used, on a machine that has other work too."""
-OUTAGE_AT, HEAT_OUTAGE_AT = 0.45, 0.2
+OUTAGE_SHARE, HEAT_OUTAGE_SHARE = 0.45, 0.2
 """Where the PLC refuses its connections, as a share of the duration: of a replay, and of the live plant's day."""
 
 Report = Callable[[str, float], None]
@@ -99,9 +99,9 @@ class DemoRun:
         return max(10.0, 5 * self.period, LEAST_FORECAST_S * self.speed)
 
     @property
-    def outage_at(self) -> float:
+    def outage_time(self) -> float:
         """Real seconds from the start to the outage."""
-        return (HEAT_OUTAGE_AT if self.live else OUTAGE_AT) * self.seconds
+        return (HEAT_OUTAGE_SHARE if self.live else OUTAGE_SHARE) * self.seconds
 
 
 def split(traces: Sequence[Trace], share: float = LEARN_SHARE) -> tuple[list[Trace], Trace]:
@@ -133,7 +133,7 @@ def split(traces: Sequence[Trace], share: float = LEARN_SHARE) -> tuple[list[Tra
     return before, replayed
 
 
-def limit_for(training: Sequence[Trace], temperature: str, wanted: float | None) -> tuple[float, str]:
+def choose_limit(training: Sequence[Trace], temperature: str, wanted: float | None) -> tuple[float, str]:
     """The alarm limit (degC) and a sentence when it is not the plant's own."""
     if wanted is not None:
         return wanted, ""
@@ -173,12 +173,12 @@ def suits(device: Path, trace: Trace) -> bool:
         if tag is None:
             return False
         low, high = -np.inf if tag.low is None else tag.low, np.inf if tag.high is None else tag.high
-        if seen.size and np.mean((seen >= low) & (seen <= high)) < LEAST_INSIDE:
+        if seen.size and np.mean((seen >= low) & (seen <= high)) < MIN_SHARE_INSIDE:
             return False
     return True
 
 
-def predicted(device: Path, trace: Trace, first: str) -> tuple[str, ...]:
+def predictable_tags(device: Path, trace: Trace, first: str) -> tuple[str, ...]:
     """The tags to predict: `first`, and every other measured one that the device takes a block of."""
     blocks = [layout.temperature for layout in load_device(device).writebacks]
     measured = {name for name, column in trace.signals.items() if np.isfinite(column).any()}
@@ -212,7 +212,7 @@ def write_device(trace: Trace, alphabet: Alphabet, units: Mapping[str, str], tem
         unit = _toml(units.get(name, ""))
         tags.append(f'[[tags]]\nname = {_toml(name)}\naddress = "holding:{register}"\n{kind}\nunit = {unit}\n')
         register += 1 if two_valued else 2
-    with writing(out):
+    with name_write_errors(out):
         out.write_text(head + "\n".join(tags) + "\n" + tail, encoding="utf-8")
     return out
 

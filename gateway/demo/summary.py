@@ -20,8 +20,8 @@ from gateway.demo.heat_picture import draw_heat
 from gateway.demo.prepare import DemoBearing, DemoRun
 from gateway.machine.reading import STALE_PERIODS
 from gateway.settings import load_device
-from gateway.store import events, history, matured, samples, scorecard, to_trace
-from sim.lab.judge import FitnessLimits, TraceJob, TraceRunSettings, fitness_of, model_facts, run_job
+from gateway.store import events, history, mature_forecasts, samples, scorecard, to_trace
+from sim.lab.judge import FitnessLimits, TraceJob, TraceRunSettings, fitness_verdict, model_facts, run_job
 from sim.lab.judge import judge as criteria
 from sim.lab.pictures import Curve, Picture, draw
 from sim.sha import Array, Mask, Model
@@ -44,7 +44,7 @@ def fitness(setting: DemoRun, model: Model) -> dict[str, str]:
     run = TraceRunSettings(FITNESS_RUNS, seed=setting.seed)
     job = TraceJob(label=model.sha.name, semantics="carried", model=model, trace=trace, settings=run, seen="no")
     found = criteria([run_job(job).result], model_facts(model), FitnessLimits(synthetic=trace.synthetic))
-    verdict = fitness_of(found)
+    verdict = fitness_verdict(found)
     return {"word": verdict.word, "why": verdict.why}
 
 
@@ -54,14 +54,14 @@ def judge(setting: DemoRun, recording: Path, historian: Path) -> dict[str, Any]:
     A good value may be as old as the gateway's rule allows (three periods), and no older: of a device that speaks by
     itself, since what it said last may still have been what it is, by its device file.
     """
-    held = {name: seconds * setting.speed for name, seconds in heard_for(setting).items()}
+    held = {name: seconds * setting.speed for name, seconds in validity_seconds(setting).items()}
     path = setting.folder / "samples.jsonl"
     with path.open("w", encoding="utf-8") as lines:
         lines.writelines(json.dumps(row) + "\n" for row in good_readings(historian, held))
     return verdict(recording, path, tolerance=(STALE_PERIODS + 1) * setting.period)
 
 
-def heard_for(setting: DemoRun) -> Mapping[str, float]:
+def validity_seconds(setting: DemoRun) -> Mapping[str, float]:
     """Real seconds for which the driver of this run holds what was said last, by tag; without the tags that are asked.
 
     Raises DriverError."""
@@ -69,7 +69,7 @@ def heard_for(setting: DemoRun) -> Mapping[str, float]:
     (link,) = tomllib.loads(setting.plant.read_text(encoding="utf-8"))["device"]["links"]
     settings = {key: value for key, value in link.items() if key not in ("name", "file")}
     driver = open_driver(device.driver, {**device.settings, **settings}, clock=lambda: 0.0)
-    return driver.heard_for(device.tags) if isinstance(driver, Hears) else {}
+    return driver.validity_seconds(device.tags) if isinstance(driver, Hears) else {}
 
 
 def good_readings(historian: Path, held: Mapping[str, float]) -> Iterator[dict[str, Any]]:
@@ -155,7 +155,7 @@ def bearing_result(
         }
         for forecast in card.forecasts
     }
-    layout = load_device(setting.device).block_of(bearing.temperature)
+    layout = load_device(setting.device).find_block(bearing.temperature)
     judged = blocks.get(layout.suffix if layout else "", {"accepted": 0, "refused": 0})
     return {
         "temperature": bearing.temperature,
@@ -263,7 +263,7 @@ def draw_result(setting: DemoRun, bearing: DemoBearing, historian: Path, path: P
     measured, known = np.isfinite(seen.measured), np.isfinite(seen.mean)
     free = np.isfinite(seen.free_run)
     trace = to_trace(historian)
-    ahead = matured(historian, temperature=temperature).get(AHEAD_S)
+    ahead = mature_forecasts(historian, temperature=temperature).get(AHEAD_S)
     # Stretches without a good reading. Taken for good before the first scan and after the last, so that each beginning
     # has its end: edges come in pairs.
     outages: list[tuple[float, float]] = []

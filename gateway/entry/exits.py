@@ -81,7 +81,7 @@ def fail(sentence: str, code: int = Exit.USAGE, *, answer: CallAnswer | None = N
     sys.exit(code)
 
 
-def run_answered(run: Callable[..., Any], words: Sequence[str]) -> NoReturn:
+def run_command(run: Callable[..., Any], words: Sequence[str]) -> NoReturn:
     """Run a click command's `main` with these words; what click has to say is one sentence too, and the exit code.
 
     `run` takes the words, `standalone_mode` and `obj` as `click.Command.main` does.

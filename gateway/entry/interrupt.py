@@ -35,11 +35,11 @@ def control_c() -> Iterator[list[int]]:
         pressed.append(number)
         raise Interrupted
 
-    def dropped(what: "sys.UnraisableHookArgs") -> None:
+    def report_unraisable(what: "sys.UnraisableHookArgs") -> None:
         if not issubclass(what.exc_type, KeyboardInterrupt):
             loud(what)
 
-    loud, sys.unraisablehook = sys.unraisablehook, dropped
+    loud, sys.unraisablehook = sys.unraisablehook, report_unraisable
     before = signal.signal(signal.SIGINT, press)
     try:
         yield pressed
@@ -57,9 +57,9 @@ def interruptible(report: Report) -> Iterator[Report]:
     """A report that raises Interrupted when Control-C was pressed and the exception never arrived."""
     with control_c() as pressed:
 
-        def checked(what: str, share: float) -> None:
+        def report_unless_pressed(what: str, share: float) -> None:
             if pressed:
                 raise Interrupted
             report(what, share)
 
-        yield checked
+        yield report_unless_pressed

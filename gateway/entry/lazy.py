@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from drivers.errors import did_you_mean
-from gateway.entry.exits import Exit, fail, run_answered
+from gateway.entry.exits import Exit, fail, run_command
 from gateway.entry.interrupt import control_c
 from gateway.entry.threads import one_thread
 
@@ -53,7 +53,7 @@ class LazyGroup(click.Group):
         if not standalone_mode:
             return super().main(args, prog_name, complete_var, False, **extra)
         run = partial(super().main, prog_name=prog_name, complete_var=complete_var, **extra)
-        return run_answered(run, sys.argv[1:] if args is None else args)
+        return run_command(run, sys.argv[1:] if args is None else args)
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """The names in the order of the table, then those of the groups."""

@@ -8,9 +8,9 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from drivers.named_files import contents, unusable, writing
+from drivers.named_files import contents, name_write_errors, unusable
 from drivers.settings import first_sentence
-from sim.files import ArtefactError, at, sync_directory
+from sim.files import ArtefactError, file_error, sync_directory
 from sim.strict_json import json_text
 
 REMEDY = "restore the file from a backup, or take that line out"
@@ -36,14 +36,16 @@ def read_rows(path: Path) -> list[dict[str, Any]]:
         # Only "\n" ends a row: a text in it may hold what Unicode calls the end of a line, such as U+2028.
         *whole, last = contents(path).split(b"\n")
     except OSError as error:
-        raise at(path, None, f"cannot be read ({error.strerror}); make it a file that this user can read") from None
+        raise file_error(
+            path, None, f"cannot be read ({error.strerror}); make it a file that this user can read"
+        ) from None
     rows: list[dict[str, Any]] = []
     for number, line in enumerate(whole, 1):
         row = _row(line)
         if row is None:
-            raise at(path, number, f"is no JSON object; {REMEDY}")
+            raise file_error(path, number, f"is no JSON object; {REMEDY}")
         if problem := unusable(row):
-            raise at(path, number, f"{problem}, or {REMEDY}")
+            raise file_error(path, number, f"{problem}, or {REMEDY}")
         rows.append(row)
     # An editor may leave out the last line break; what a kill leaves of an object is none, as its brace is missing.
     ended = _row(last)
@@ -59,7 +61,7 @@ def _row(line: bytes) -> dict[str, Any] | None:
     return row if isinstance(row, dict) else None
 
 
-def checked_row(path: Path, number: int, row: Mapping[str, Any], keys: type[Keys], remedy: str = REMEDY) -> Keys:
+def check_row(path: Path, number: int, row: Mapping[str, Any], keys: type[Keys], remedy: str = REMEDY) -> Keys:
     """What a reader uses of row `number` (from 1).
 
     Raises ArtefactError with file, line, key and `remedy` where a key lacks or is of another type. Nothing of ours
@@ -74,7 +76,7 @@ def checked_row(path: Path, number: int, row: Mapping[str, Any], keys: type[Keys
 def append_row(path: Path, row: Mapping[str, Any]) -> None:
     """Add a row and wait until it is on the disk; whoever appends holds a lock. Raises OSError."""
     new = not path.exists()
-    with writing(path), path.open("x+b" if new else "r+b") as stream:
+    with name_write_errors(path), path.open("x+b" if new else "r+b") as stream:
         size = end = stream.seek(0, os.SEEK_END)
         while end and os.pread(stream.fileno(), 1, end - 1) != b"\n":
             end -= 1

@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from sim.doors import opened_at_use
+from sim.doors import lazy_getattr
 
 if TYPE_CHECKING:
     from gateway.machine.followed import FollowedTemperature
@@ -11,4 +11,4 @@ if TYPE_CHECKING:
     from gateway.machine.plant_records import PlantRecords
     from gateway.machine.records import Keeper
 else:
-    __getattr__ = opened_at_use(__name__)
+    __getattr__ = lazy_getattr(__name__)

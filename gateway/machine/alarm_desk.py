@@ -69,7 +69,9 @@ class AlarmDesk:
         audit = await self._audit(change)
         for name in names:
             detail = {"alarm": name, "machine": self._config.machine, "until": until, **process}
-            entry = AuditEntry(now, f"alarm {BY_PERSONS[change]}", by, reason, detail).of(self._config.subject)
+            entry = AuditEntry(now, f"alarm {BY_PERSONS[change]}", by, reason, detail).with_subject(
+                self._config.subject
+            )
             if audit is not None and change not in HIDES:
                 audit.put(entry)
             elif audit is not None and (audit.failure or await audit.stored(entry) is None):

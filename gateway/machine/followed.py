@@ -80,9 +80,9 @@ class FollowedTemperature:
             self.model.foresee(scan, self.prediction)
 
     @property
-    def unverified(self) -> str:
+    def unverified_reason(self) -> str:
         """Why nothing of the model may be written; "" if it may."""
-        return self.model.unverified if self.model else ""
+        return self.model.unverified_reason if self.model else ""
 
     def note_run(self, now: float) -> None:
         """Put on record whose rows follow."""

@@ -20,8 +20,8 @@ from gateway.machine.alarms import (
     AlarmBoard,
     SensorWatch,
     acknowledge_words,
+    alarm_name,
     make_conditions,
-    name_of,
     suppressing_tags,
     without_faulty,
 )
@@ -115,7 +115,7 @@ class Machine:
         opened = False
         try:
             now = clock.now()
-            store = self.historian = self.common.historian.of(config.machine, config.map.signals)
+            store = self.historian = self.common.historian.view(config.machine, config.map.signals)
             self.records_watch = RecordsWatch(store, self.common.supervisor, self.supervisor, log)
             # Kept only under a clock that was believed: one that jumped is not believed at the next start either.
             believed = saved_state(store, "clock", log)
@@ -123,29 +123,29 @@ class Machine:
             self.clock_check = ClockCheck(now, newest, config.historian.max_off_days * 86_400.0)
             self.clock_complaint = ""
             self.followed = tuple(
-                self._open_followed(one, model, members)
-                for one, (model, members) in zip(config.followed, models, strict=True)
+                self._open_temperature(one, model, members)
+                for one, (model, members) in zip(config.temperature_configs, models, strict=True)
             )
             self.model = self.followed[0].model
-            self.writing = self._open_writing(rng)
+            self.writing = self._open_writeback(rng)
             self.link, self.counters = LinkHealth(log), RunCounters()
             conditions = make_conditions(config, self.inputs, complains=isinstance(driver, Complains))
             self.alarms = AlarmBoard(
                 conditions,
-                watched=config.watched,
+                watched=config.watched_temperatures,
                 words=acknowledge_words(config),
                 historian=store,
                 log=log,
                 now=now,
                 acknowledge_all=config.alarms.acknowledge,
-                sensors=SensorWatch(config.watched, config.twins, config.alarms.trend),
+                sensors=SensorWatch(config.watched_temperatures, config.twins, config.alarms.trend),
             )
             self.desk = AlarmDesk(config, self.alarms, self.common, clock=clock, historian=store, log=log)
             self.surroundings = Surroundings(store.path, config.certificate_folders, self.supervisor)
             left_out = frozenset({config.map.heartbeat} if config.map.heartbeat else ())
             self.records = Records(store, Keeper(config.map.by_name, config.historian.max_interval, left_out))
             if isinstance(driver, Redundant):
-                driver.on_switch = self._note_switch_over
+                driver.on_switch = self._note_link_switch
             self.last: Scan | None = None
             self.phase: Phase = "starting"
             self._saved = self._cleaned = now
@@ -153,18 +153,18 @@ class Machine:
                 if one.model is not None:
                     one.model.restore(now)
                 one.note_run(now)
-            self._read_back(now)
+            self._follow_records(now)
             opened = True
         finally:
             if not opened:
                 self.close()
 
-    def _read_back(self, now: float) -> None:
+    def _follow_records(self, now: float) -> None:
         """Let models and sensors follow the last hour on record; what cannot be read is logged and left out."""
         models = [one.model for one in self.followed if one.model is not None]
         if not models or self.clock_check.complaint(now, offset=0.0, plc=None):
             return
-        begun, tags = now - PAST_SECONDS, {*self.inputs, *self.config.watched}
+        begun, tags = now - PAST_SECONDS, {*self.inputs, *self.config.watched_temperatures}
         newest = self.historian.newest()
         if newest is None or not begun < newest <= now:
             return
@@ -175,14 +175,14 @@ class Machine:
             return
         period = max(self.config.scan.period, 1.0)
         scans = [scan for scan in recorded_scans(trace, period, models[0].loaded.model.alphabet) if scan.time <= now]
-        self.alarms.follow_past(scans)
+        self.alarms.follow_history(scans)
         for model in models:
-            model.follow_past(scans)
+            model.follow_history(scans)
 
-    def _open_followed(
+    def _open_temperature(
         self, config: Config, loaded: LoadedModel | None, members: tuple[LoadedModel, ...]
     ) -> FollowedTemperature:
-        store = self.common.historian.of(config.machine, config.map.signals, config.model.temperature)
+        store = self.common.historian.view(config.machine, config.map.signals, config.model.temperature)
         model = None
         if loaded is not None:
             model = ModelUnit(
@@ -201,9 +201,9 @@ class Machine:
     def _rely_on_models(self, one: FollowedTemperature) -> None:
         """Look at the files of the models that run now, as what is written back is theirs."""
         files = one.model.files if one.model is not None else ()
-        self.common.files.watch(self._models_of(one.tag), dict.fromkeys(files, FIXED))
+        self.common.files.watch(self._models_name(one.tag), dict.fromkeys(files, FIXED))
 
-    def _models_of(self, tag: str) -> str:
+    def _models_name(self, tag: str) -> str:
         """What a temperature's models are called among the files that are relied on."""
         return f"models of {self.config.machine} {tag}"
 
@@ -218,7 +218,7 @@ class Machine:
         if row is not None:
             self.log.warning("the arming is over, as writeback.mode is 'off'", by=row.entry.who)
 
-    def _open_writing(self, rng: Random) -> WritebackStage | None:
+    def _open_writeback(self, rng: Random) -> WritebackStage | None:
         """The stage of the blocks, one for each temperature of which the device takes one."""
         config = self.config
         layouts: dict[str, WritebackLayout] = {}
@@ -253,7 +253,7 @@ class Machine:
     def inputs(self) -> tuple[str, ...]:
         """The tags that the models read; without one those that are watched."""
         read = [name for one in self.followed if one.model for name in one.model.predictor.inputs]
-        return tuple(dict.fromkeys(read)) or self.config.watched
+        return tuple(dict.fromkeys(read)) or self.config.watched_temperatures
 
     @property
     def alarm_words(self) -> list[int]:
@@ -261,9 +261,9 @@ class Machine:
         return [self.alarms.word(one.tag) for one in self.followed if one.block is not None]
 
     @property
-    def unverified(self) -> str:
+    def unverified_reason(self) -> str:
         """Why nothing may be written: a model runs although it does not verify; "" if it may."""
-        return next((one.unverified for one in self.followed if one.unverified), "")
+        return next((one.unverified_reason for one in self.followed if one.unverified_reason), "")
 
     # ---------------------------------------------------------------- the way of a scan
 
@@ -274,7 +274,7 @@ class Machine:
         self.link.take(scan)
 
         # The threshold stands before the model: nothing that the model does or fails to do delays this alarm.
-        self.alarms.on_measured(scan)
+        self.alarms.take_readings(scan)
 
         # What a faulty sensor shows goes on being recorded and held against the threshold; no model sees it.
         faults = self.alarms.faulty_sensors(scan.time)
@@ -285,11 +285,11 @@ class Machine:
         try:
             findings: dict[str, float | None] = {}
             for one in self.followed:
-                if one.model is not None and one.model.pick_up(scan.time):
-                    self._begin_with_promoted(one, scan.time)
+                if one.model is not None and one.model.adopt_promoted_model(scan.time):
+                    self._begin_new_model(one, scan.time)
                 fault = faults.get(one.tag)
                 for name, value in one.predict(believed, fault.since if fault else None).items():
-                    findings[name_of(self.config, name, one.tag)] = value
+                    findings[alarm_name(self.config, name, one.tag)] = value
                 if one.prediction is not None:
                     self.counters.take_events(one.prediction)
 
@@ -305,7 +305,7 @@ class Machine:
 
             # The block carries the alarm word, so that it comes after all alarms of its scan.
             if self.writing is not None:
-                await self.writing.begin(scan, self.alarm_words, self.unverified)
+                await self.writing.begin(scan, self.alarm_words, self.unverified_reason)
                 for one in self.followed:
                     await one.write(scan, self.alarms.word(one.tag))
         finally:
@@ -328,7 +328,7 @@ class Machine:
     def _look_at_itself(self, scan: Scan) -> None:
         """Whether records, clock and surroundings can be relied on at this scan; what changes is logged."""
         self.surroundings.look(scan.time)
-        self.records_watch.look(scan.time, self.common.complaint_about(self.config.subject))
+        self.records_watch.look(scan.time, self.common.subject_complaint(self.config.subject))
         clock, before = self.clock, self.clock_complaint
         offset = clock.wall_offset() if isinstance(clock, PlantClock) and clock.speed == 1.0 else 0.0
         plc = scan.good(self.config.clock.tag) if self.config.clock.tag else None
@@ -362,17 +362,17 @@ class Machine:
 
     async def _disarm_without_records(self, now: float) -> None:
         """Disarm once it has been too long that a write would not be on record."""
-        if self.writing is not None and self.writing.armed and (reason := self._unrecorded(now)):
+        if self.writing is not None and self.writing.armed and (reason := self._unrecorded_reason(now)):
             await self.disarm("the gateway", reason[:200])
 
-    def _unrecorded(self, now: float) -> str:
+    def _unrecorded_reason(self, now: float) -> str:
         """Why nothing may be written, since it has not been on record for too long; "" if it may."""
         most = self.config.historian.disarm_after
-        if most is None or self.records_watch.stuck_for(now) < most:
+        if most is None or self.records_watch.stuck_time(now) < most:
             return ""
         return f"nothing has been on record for {most:g} s: {self.historian.stuck}"
 
-    def _begin_with_promoted(self, one: FollowedTemperature, now: float) -> None:
+    def _begin_new_model(self, one: FollowedTemperature, now: float) -> None:
         """Another model runs from this scan on: its inputs are watched, and the historian knows whose rows follow."""
         complains = isinstance(self.driver, Complains)
         self.alarms.conditions = make_conditions(self.config, self.inputs, complains=complains)
@@ -384,7 +384,7 @@ class Machine:
         message = "a part of the gateway failed and is begun anew"
         self.log.error(message, part=part, reason=repr(error), exc_info=error)
 
-    def _note_switch_over(self, switch: SwitchOver) -> None:
+    def _note_link_switch(self, switch: SwitchOver) -> None:
         """Another link is used from now on."""
         change = {"before": switch.before, "after": switch.after, "reason": switch.reason}
         self.log.warning("another link is used", time=switch.time, waited=round(switch.waited, 4), **change)
@@ -395,7 +395,9 @@ class Machine:
     def urgent(self) -> frozenset[str]:
         """The tags whose change is worth a scan of its own: those of the models and alarms, the PLC's orders."""
         orders = (*ORDERS, *acknowledge_words(self.config), *filter(None, (self.config.alarms.acknowledge,)))
-        return frozenset((*self.inputs, *self.config.watched, *orders, *suppressing_tags(self.alarms.conditions)))
+        return frozenset(
+            (*self.inputs, *self.config.watched_temperatures, *orders, *suppressing_tags(self.alarms.conditions))
+        )
 
     def complaints(self) -> tuple[str, ...]:
         """What the device itself says is wrong with it, now."""
@@ -418,10 +420,10 @@ class Machine:
             raise ArmingError("writeback.mode is 'off' or the device file has no [writeback]; set the mode to 'shadow'")
         if why := self.common.files.complaint or self.common.log_failure():
             raise ArmingError(f"not armed: {why}")
-        if why := self._unrecorded(self.clock.now()):
+        if why := self._unrecorded_reason(self.clock.now()):
             raise ArmingError(f"not armed, as it would disarm itself: {why}")
         return await self.writing.arm(
-            by, reason, minutes, unverified=self.unverified, acknowledged=acknowledged, process=process
+            by, reason, minutes, unverified=self.unverified_reason, acknowledged=acknowledged, process=process
         )
 
     async def disarm(self, by: str, reason: str, *, process: Mapping[str, int] = NO_PROCESS) -> bool:
@@ -470,7 +472,7 @@ class Machine:
         self.historian.save("clock", now, {})
         if now - self._cleaned >= _HOUR:
             self._cleaned = now
-            self.common.historian.forget_before(now - self.config.historian.retention_days * 86_400.0)
+            self.common.historian.delete_older(now - self.config.historian.retention_days * 86_400.0)
 
     async def finish(self) -> None:
         """Wait for what is being computed; what it gives is dropped. Then keep what a restart goes on from."""
@@ -479,7 +481,7 @@ class Machine:
                 await one.model.close()
         await self.surroundings.close()
         for one in self.followed:
-            await asyncio.to_thread(self.common.files.forget, self._models_of(one.tag))
+            await asyncio.to_thread(self.common.files.forget, self._models_name(one.tag))
         self.save(self.clock.now())
 
     def close(self) -> bool:

@@ -60,16 +60,16 @@ class PlantRecords:
         """
         with self._opening:
             if self.trail is None:
-                historian = self.historian.of(config.machine)
+                historian = self.historian.view(config.machine)
                 self.trail = open_audit_trail(
                     config, historian=historian, supervisor=self.supervisor, log=self._log, files=self.files
                 )
             return self.trail
 
-    def complaint_about(self, subject: str) -> str:
+    def subject_complaint(self, subject: str) -> str:
         """Why the audit log, the files that are relied on or the log's own cannot be; "" if they can."""
         audit = self.trail.audit if self.trail is not None else None
-        of_audit = () if audit is None else (audit.complaint_of(subject), audit.note)
+        of_audit = () if audit is None else (audit.subject_complaint(subject), audit.note)
         said = dict.fromkeys(filter(None, (*of_audit, self.files.complaint, self.files.note)))
         return "; ".join(said) or self.log_failure()
 

@@ -45,7 +45,7 @@ class RecordsWatch:
         """Look at the records at `now` (plant s); `others`: what audit log and log complain of."""
         before, historian = self.complaint, self._historian
         # Of the records' parts alone: the supervisor that has them may have those of every machine of the plant.
-        recording = "; ".join(self._recording.complaints_of(RECORDING))
+        recording = "; ".join(self._recording.part_complaints(RECORDING))
         self.complaint = historian.complaint or others or recording
         own = self._machine.complaints
         self.failed_parts = "; ".join(own[part] for part in own if part not in RECORDING)
@@ -60,7 +60,7 @@ class RecordsWatch:
         elif self._stuck_since is None:
             self._stuck_since = now
 
-    def stuck_for(self, now: float) -> float:
+    def stuck_time(self, now: float) -> float:
         """For how long (plant s) nothing has been stored; 0 while it is."""
         return 0.0 if self._stuck_since is None else now - self._stuck_since
 
@@ -127,9 +127,9 @@ class Surroundings:
         self.clock_error = clock_error()
         if self._folders:
             # Here: a gateway without certificates loads nothing that reads them.
-            from gateway.network import days_left
+            from gateway.network import remaining_days
 
-            self.days = min((left for folder in self._folders for left in days_left(folder, now)), default=None)
+            self.days = min((left for folder in self._folders for left in remaining_days(folder, now)), default=None)
 
     async def close(self) -> None:
         """Wait for a look that goes on."""

@@ -2,22 +2,22 @@
 
 from typing import TYPE_CHECKING
 
-from sim.doors import opened_at_use
+from sim.doors import lazy_getattr
 
 if TYPE_CHECKING:
     from gateway.network.certificates import (
         OPC_UA_CERTIFICATE,
         OPC_UA_KEY,
         application_problem,
-        days_left,
         make_all,
         make_application,
+        remaining_days,
         trusted_certificates,
     )
     from gateway.network.key_pair import NOT_A_KEY, load_pair
     from gateway.network.listener import SharingListener
-    from gateway.network.shares import SharedPlaces, origin_of
-    from gateway.network.timed_socket import TimedSocket, addresses_of, answer_by, connect, seconds_left
-    from gateway.network.timed_tls import TimedHttp, TimedTls, make_tls, reason_of
+    from gateway.network.shares import SharedPlaces, address_origin
+    from gateway.network.timed_socket import TimedSocket, call_with_deadline, connect, remaining_seconds, resolve_host
+    from gateway.network.timed_tls import TimedHttp, TimedTls, failure_reason, make_tls
 else:
-    __getattr__ = opened_at_use(__name__)
+    __getattr__ = lazy_getattr(__name__)

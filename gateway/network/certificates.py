@@ -21,7 +21,7 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec, rsa
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
-from drivers.named_files import writing
+from drivers.named_files import name_write_errors
 from gateway.network.key_pair import NOT_A_KEY, key_problem
 
 ROLE = x509.ObjectIdentifier("1.3.6.1.4.1.50316.802.1")
@@ -191,13 +191,13 @@ def issue(
 
 def write(folder: Path, name: str, signer: Signer) -> None:
     """NAME.pem, and NAME.key for its owner's eyes only."""
-    with writing(folder / f"{name}.pem"):
+    with name_write_errors(folder / f"{name}.pem"):
         (folder / f"{name}.pem").write_bytes(signer.certificate.public_bytes(serialization.Encoding.PEM))
     key = folder / f"{name}.key"
     key.touch(mode=0o600)
     key.chmod(0o600)
     encoding, form = serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8
-    with writing(key):
+    with name_write_errors(key):
         key.write_bytes(signer.key.private_bytes(encoding, form, serialization.NoEncryption()))
 
 
@@ -237,7 +237,7 @@ def _host(host: str) -> x509.GeneralName:
         return x509.DNSName(host)
 
 
-def days_left(folder: Path, now: float) -> list[float]:
+def remaining_days(folder: Path, now: float) -> list[float]:
     """The days (from `now`, s UTC) for which the certificates in a folder are still valid, below 0 where they are not.
 
     What cannot be read is left out: the link says that it cannot be used.

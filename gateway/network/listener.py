@@ -13,11 +13,11 @@ class SharingListener(socket.socket):
 
     places: SharedPlaces[socket.socket]
 
-    def bound(self, most: int) -> None:
+    def limit_connections(self, most: int) -> None:
         """Bound the connections; before the first is accepted."""
         self.places = SharedPlaces(most, _end)
 
-    def listen_at(self, address: Any, backlog: int) -> None:
+    def bind_address(self, address: Any, backlog: int) -> None:
         """Take an address, also one that a program before this has just left. Raises OSError."""
         self.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         self.bind(address)
@@ -31,7 +31,7 @@ class SharingListener(socket.socket):
         connection, address = super().accept()
         for other in self.places.holders:
             if other.fileno() < 0:  # closed by whoever served it
-                self.places.give_back(other)
+                self.places.release(other)
         if self.places.take(connection, str(address[0])):
             return connection, address
         connection.close()

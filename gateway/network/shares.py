@@ -15,7 +15,7 @@ PREFIX_OF_ONE = 64
 P = TypeVar("P")
 
 
-def origin_of(address: str) -> str:
+def address_origin(address: str) -> str:
     """Whom an address belongs to, as far as it can be told: an IPv4 address, an IPv6 network, other text as it is."""
     try:
         parsed: IPv4Address | IPv6Address = ip_address(address.partition("%")[0])
@@ -45,7 +45,7 @@ class SharedPlaces(Generic[P]):
 
     def take(self, holder: P, address: str) -> bool:
         """Give a place to a holder that comes from an address; False where there is none for it."""
-        origin = origin_of(address)
+        origin = address_origin(address)
         if len(self._origins) >= self._most:
             counts = Counter(self._origins.values())
             greediest, count = counts.most_common(1)[0]
@@ -57,6 +57,6 @@ class SharedPlaces(Generic[P]):
         self._origins[holder] = origin
         return True
 
-    def give_back(self, holder: P) -> None:
+    def release(self, holder: P) -> None:
         """A holder has gone, or has none."""
         self._origins.pop(holder, None)

@@ -15,7 +15,7 @@ from typing import Any, Self, TypeVar
 T = TypeVar("T")
 
 
-def seconds_left(end: float) -> float:
+def remaining_seconds(end: float) -> float:
     """Seconds until `end` (monotonic s), infinite for none. Raises TimeoutError once it has passed."""
     left = end - monotonic()
     if left <= 0:
@@ -35,7 +35,7 @@ class TimedSocket(socket.socket):
     def limit(self) -> Self:
         """Give the next operation what is left of the time."""
         if self.end < inf:
-            self.settimeout(seconds_left(self.end))
+            self.settimeout(remaining_seconds(self.end))
         return self
 
     def connect(self, address: Any) -> None:
@@ -73,12 +73,12 @@ class TimedSocket(socket.socket):
             raise OSError(0, "it sends more than any answer has")
 
 
-def answer_by(end: float, ask: Callable[[], T]) -> T:
+def call_with_deadline(end: float, ask: Callable[[], T]) -> T:
     """What a call gives that has no deadline of its own, as the system's resolver. Raises TimeoutError, or as it does.
 
     A call that is late is left to end by itself: nobody looks at what it gives.
     """
-    seconds = seconds_left(end)
+    seconds = remaining_seconds(end)
     answers: list[T] = []
     errors: list[OSError | ValueError] = []
 
@@ -96,7 +96,7 @@ def answer_by(end: float, ask: Callable[[], T]) -> T:
     raise errors[0] if errors else TimeoutError("the name is not found in time")
 
 
-def addresses_of(host: str, port: int, end: float) -> list[tuple[Any, ...]]:
+def resolve_host(host: str, port: int, end: float) -> list[tuple[Any, ...]]:
     """What `getaddrinfo` says of a TCP port. Raises OSError: TimeoutError at the deadline; UnicodeError for no name."""
 
     def ask(flags: int = 0) -> list[tuple[Any, ...]]:
@@ -105,14 +105,14 @@ def addresses_of(host: str, port: int, end: float) -> list[tuple[Any, ...]]:
     try:
         ip_address(host)
     except ValueError:
-        return answer_by(end, ask)
+        return call_with_deadline(end, ask)
     return ask(socket.AI_NUMERICHOST)  # nobody has to be asked
 
 
 def connect(host: str, port: int, end: float) -> TimedSocket:
     """A TCP connection to the first address that takes it until `end` (monotonic s). Raises OSError, UnicodeError."""
     failure = OSError(0, f"{host} has no address")
-    for family, kind, protocol, _, address in addresses_of(host, port, end):
+    for family, kind, protocol, _, address in resolve_host(host, port, end):
         line = TimedSocket(family, kind, protocol)
         line.end = end
         try:

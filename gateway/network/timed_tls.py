@@ -55,7 +55,7 @@ def make_tls(ca: Path | None) -> TimedTls:
     return context
 
 
-def reason_of(error: Exception) -> str:
+def failure_reason(error: Exception) -> str:
     """Why a connection has failed, without a word of what was sent: of TLS, what is wrong with whose certificate."""
     if isinstance(error, ssl.SSLCertVerificationError):
         return f"TLS: {error.reason} (certificate verify failed: {error.verify_message.rstrip('.')})"

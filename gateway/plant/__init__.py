@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from sim.doors import opened_at_use
+from sim.doors import lazy_getattr
 
 if TYPE_CHECKING:
     from gateway.plant.allocator import keep_freed_memory
@@ -21,4 +21,4 @@ if TYPE_CHECKING:
     from gateway.plant.log import open_log
     from gateway.plant.plant_check import PlantFinding, check_common, check_machine, check_plant
 else:
-    __getattr__ = opened_at_use(__name__)
+    __getattr__ = lazy_getattr(__name__)

@@ -20,14 +20,14 @@ from drivers.settings import ConfigError
 from gateway.machine.reading import Clock, PlantClock, plant_clock
 from gateway.machine.writing import SIGN_SECONDS
 from gateway.outside.serving import PeerServer
-from gateway.outside.status import SAID_BY_CHANGES, ChangeLines, ControlError, GatewayStatus, opening
+from gateway.outside.status import SAID_BY_CHANGES, ChangeLines, ControlError, GatewayStatus, opening_lines
 from gateway.plant.configurations import keep_configuration
 from gateway.plant.control import Control
 from gateway.plant.fleet import SWITCH_SECONDS, Fleet
 from gateway.plant.log import log_file, open_log
 from gateway.plant.log_file import LogFile
 from gateway.plant.service import ServiceManager, service_manager
-from gateway.plant.shortfalls import MESSAGES, NORTHBOUND, PAGE, checked_northbound, of_plant
+from gateway.plant.shortfalls import MESSAGES, NORTHBOUND, PAGE, load_sink_secrets, of_plant
 from gateway.plant.status import write_status
 from gateway.settings import Config, NorthboundSecrets
 from gateway.store import FileRule
@@ -78,7 +78,7 @@ async def run(
         without = of_plant(configs[0])
         secrets = None
         try:
-            secrets = None if NORTHBOUND in without else checked_northbound(configs[0])
+            secrets = None if NORTHBOUND in without else load_sink_secrets(configs[0])
         except ConfigError as error:  # its files may have changed since the look above
             without[NORTHBOUND] = error.in_one_line
         log_failure: Callable[[], str] = (lambda: "") if file is None else file.complaint
@@ -92,9 +92,9 @@ async def run(
             read_anew=read_anew,
         )
         fleet.start(stop)
-        fleet.on_taken_over = partial(_kept, fleet, "reload")
+        fleet.on_taken_over = partial(_keep_taken, fleet, "reload")
         without.pop(MESSAGES, None)  # whose alarm is another one
-        _go_without(fleet, without)
+        _report_absences(fleet, without)
         reporter = fleet.supervisor.task("status", lambda: _report(fleet, status_path, say))
         opened.enter_context(fleet.supervisor.hearing_all())
         control = Control(fleet, configs[0].control_socket, log)
@@ -104,9 +104,9 @@ async def run(
             peers = PeerServer(serve.host, serve.port, fleet.images, most_clients=serve.most_clients)
             serving.add(fleet.supervisor.task("peers", peers.serve))
         if hangup is not None:
-            serving.add(fleet.supervisor.task("hangup", partial(_reloaded_at, hangup, fleet)))
+            serving.add(fleet.supervisor.task("hangup", partial(_reload_on_hangup, hangup, fleet)))
         try:
-            await asyncio.to_thread(_kept, fleet, "start", configs)
+            await asyncio.to_thread(_keep_taken, fleet, "start", configs)
             async with (
                 _page(configs, fleet) if configs[0].page.enabled and PAGE not in without else nullcontext(),
                 nullcontext() if secrets is None else _northbound(configs[0], secrets, fleet),
@@ -122,7 +122,7 @@ async def run(
         finally:
             if service is not None:
                 service.tell("STOPPING=1\nSTATUS=stopping")
-            fleet.stopping()
+            fleet.announce_stop()
             for task in serving:
                 task.cancel()
             await asyncio.wait(serving)
@@ -135,7 +135,7 @@ async def run(
     return _plain(fleet, last)
 
 
-def _kept(fleet: Fleet, note: str, configs: Sequence[Config]) -> None:
+def _keep_taken(fleet: Fleet, note: str, configs: Sequence[Config]) -> None:
     """Keep the configuration that was taken over; a gateway that cannot keep it runs all the same."""
     try:
         keep_configuration(configs, now=fleet.clock.now(), note=note)
@@ -143,7 +143,7 @@ def _kept(fleet: Fleet, note: str, configs: Sequence[Config]) -> None:
         fleet.log.warning("the configuration could not be kept for the history", reason=str(error))
 
 
-def _go_without(fleet: Fleet, without: Mapping[str, str]) -> None:
+def _report_absences(fleet: Fleet, without: Mapping[str, str]) -> None:
     """Say, once and in an alarm that stands, what could not be begun."""
     fleet.records.without = {**fleet.records.without, **without}
     for part, reason in without.items():
@@ -197,16 +197,16 @@ async def _northbound(config: Config, secrets: NorthboundSecrets, fleet: Fleet) 
         supervisor=fleet.supervisor,
         log=fleet.log,
     )
-    fleet.records.unreached = lambda: northbound.unreached
+    fleet.records.unreached = lambda: northbound.sink_complaints
     try:
         # So that it is never looked through for garbage.
-        await asyncio.to_thread(northbound.wait_loaded)
+        await asyncio.to_thread(northbound.wait_load)
         yield
     finally:
         await asyncio.to_thread(northbound.close)
 
 
-async def _reloaded_at(hangup: asyncio.Event, fleet: Fleet) -> None:
+async def _reload_on_hangup(hangup: asyncio.Event, fleet: Fleet) -> None:
     """Read the plant file anew whenever the event is set; a file that is refused changes nothing."""
     while True:
         await hangup.wait()
@@ -243,7 +243,7 @@ async def _report(fleet: Fleet, path: Path | None, say: Callable[[str], None] | 
                 for name, status in statuses.items():
                     # A machine that was added while the gateway runs begins with its own lines.
                     known = lines.get(name)
-                    said = opening(status) if known is None else known.take(status, monotonic())
+                    said = opening_lines(status) if known is None else known.take(status, monotonic())
                     lines.setdefault(name, ChangeLines())
                     for line in said:
                         say(f"{name}: {line}" if len(statuses) > 1 else line)

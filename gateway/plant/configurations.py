@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from drivers.driver import capabilities
-from drivers.named_files import place_of
+from drivers.named_files import normal_path
 from gateway.settings import Config, named_files
 from gateway.store import DAMAGED_AUDIT, ROLES, BackupError, Manifest, damaged_audit, make_backup, read_manifest
 
@@ -53,12 +53,12 @@ def configuration_files(machines: Sequence[Config]) -> list[tuple[str, Path]]:
         rows.append(("device", link.map.path))
         named = [link.settings.get(key) for key in capabilities(link.map.driver).files]
         rows += [("device", Path(name)) for name in named if isinstance(name, str) and Path(name).is_file()]
-    return list({place_of(file): (role, file) for role, file in rows}.values())
+    return list({normal_path(file): (role, file) for role, file in rows}.values())
 
 
 def kept_configurations(folder: Path) -> list[KeptConfiguration]:
     """All that are kept and whole, the oldest first. One that is damaged is left out. Raises OSError."""
-    return list(_whole(_numbered(folder)))
+    return list(_whole(_list_folders(folder)))
 
 
 def _whole(folders: Iterable[Path]) -> Iterator[KeptConfiguration]:
@@ -69,9 +69,9 @@ def _whole(folders: Iterable[Path]) -> Iterator[KeptConfiguration]:
 
 def keep_files(folder: Path, files: Sequence[tuple[str, Path]], *, now: float, note: str) -> KeptConfiguration | None:
     """Keep the files, unless they are as in the newest configuration; `note` is why. Raises BackupError or OSError."""
-    numbered = _numbered(folder)
+    numbered = _list_folders(folder)
     newest = next(_whole(reversed(numbered)), None)
-    present = {place_of(file): file.read_bytes() for _, file in files}
+    present = {normal_path(file): file.read_bytes() for _, file in files}
     if newest is not None and newest.files == present:
         return None
     number = int(numbered[-1].name) + 1 if numbered else 1
@@ -146,7 +146,7 @@ def without_arming(plant: bytes) -> bytes:
     return tomlkit.dumps(document).encode()
 
 
-def _numbered(folder: Path) -> list[Path]:
+def _list_folders(folder: Path) -> list[Path]:
     """The folders of configurations, the oldest first."""
     if not folder.is_dir():
         return []

@@ -33,8 +33,8 @@ if TYPE_CHECKING:
     from structlog.typing import FilteringBoundLogger
 
 
-MODE = 0o600
-LONGEST = 1 << 20
+SOCKET_MODE = 0o600
+MAX_REQUEST_BYTES = 1 << 20
 MOST_ROWS = 10_000
 LOOK_SECONDS, RETRY_SECONDS = 1.0, 5.0
 """How often it is looked whether the socket is still there, and tried to make one where none can be made."""
@@ -60,7 +60,7 @@ def listening_socket(path: Path) -> socket.socket:
             if path.is_socket() and not _is_alive(name):
                 path.unlink()
             listener.bind(name)
-        path.chmod(MODE)
+        path.chmod(SOCKET_MODE)
         listener.listen(8)
         listener.setblocking(False)
     except OSError as error:
@@ -124,7 +124,9 @@ class Control:
 
     async def open(self) -> None:
         """Begin to serve. Raises OSError."""
-        self._server = await asyncio.start_unix_server(self._serve, sock=listening_socket(self.path), limit=LONGEST)
+        self._server = await asyncio.start_unix_server(
+            self._serve, sock=listening_socket(self.path), limit=MAX_REQUEST_BYTES
+        )
         there = self.path.stat()
         self._bound = (there.st_dev, there.st_ino)
 
@@ -196,7 +198,7 @@ def _peer(writer: asyncio.StreamWriter) -> tuple[int, int]:
 def _with_peer(line: bytes, pid: int, user: int) -> bytes:
     """A request with who asks; what is none is left as it is, for the refusal."""
     try:
-        return json_lines.packed({**json_lines.parsed(line), "peer": {"uid": user, "pid": pid}})
+        return json_lines.format_object({**json_lines.parse_object(line), "peer": {"uid": user, "pid": pid}})
     except NoObject:
         return line
 
@@ -204,7 +206,7 @@ def _with_peer(line: bytes, pid: int, user: int) -> bytes:
 async def answer(scope: ControlScope, line: bytes) -> dict[str, Any]:
     """The reply to one request."""
     try:
-        request = json_lines.parsed(line)
+        request = json_lines.parse_object(line)
         if not isinstance(request.get("command"), str):
             raise ControlError('a request is a JSON object such as {"command": "status"}')
         act = COMMANDS.get(request["command"])
@@ -291,7 +293,7 @@ class _Disarm(ControlRequest):
 R = TypeVar("R", bound=ControlRequest)
 
 
-def _checked(kind: type[R], request: Mapping[str, Any]) -> R:
+def _parse_request(kind: type[R], request: Mapping[str, Any]) -> R:
     """The request as its command has it. Raises ControlError about the first thing that is wrong."""
     try:
         return kind.model_validate(request)
@@ -304,27 +306,27 @@ def _checked(kind: type[R], request: Mapping[str, Any]) -> R:
 
 async def _status(scope: ControlScope, request: Mapping[str, Any]) -> dict[str, Any]:
     """How one machine is."""
-    machine = scope.one(_checked(ControlRequest, request))
+    machine = scope.one(_parse_request(ControlRequest, request))
     return {"pid": os.getpid(), "config": str(machine.config.path), "status": scope.snapshot(machine)}
 
 
 async def _plant(scope: ControlScope, request: Mapping[str, Any]) -> dict[str, Any]:
     """How all machines are, by their names."""
-    _checked(ControlRequest, request)
+    _parse_request(ControlRequest, request)
     statuses = {name: scope.snapshot(machine) for name, machine in scope.machines.items()}
     return {"pid": os.getpid(), "statuses": statuses}
 
 
 async def _model(scope: ControlScope, request: Mapping[str, Any]) -> dict[str, Any]:
     """The models that run on a machine, by temperature: their automaton and where they come from."""
-    machine = scope.one(_checked(ControlRequest, request))
+    machine = scope.one(_parse_request(ControlRequest, request))
     plain = {one.tag: None if one.model is None else one.model.description() for one in machine.followed}
     return {"pid": os.getpid(), "temperatures": plain}
 
 
 async def _reload(scope: ControlScope, request: Mapping[str, Any]) -> dict[str, Any]:
     """Read the plant file anew: what it changes, or why it is refused."""
-    given = _checked(_ReloadRequest, request)
+    given = _parse_request(_ReloadRequest, request)
     if scope.reload is None:
         raise ControlError("this gateway cannot read its file anew; stop it and start it")
     return {"pid": os.getpid(), **await scope.reload(apply=not given.dry_run)}
@@ -334,14 +336,14 @@ async def _read(scope: ControlScope, request: Mapping[str, Any]) -> dict[str, An
     """The samples of the last scan: of the `tags` named, or of all; or of `addresses`, asked of the device now."""
     if "addresses" in request:
         # By way of the gateway's own connection, so that a device of one client can be asked.
-        asked = _checked(_ReadAddresses, request)
+        asked = _parse_request(_ReadAddresses, request)
         rows, machine = asked.addresses, scope.one(asked)
         if isinstance(machine.driver, Redundant):
             raise ControlError("bare addresses differ from link to link, and this machine has several; name tags")
         samples = await machine.driver.read([replace(row.tag(), name=row.name or row.address) for row in rows])
         answers = [plain(sample) for sample in samples]
         return {"pid": os.getpid(), "time": machine.clock.now(), "samples": answers}
-    given = _checked(_ReadTags, request)
+    given = _parse_request(_ReadTags, request)
     machine, names = scope.one(given), given.tags
     known = machine.config.map.by_name
     names = list(known) if names is None else names
@@ -372,7 +374,7 @@ def plain(sample: Sample) -> dict[str, Any]:
 
 async def _arm(scope: ControlScope, request: Mapping[str, Any]) -> dict[str, Any]:
     """Let blocks be written from the next scan on: `by`, `reason`, `minutes`."""
-    given = _checked(_Arm, request)
+    given = _parse_request(_Arm, request)
     machine = scope.one(given)
     if machine.config.machine in scope.changing:
         raise ControlError(f"machine {machine.config.machine!r} is being taken over; ask again in a moment")
@@ -385,7 +387,7 @@ async def _arm(scope: ControlScope, request: Mapping[str, Any]) -> dict[str, Any
 
 async def _disarm(scope: ControlScope, request: Mapping[str, Any]) -> dict[str, Any]:
     """Take everything back and write no more: `by`, `reason`."""
-    given = _checked(_Disarm, request)
+    given = _parse_request(_Disarm, request)
     return {
         "pid": os.getpid(),
         "was_armed": await scope.one(given).disarm(given.by, given.reason, process=given.process),
@@ -394,18 +396,18 @@ async def _disarm(scope: ControlScope, request: Mapping[str, Any]) -> dict[str, 
 
 async def _alarms(scope: ControlScope, request: Mapping[str, Any]) -> dict[str, Any]:
     """Every alarm of one machine, whatever its state."""
-    machine = scope.one(_checked(ControlRequest, request))
+    machine = scope.one(_parse_request(ControlRequest, request))
     return {"pid": os.getpid(), "time": machine.clock.now(), "alarms": alarm_statuses(machine.alarms)}
 
 
-def _changing(change: Change) -> Command:
+def _alarm_command(change: Change) -> Command:
     """The command by which a person changes alarms: `by`, `reason`, `alarm` or `alarms`, `minutes` of a shelving.
 
     The reply has the state of each as it is by then, and that of the one that was named.
     """
 
-    async def carry_out(scope: ControlScope, request: Mapping[str, Any]) -> dict[str, Any]:
-        given = _checked(_ChangeAlarms, request)
+    async def change_alarms(scope: ControlScope, request: Mapping[str, Any]) -> dict[str, Any]:
+        given = _parse_request(_ChangeAlarms, request)
         machine = scope.one(given)
         names = [*filter(None, (given.alarm,)), *given.alarms]
         try:
@@ -418,7 +420,7 @@ def _changing(change: Change) -> Command:
         named = {} if given.alarm is None else {"alarm": given.alarm, "state": states[given.alarm]}
         return {"pid": os.getpid(), **named, "alarms": states}
 
-    return carry_out
+    return change_alarms
 
 
 COMMANDS: dict[str, Command] = {
@@ -431,6 +433,6 @@ COMMANDS: dict[str, Command] = {
     "reload": _reload,
     "alarms": _alarms,
     # By the table's own words: "acknowledge", "shelve", "remove from service", ...
-    **{change.value: _changing(change) for change in BY_PERSONS},
+    **{change.value: _alarm_command(change) for change in BY_PERSONS},
 }
 """Everything that can be asked of a running gateway; a new one is a row here."""

@@ -27,8 +27,8 @@ from gateway.plant.control import ControlScope, answer
 from gateway.plant.device import make_driver, scans_on_change
 from gateway.plant.plant_check import check_plant, limit_doubts, unfit_models
 from gateway.plant.service import ScanProgress
-from gateway.plant.shared_connections import on_one_connection
-from gateway.plant.shortfalls import MESSAGES, checked_notify
+from gateway.plant.shared_connections import connection_groups
+from gateway.plant.shortfalls import MESSAGES, prepare_notifier
 from gateway.plant.status import snapshot
 from gateway.settings import Config, changed_machines, load_plant
 
@@ -97,7 +97,7 @@ class Fleet:
         if (notifier := self.notifier) is not None:
             self.records.undelivered = lambda: notifier.complaint
         elif untold:
-            self._go_without(MESSAGES, untold)
+            self._report_absence(MESSAGES, untold)
             self.records.undelivered = lambda: untold
         alone = len(configs) == 1
         opened = False
@@ -107,7 +107,7 @@ class Fleet:
             for config in configs:
                 name = config.machine
                 loaded, without = models[name]
-                self.machines[name] = self._opened(config, drivers[name], loaded, alone=alone, without=without)
+                self.machines[name] = self._open_machine(config, drivers[name], loaded, alone=alone, without=without)
             opened = True
         finally:
             if not opened:
@@ -119,15 +119,15 @@ class Fleet:
         """A machine's driver: units behind one gateway take turns on its connection, the only device has its own."""
         return make_driver(config, self.clock, self._connections if config.several else None)
 
-    def _go_without(self, part: str, reason: str) -> None:
+    def _report_absence(self, part: str, reason: str) -> None:
         self.log.error("a part of the gateway could not be begun, and it goes on without", part=part, reason=reason)
 
-    def _opened(
+    def _open_machine(
         self, config: Config, driver: Driver, models: Sequence[LoadedModels], *, alone: bool, without: str = ""
     ) -> Machine:
         """A machine on the common records. A gateway's only one needs no name in front of what is said of its parts."""
         if without:
-            self._go_without(f"{config.machine}: {MODEL_PART}", without)
+            self._report_absence(f"{config.machine}: {MODEL_PART}", without)
         log = self.log if alone else self.log.bind(machine=config.machine)
         for doubt in limit_doubts(config, models):
             log.warning("a limit is worth a look", reason=doubt)
@@ -168,9 +168,9 @@ class Fleet:
         self._stop = stop
         for place, (name, machine) in enumerate(self.machines.items()):
             pause = place / len(self.machines) * machine.config.scan.period
-            self._running[name] = _Running(machine, stop, self._shown(machine), taken=self._scanned, pause=pause)
+            self._running[name] = _Running(machine, stop, self._scan_taker(machine), taken=self._note_scan, pause=pause)
 
-    def _scanned(self, machine: str) -> None:
+    def _note_scan(self, machine: str) -> None:
         self.on_scan(machine)
 
     async def reload(self, *, apply: bool = True) -> dict[str, Any]:
@@ -184,7 +184,7 @@ class Fleet:
             try:
                 configs = {config.machine: config for config in await asyncio.to_thread(self._read_anew)}
                 changes = changed_machines({name: one.config for name, one in self.machines.items()}, configs)
-                changes |= self._newly_shared(changes, configs)
+                changes |= self._find_new_sharers(changes, configs)
                 # Those of machines that are begun anew are read when they are examined, and refuse the file.
                 stay = [config for name, config in configs.items() if name not in changes]
                 known = await asyncio.to_thread(lambda: {config.machine: models_at_start(config) for config in stay})
@@ -198,7 +198,7 @@ class Fleet:
                 raise ControlError(f"the file is refused and everything goes on as it was: {error}") from None
             failed: dict[str, str] = {}
             if apply:
-                failed = await self.take_over(list(changes), configs, models)
+                failed = await self.replace_machines(list(changes), configs, models)
                 if changes:
                     self.log.warning("the plant file was read anew", machines=", ".join(changes))
                     await asyncio.to_thread(self.on_taken_over, list(configs.values()))
@@ -216,10 +216,10 @@ class Fleet:
                 ],
             }
 
-    def _newly_shared(self, changes: Collection[str], configs: Mapping[str, Config]) -> dict[str, tuple[str, ...]]:
+    def _find_new_sharers(self, changes: Collection[str], configs: Mapping[str, Config]) -> dict[str, tuple[str, ...]]:
         """Machines that have a connection to themselves, as the only one of their file, and are to share it now."""
         found = dict[str, tuple[str, ...]]()
-        for group in on_one_connection(list(configs.values())):
+        for group in connection_groups(list(configs.values())):
             for name in [config.machine for config in group if config.machine not in changes]:
                 others = ", ".join(config.machine for config in group if config.machine != name)
                 if others and not self.machines[name].config.several:
@@ -235,7 +235,7 @@ class Fleet:
         models: dict[str, Sequence[LoadedModels]] = {}
         connections = Connections()
         staying = [machine.config for name, machine in self.machines.items() if name not in leaving]
-        for group in on_one_connection([*staying, *configs]):
+        for group in connection_groups([*staying, *configs]):
             # Of all others nothing is made anew, as their scans go on meanwhile.
             for config in group if any(config in group for config in configs) else ():
                 make_driver(config, self.clock, connections if config.several else None)
@@ -243,7 +243,7 @@ class Fleet:
             models[config.machine] = await asyncio.to_thread(load_models, config)
         return models
 
-    async def take_over(
+    async def replace_machines(
         self, names: Sequence[str], configs: Mapping[str, Config], models: Mapping[str, Sequence[LoadedModels]]
     ) -> dict[str, str]:
         """Have the machines of these names as they are in `configs`: begun, begun anew, or stopped.
@@ -252,11 +252,11 @@ class Fleet:
         """
         self.changing.update(names)
         try:
-            return await self._changed(names, configs, models)
+            return await self._replace_machines(names, configs, models)
         finally:
             self.changing.clear()
 
-    async def _changed(
+    async def _replace_machines(
         self, names: Sequence[str], configs: Mapping[str, Config], models: Mapping[str, Sequence[LoadedModels]]
     ) -> dict[str, str]:
         before = {name: machine.config for name, machine in self.machines.items()}
@@ -301,7 +301,7 @@ class Fleet:
             self.images.pop(machine.config.serve.unit, None)
             if machine.writing is not None:
                 # Nobody finds it any more. What was said to it is said of the machine that is begun in its place, too.
-                await machine.writing.settled()
+                await machine.writing.settle()
 
     async def _begin(self, config: Config, models: Sequence[LoadedModels] | None, *, patient: bool = False) -> None:
         """Begin a machine while others run, with its models or those that it names; `patient`: as at a start.
@@ -318,12 +318,12 @@ class Fleet:
             loaded = await asyncio.to_thread(load_models, config)
         driver = self._driver(config)
         try:
-            machine = await asyncio.to_thread(self._opened, config, driver, loaded, alone=False, without=without)
+            machine = await asyncio.to_thread(self._open_machine, config, driver, loaded, alone=False, without=without)
         except BaseException:
             await driver.close()
             raise
         self.machines[config.machine] = machine
-        self._running[config.machine] = _Running(machine, self._stop, self._shown(machine), taken=self._scanned)
+        self._running[config.machine] = _Running(machine, self._stop, self._scan_taker(machine), taken=self._note_scan)
 
     @property
     def configs(self) -> dict[str, Config]:
@@ -353,11 +353,11 @@ class Fleet:
         """The reply to a request at the control socket."""
         return await answer(ControlScope(self.machines, snapshot, self.reload, self.changing), line)
 
-    def _shown(self, machine: Machine) -> Callable[[Scan], None] | None:
+    def _scan_taker(self, machine: Machine) -> Callable[[Scan], None] | None:
         """Who takes a machine's scans for its peers; None where nothing is served."""
         return None if machine.config.serve.port is None else self.images[machine.config.serve.unit].take
 
-    def stopping(self) -> None:
+    def announce_stop(self) -> None:
         """Say of every machine that it is being stopped."""
         for machine in self.machines.values():
             machine.phase = "stopping"
@@ -411,7 +411,7 @@ class _Running:
         self._machine, self._show, self._taken, self._pause = machine, show, taken, pause
         self.completed = 0
         self._stop, self._over = _Stop(gateway), asyncio.Event()
-        tasks = {"scans": self._scan_until_stopped, "stop": self._stop.follow}
+        tasks = {"scans": self._scan_loop, "stop": self._stop.follow}
         self._tasks = {machine.supervisor.task(name, work) for name, work in tasks.items()}
 
     async def stop(self) -> None:
@@ -426,7 +426,7 @@ class _Running:
             task.cancel()
         await asyncio.wait(tasks)
         # First the PLC, while the link stands; then what is computed; then what is kept, so that all of it is in there.
-        await _withdrawn(machine, "stop")
+        await _try_withdraw(machine, "stop")
         writing = machine.writing
         if writing is not None and writing.armed and machine.link.alive:
             # What the PLC says of the last blocks, once its program has had a cycle's time to count them.
@@ -439,7 +439,7 @@ class _Running:
         await machine.finish()
         await machine.driver.close()
 
-    async def _scan_until_stopped(self) -> None:
+    async def _scan_loop(self) -> None:
         """Scan until the stop; whatever fails is logged, made known to the PLC, and begun anew a second later."""
         machine, stop = self._machine, self._stop
         config, clock, log = machine.config, machine.clock, machine.log
@@ -450,7 +450,7 @@ class _Running:
         except DriverError as error:
             log.warning("the device does not answer yet; it is tried again all the time", reason=str(error))
         if self._pause:
-            await _paused(stop, self._pause / clock.speed)
+            await _pause(stop, self._pause / clock.speed)
         while not stop.is_set():
             try:
                 rules = QualityRules(
@@ -482,14 +482,14 @@ class _Running:
                 machine.counters.failures, machine.counters.last_failure = machine.counters.failures + 1, repr(error)
                 machine.begin_anew()
                 # The PLC is told before the pause: for this second nobody stands behind what the last block said.
-                await _withdrawn(machine, "failure")
-                await _paused(stop, RESTART_SECONDS)
+                await _try_withdraw(machine, "failure")
+                await _pause(stop, RESTART_SECONDS)
         # A part that returned would be begun anew by its supervisor: this one is over when `stop` ends it.
         self._over.set()
         await asyncio.Future()
 
 
-async def _paused(stop: asyncio.Event, seconds: float) -> None:
+async def _pause(stop: asyncio.Event, seconds: float) -> None:
     """Wait so long (real s), or until the stop."""
     with suppress(TimeoutError):
         async with asyncio.timeout(seconds):
@@ -499,7 +499,7 @@ async def _paused(stop: asyncio.Event, seconds: float) -> None:
 def _notifier_at_start(config: Config) -> tuple[Callable[..., Notifier] | None, str]:
     """What makes the notifier (None: nobody is told), and why nobody can be ("": all can)."""
     try:
-        return checked_notify(config), ""
+        return prepare_notifier(config), ""
     except ConfigError as error:
         return None, error.in_one_line
 
@@ -522,7 +522,7 @@ class _Stop(asyncio.Event):
         await asyncio.Future()
 
 
-async def _withdrawn(machine: Machine, why: str) -> None:
+async def _try_withdraw(machine: Machine, why: str) -> None:
     """Validity 0 if possible; the PLC's own timer covers the rest."""
     try:
         await machine.withdraw(why)

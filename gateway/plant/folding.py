@@ -8,7 +8,7 @@ from gateway.repeated import without_numbers
 
 WINDOW_SECONDS = 60.0
 """For how long repetitions are gathered into one line."""
-FORMS, RETURNS = 20, 10
+MAX_FORMS, MAX_RETURNS = 20, 10
 """In one window and of one event: so many different lines, and so many that come back after other lines, are written
 at once. Beyond that an event floods, whatever it is that changes in it."""
 
@@ -55,11 +55,11 @@ class Folding:
         group = (str(event.get("level")), without_numbers(str(event.get("event"))))
         window = self._windows.setdefault(group, _Window(now))
         changed, self._last = form != self._last, form
-        if form not in window.forms and len(window.forms) < FORMS:
+        if form not in window.forms and len(window.forms) < MAX_FORMS:
             window.forms.add(form)
             return True
         known: _Form | None = form if form in window.forms else None
-        if known is not None and changed and window.returns < RETURNS:
+        if known is not None and changed and window.returns < MAX_RETURNS:
             window.returns += 1
             return True
         repeats = window.repeats.setdefault(known, _Repeats(now, event, now))

@@ -12,11 +12,11 @@ from typing import Any, TextIO
 from gateway.plant.folding import WINDOW_SECONDS, Folding
 from gateway.plant.log_file import LogFile
 from gateway.settings import LogSection
-from sim.strict_json import escaped, strict
+from sim.strict_json import escape_text, strict
 
 
 @contextmanager
-def _hidden(library: str) -> Iterator[None]:
+def _hide_library(library: str) -> Iterator[None]:
     """Within, an import of the library fails as if it were not installed, unless it is loaded already."""
     if library in sys.modules:
         yield
@@ -29,7 +29,7 @@ def _hidden(library: str) -> Iterator[None]:
 
 
 # structlog loads rich, where it finds it, to draw tracebacks; those of this log are plain text before they are shown.
-with _hidden("rich"):
+with _hide_library("rich"):
     import structlog
     from structlog.typing import FilteringBoundLogger, Processor
 
@@ -96,7 +96,9 @@ def _printable(_logger: object, _name: str, event: MutableMapping[str, Any]) -> 
     Reasons hold what devices, files and other programs have said. A traceback keeps its lines.
     """
     for key, value in event.items():
-        event[key] = "\n".join(map(escaped, value.split("\n"))) if key == "exception" else escaped(strict(value))
+        event[key] = (
+            "\n".join(map(escape_text, value.split("\n"))) if key == "exception" else escape_text(strict(value))
+        )
     return event
 
 

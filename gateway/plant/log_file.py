@@ -143,11 +143,11 @@ class LogFile:
             self.close()
             for number in range(self._keep - 1, 0, -1):
                 with suppress(FileNotFoundError):
-                    self._numbered(number).replace(self._numbered(number + 1))
-            self.path.replace(self._numbered(1))
+                    self._rotated_path(number).replace(self._rotated_path(number + 1))
+            self.path.replace(self._rotated_path(1))
             self._open()
 
-    def _numbered(self, number: int) -> Path:
+    def _rotated_path(self, number: int) -> Path:
         return self.path.with_name(f"{self.path.name}.{number}")
 
     def _first_line_time(self) -> float:

@@ -22,14 +22,14 @@ from gateway.machine.model import LoadedModels, ModelsAtStart, models_at_start
 from gateway.machine.reading import plant_clock
 from gateway.outside.status import connect
 from gateway.plant.device import make_driver
-from gateway.plant.shared_connections import on_one_connection
+from gateway.plant.shared_connections import connection_groups
 from gateway.plant.shortfalls import of_plant
 from gateway.settings import Config
 from gateway.store import SQLITE_HEADER, SigningKeyError, load_key
-from sim.sha import RELAXING, distributions
-from sim.units import shown_unit
+from sim.sha import RELAXING_FLOWS, distributions
+from sim.units import display_unit
 
-REACH = 2.0
+MAX_REACH_SPANS = 2.0
 """A limit so many times the model's span of temperatures above the hottest of them never comes within reach."""
 
 
@@ -78,7 +78,7 @@ def check_common(config: Config) -> list[PlantFinding]:
 def _devices(configs: Sequence[Config]) -> Iterator[PlantFinding]:
     """Drivers that cannot be made, and places that cannot be read as they are given."""
     clock, connections = plant_clock(1.0), Connections()
-    for group in on_one_connection(configs):
+    for group in connection_groups(configs):
         for config in group:
             try:
                 make_driver(config, clock, connections if config.several else None)
@@ -159,7 +159,7 @@ def _no_database(path: Path) -> str:
 
 def _ports(config: Config) -> Iterator[PlantFinding]:
     """Ports that others have, or two of these servers; not where a gateway runs by this very file: it has them."""
-    if _is_running(config.control_socket):
+    if _has_gateway(config.control_socket):
         return
     northbound = config.northbound
     served = {
@@ -184,7 +184,7 @@ def _ports(config: Config) -> Iterator[PlantFinding]:
                 yield PlantFinding("ports", said, grave=not isinstance(error, PermissionError))
 
 
-def _is_running(path: Path) -> bool:
+def _has_gateway(path: Path) -> bool:
     """Whether a gateway answers at the socket, or one is there that this user may not ask."""
     if (line := connect(path)) is not None:
         line.close()
@@ -214,7 +214,7 @@ def _listener(host: str, port: int) -> socket.socket:
 
 def unfit_models(config: Config, models: Sequence[LoadedModels]) -> Iterator[str]:
     """The models that were judged unfit where they were learned, those of an ensemble too; a sentence each."""
-    for one, (first, members) in zip(config.followed, models, strict=True):
+    for one, (first, members) in zip(config.temperature_configs, models, strict=True):
         for loaded in (first, *members):
             if loaded is not None and loaded.verdict is not None and loaded.verdict.word == "unfit":
                 name = f"{loaded.model.sha.name} ({loaded.hash[:12]})"
@@ -229,9 +229,9 @@ def limit_doubts(config: Config, models: Sequence[LoadedModels]) -> Iterator[str
 
 
 def _limits_of_tags(config: Config) -> Iterator[str]:
-    for name in config.watched:
-        tag, limit = config.map.by_name[name], config.limit_of(name)
-        unit = shown_unit(tag.unit)
+    for name in config.watched_temperatures:
+        tag, limit = config.map.by_name[name], config.find_limit(name)
+        unit = display_unit(tag.unit)
         said = f"{config.path}: the limit of {name}, {limit:g} {unit},"
         if tag.high is not None and limit >= tag.high:
             yield f"{said} can never be passed: the device file takes readings above {tag.high:g} for wrong"
@@ -242,24 +242,24 @@ def _limits_of_tags(config: Config) -> Iterator[str]:
 
 
 def _limits_of_models(config: Config, models: Sequence[LoadedModels]) -> Iterator[str]:
-    for one, (loaded, _) in zip(config.followed, models, strict=True):
+    for one, (loaded, _) in zip(config.temperature_configs, models, strict=True):
         if loaded is None:
             continue
         model, limit = loaded.model, one.alarms.limit
         known = [
             model.correction.gain * distributions.mean(place.distribution) + model.correction.offset
             for place in model.sha.locations
-            if place.distribution is not None and place.flow.kind in RELAXING and place.name not in model.borrowed
+            if place.distribution is not None and place.flow.kind in RELAXING_FLOWS and place.name not in model.borrowed
         ]
         if not known:
             continue
-        coldest, hottest, unit = min(known), max(known), shown_unit(model.unit)
+        coldest, hottest, unit = min(known), max(known), display_unit(model.unit)
         said = f"{config.path}: the limit of {one.model.temperature}, {limit:g} {unit},"
         if limit <= coldest:
             yield f"{said} lies below all that the model leads to ({coldest:.0f} to {hottest:.0f}): it always stands"
         elif hottest > coldest and limit - one.alarms.deadband <= coldest:
             yield f"{said} has a deadband of {one.alarms.deadband:g}: below {coldest:.0f} the model never leads"
-        elif hottest > coldest and limit > hottest + REACH * (hottest - coldest):
+        elif hottest > coldest and limit > hottest + MAX_REACH_SPANS * (hottest - coldest):
             yield (
                 f"{said} never comes within reach: the model leads to {coldest:.0f} to {hottest:.0f}; it would "
                 "warn of nothing"

@@ -12,9 +12,9 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import Protocol
 
-LOOKS = 20
+LOOKS_PER_WATCHDOG = 20
 """Looks at the scans within the watchdog's time."""
-PERIODS = 5.0
+MAX_MISSED_SCANS = 5.0
 """Scans that a machine may miss before it counts as hanging, where that is longer than the unit's WatchdogSec."""
 PATIENCE_SECONDS = 0.5
 """How long a service manager whose queue is full is waited for: no scan is done meanwhile."""
@@ -67,7 +67,7 @@ class ServiceManager:
         A machine that failed and was begun anew has come further: that is the supervisor's to mend and an alarm to say,
         and no reason to stop those that are read. At least one scan has to have been completed, by any of them.
         """
-        patience = max(self._watchdog, PERIODS * machines.longest_period)
+        patience = max(self._watchdog, MAX_MISSED_SCANS * machines.longest_period)
         if patience != self._announced_patience:
             self.tell(f"WATCHDOG_USEC={round(patience * 1e6)}")
             self._announced_patience = patience
@@ -84,7 +84,7 @@ class ServiceManager:
         """Feed the watchdog for as long as scans are completed; without one, do nothing."""
         while self._watchdog:
             self.feed(machines)
-            await asyncio.sleep(self._watchdog / LOOKS)
+            await asyncio.sleep(self._watchdog / LOOKS_PER_WATCHDOG)
         await asyncio.Future()
 
 

@@ -10,7 +10,7 @@ from drivers.errors import DriverError
 from gateway.settings import Config, DeviceLink
 
 
-def on_one_connection(configs: Sequence[Config]) -> list[list[Config]]:
+def connection_groups(configs: Sequence[Config]) -> list[list[Config]]:
     """The machines in groups, in the order of the file: one that shares a connection with any of a group is of it."""
     groups: list[tuple[set[Hashable], list[Config]]] = []
     for config in configs:

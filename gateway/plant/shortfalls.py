@@ -30,7 +30,7 @@ def check_page(config: Config) -> None:
         check_page(config)
 
 
-def checked_northbound(config: Config) -> NorthboundSecrets | None:
+def load_sink_secrets(config: Config) -> NorthboundSecrets | None:
     """The secrets for those who are told what is on record; None where nobody is. Raises ConfigError."""
     if not config.northbound.enabled:
         return None
@@ -39,7 +39,7 @@ def checked_northbound(config: Config) -> NorthboundSecrets | None:
     return check_northbound(config)
 
 
-def checked_notify(config: Config) -> Callable[..., Notifier] | None:
+def prepare_notifier(config: Config) -> Callable[..., Notifier] | None:
     """What makes the notifier, with all that can be refused read; None where nobody is told. Raises ConfigError."""
     secrets = load_secrets(config.notify)
     if not config.notify.to:
@@ -58,8 +58,8 @@ def of_plant(config: Config) -> dict[str, str]:
     """What the whole gateway would go without if it started now, and why, by the parts' names."""
     checks: dict[str, Callable[[Config], Any]] = {
         PAGE: check_page,
-        MESSAGES: checked_notify,
-        NORTHBOUND: checked_northbound,
+        MESSAGES: prepare_notifier,
+        NORTHBOUND: load_sink_secrets,
     }
     found = {}
     for part, check in checks.items():

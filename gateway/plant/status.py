@@ -108,7 +108,9 @@ def snapshot(machine: Machine) -> GatewayStatus:
         driver=dict(machine.driver.statistics()),
         complaints=list(machine.complaints()),
         watched={
-            tag: config.limit_of(tag) for tag in config.watched if tag not in {one.tag for one in machine.followed}
+            tag: config.find_limit(tag)
+            for tag in config.watched_temperatures
+            if tag not in {one.tag for one in machine.followed}
         },
         failures=counters.failures,
         last_failure=counters.last_failure,

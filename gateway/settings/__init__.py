@@ -2,7 +2,7 @@
 
 from gateway.settings.alarm_kinds import (
     ALARM_KINDS,
-    FAULT,
+    FAULT_THRESHOLD,
     LEAST_URGENT,
     OF_PLANT,
     PLANT,
@@ -10,14 +10,14 @@ from gateway.settings.alarm_kinds import (
     AlarmPlace,
     MachineSigns,
     alarm_subject,
-    kind_of,
-    settings_of,
-    suppressing,
+    merge_settings,
+    parse_kind,
+    parse_suppression,
 )
 from gateway.settings.changes import changed_machines
 from gateway.settings.config import (
-    LEAST_BLOCKS,
     MAX_ARMED_MINUTES,
+    MIN_BLOCKS_PER_SECOND,
     PAGE_SUBJECT,
     AlarmSection,
     Config,

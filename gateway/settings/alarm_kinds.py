@@ -105,7 +105,7 @@ class AlarmKind:
 
 HEAT = "heat"
 """The cause of all that tells that one bearing gets hot."""
-FAULT = 0.5
+FAULT_THRESHOLD = 0.5
 """What is found of a sensor beyond this is a fault; what is only yes or no is 1 or 0."""
 DRIFT_SINCE = "14d"
 """The span of the historian that a diagnosis is offered for: ten cycles or more of a plant that runs every day."""
@@ -118,10 +118,10 @@ def always(_: AlarmPlace) -> bool:
 
 def yes_or_no(_: AlarmPlace) -> float:
     """The limit of what is found as 1 or 0."""
-    return FAULT
+    return FAULT_THRESHOLD
 
 
-def found(wrong: object) -> float:
+def flag_value(wrong: object) -> float:
     """1 for what is wrong, 0 where nothing is."""
     return float(bool(wrong))
 
@@ -134,7 +134,7 @@ def _has_sensor(at: AlarmPlace) -> bool:
     return at.config.alarms.sensors
 
 
-def _over_limit(at: AlarmPlace) -> Mapping[str, Any]:
+def _threshold_settings(at: AlarmPlace) -> Mapping[str, Any]:
     predicted = [row.tag for row in at.config.temperatures]
     whose = at.tag if len(predicted) > 1 and at.tag in predicted else ""
     a = at.config.alarms
@@ -145,7 +145,7 @@ UNFORESEEN_PERIODS, UNFORESEEN_S = 6.0, 60.0
 """For so many periods of the forecast (of scans, where these are rarer), and so long (plant s), none may be usable."""
 
 
-def _unforeseen(at: AlarmPlace) -> Mapping[str, Any]:
+def _unforeseen_delays(at: AlarmPlace) -> Mapping[str, Any]:
     period = max(at.config.forecast.period, at.config.scan.period)
     return {"on_delay": max(UNFORESEEN_PERIODS * period, UNFORESEEN_S), "off_delay": 0.0}
 
@@ -160,10 +160,10 @@ def _drift(at: AlarmPlace) -> Mapping[str, Any]:
     return {"off_delay": 0.0, "response": f"{drifts}; find out what has changed with: {join(command)}"}
 
 
-def _not_steered(signs: MachineSigns) -> float | None:
+def _steering_sign(signs: MachineSigns) -> float | None:
     # A replay's clock is nobody's to steer.
     error = signs.clock_error if signs.clock_speed == 1.0 else None
-    return None if error is None else found(isinf(error))
+    return None if error is None else flag_value(isinf(error))
 
 
 def _lacking_mb(signs: MachineSigns) -> float | None:
@@ -177,7 +177,7 @@ def _inputs(at: AlarmPlace) -> Mapping[str, Any]:
 
 def _worst_input(signs: MachineSigns) -> float:
     if not signs.worst_inputs:
-        return found(any(signs.good(name) is None for name in signs.config.watched))
+        return flag_value(any(signs.good(name) is None for name in signs.config.watched_temperatures))
     return max(signs.worst_inputs)
 
 
@@ -194,8 +194,8 @@ ALARM_KINDS: Mapping[str, AlarmKind] = {
         past=Phrase("was over its limit", it="era oltre il limite", de="war über der Grenze"),
         cause=HEAT,
         applies=always,
-        limit=lambda at: at.config.limit_of(at.tag),
-        more=_over_limit,
+        limit=lambda at: at.config.find_limit(at.tag),
+        more=_threshold_settings,
         watches="the measured temperature, against `alarms.limit`; it needs no model",
         response=Phrase(
             "{tag} is above {limit} {unit}: reduce the load and check the lubrication",
@@ -298,7 +298,7 @@ ALARM_KINDS: Mapping[str, AlarmKind] = {
         past=Phrase("nothing was foreseen", it="non c'era previsione", de="es gab keine Vorhersage"),
         applies=_has_model,
         limit=yes_or_no,
-        more=_unforeseen,
+        more=_unforeseen_delays,
         watches="whether there is a usable forecast while all that the model reads is good, for six of its periods and "
         "a minute at least",
         response=Phrase(
@@ -317,7 +317,7 @@ ALARM_KINDS: Mapping[str, AlarmKind] = {
         past=Phrase("rose towards its limit", it="saliva verso il limite", de="stieg zur Grenze hin"),
         cause=HEAT,
         applies=lambda at: at.config.alarms.trend is not None,
-        limit=lambda at: at.config.limit_of(at.tag),
+        limit=lambda at: at.config.find_limit(at.tag),
         more=lambda at: {"deadband": at.config.alarms.deadband},
         watches="where a straight line through the last minutes reaches `alarms.trend` s ahead, against the limit; it "
         "needs no model",
@@ -399,7 +399,7 @@ ALARM_KINDS: Mapping[str, AlarmKind] = {
         ),
         applies=always,
         limit=yes_or_no,
-        finding=lambda signs: found(signs.records_complaint),
+        finding=lambda signs: flag_value(signs.records_complaint),
         watches="whether historian, audit log and log take what happens",
         response=Phrase(
             "what happens may not be on record: see historian and parts in the status, and make room or mend the disk",
@@ -424,7 +424,7 @@ ALARM_KINDS: Mapping[str, AlarmKind] = {
         ),
         applies=always,
         limit=yes_or_no,
-        finding=lambda signs: found(signs.failed_parts or signs.missing_parts),
+        finding=lambda signs: flag_value(signs.failed_parts or signs.missing_parts),
         watches="parts of the gateway that failed and were begun anew, or could not be begun, as a model whose file is "
         "damaged",
         response=Phrase(
@@ -442,7 +442,7 @@ ALARM_KINDS: Mapping[str, AlarmKind] = {
         past=Phrase("the clock was wrong", it="l'orologio era errato", de="die Uhr ging falsch"),
         applies=always,
         limit=yes_or_no,
-        finding=lambda signs: found(signs.clock_complaint),
+        finding=lambda signs: flag_value(signs.clock_complaint),
         watches="the clock, against the newest record, the monotonic clock and the PLC's (`clock.tag`)",
         response=Phrase(
             "the clock has jumped: set it and start the gateway anew; nothing is deleted by age meanwhile",
@@ -462,7 +462,7 @@ ALARM_KINDS: Mapping[str, AlarmKind] = {
         ),
         applies=always,
         limit=yes_or_no,
-        finding=_not_steered,
+        finding=_steering_sign,
         watches="whether a time server steers this computer's clock, by the kernel's own account",
         response=Phrase(
             "no time server steers the clock: see timedatectl, and have NTP set up; where there shall be none, "
@@ -488,7 +488,7 @@ ALARM_KINDS: Mapping[str, AlarmKind] = {
         ),
         applies=always,
         limit=yes_or_no,
-        finding=lambda signs: found(not signs.link_alive),
+        finding=lambda signs: flag_value(not signs.link_alive),
         watches="whether good readings arrive at all",
         response=Phrase(
             "no good reading arrives: see link in the status, then look at network, cable and PLC",
@@ -541,7 +541,7 @@ ALARM_KINDS: Mapping[str, AlarmKind] = {
         ),
         applies=lambda at: bool(at.config.notify.to),
         limit=yes_or_no,
-        finding=lambda signs: found(signs.undelivered),
+        finding=lambda signs: flag_value(signs.undelivered),
         watches="whether messages about alarms are delivered",
         response=Phrase(
             "messages about alarms are not delivered: see the log for the recipient, then mail server or web hook",
@@ -566,7 +566,7 @@ ALARM_KINDS: Mapping[str, AlarmKind] = {
         ),
         applies=lambda at: bool(at.config.northbound.sinks),
         limit=yes_or_no,
-        finding=lambda signs: found(signs.unreached),
+        finding=lambda signs: flag_value(signs.unreached),
         watches="whether the brokers and databases that are told what is on record can be reached",
         response=Phrase(
             "a broker or database is out of reach: see the log for which one and why, then network and server",
@@ -582,7 +582,7 @@ ALARM_KINDS: Mapping[str, AlarmKind] = {
         past=Phrase("another gateway wrote", it="scriveva un altro gateway", de="ein anderes Gateway schrieb"),
         applies=lambda at: at.config.map.writeback is not None and at.config.writeback.mode != "off",
         limit=yes_or_no,
-        finding=lambda signs: None if signs.rival is None else found(signs.rival),
+        finding=lambda signs: None if signs.rival is None else flag_value(signs.rival),
         watches="the PLC's word of another gateway that writes its blocks",
         response=Phrase(
             "another gateway writes to this PLC: other_writer in the status is its number, writer is this one's; "
@@ -608,7 +608,7 @@ ALARM_KINDS: Mapping[str, AlarmKind] = {
         ),
         applies=lambda at: at.complains,
         limit=yes_or_no,
-        finding=lambda signs: found(signs.complaints),
+        finding=lambda signs: flag_value(signs.complaints),
         watches="what the device itself says is wrong with it (as by EMCY)",
         response=Phrase(
             "the device or its bus says that something is wrong: see complaints in the status",
@@ -650,7 +650,7 @@ def alarm_subject(alarm: str, tag: str, machine: str) -> str:
     return PLANT if alarm in OF_PLANT and tag == PLANT else machine
 
 
-def kind_of(alarm: str) -> str:
+def parse_kind(alarm: str) -> str:
     """The kind of an alarm by its name, which may have a tag behind it; "" for one that is in no table."""
     return max((kind for kind in ALARM_KINDS if f"{alarm} ".startswith(f"{kind} ")), key=len, default="")
 
@@ -691,18 +691,18 @@ class AlarmRow(Section):
     @field_validator("suppressed_by")
     @classmethod
     def _tag_and_value(cls, text: str | None) -> str | None:
-        if text is not None and (not suppressing(text)[0] or text.partition("=")[2] not in ("", "0", "1")):
+        if text is not None and (not parse_suppression(text)[0] or text.partition("=")[2] not in ("", "0", "1")):
             raise ValueError(f"{text[:60]!r} is neither 'TAG', 'TAG=1' nor 'TAG=0'; give the name of a tag")
         return text
 
 
-def suppressing(text: str) -> tuple[str, float]:
+def parse_suppression(text: str) -> tuple[str, float]:
     """The tag of a `suppressed_by`, and the value (0 or 1 for anything else) by which it suppresses."""
     tag, _, value = text.partition("=")
     return tag, 0.0 if value == "0" else 1.0
 
 
-def settings_of(rows: Iterable[AlarmRow], kind: str, tag: str = "") -> dict[str, Any]:
+def merge_settings(rows: Iterable[AlarmRow], kind: str, tag: str = "") -> dict[str, Any]:
     """What the rows say of a kind's alarm on a tag ("": of the machine), key by key; a later row goes over a former."""
     found: dict[str, Any] = {}
     for row in rows:
@@ -723,6 +723,6 @@ def alarm_problems(
             whose = ALARM_KINDS[row.name].subject
             right = f"give one of {', '.join(subjects)}" if subjects else f"leave the key out: it is the {whose}'s"
             problems.append(f"alarm[{place}].tag: there is no alarm {row.name!r} of {row.tag!r}; {right}")
-        if row.suppressed_by is not None and (tag := suppressing(row.suppressed_by)[0]) not in known:
+        if row.suppressed_by is not None and (tag := parse_suppression(row.suppressed_by)[0]) not in known:
             problems.append(f"alarm[{place}].suppressed_by: {tag!r} is not a tag of {file}; give one of its names")
     return problems

@@ -19,12 +19,12 @@ from pydantic import Field, StringConstraints, TypeAdapter, field_validator, mod
 
 from drivers.driver import capabilities, load_function
 from drivers.errors import DriverError
-from drivers.named_files import place_of
-from drivers.settings import ConfigError, FilePath, Line, Section, checked, read_toml
-from gateway.replacement import ReplacementError, settle, version_of, was_replaced
+from drivers.named_files import normal_path
+from drivers.settings import ConfigError, FilePath, Line, Section, read_toml, validate_section
+from gateway.replacement import ReplacementError, files_version, has_newer_files, settle
 from gateway.settings.alarm_kinds import OF_PLANT, AlarmRow, alarm_problems
 from gateway.settings.devices import DeviceMap, WritebackLayout
-from gateway.settings.links import DeviceLink, DeviceSection, link_problems, links_of
+from gateway.settings.links import DeviceLink, DeviceSection, link_problems, make_links
 from gateway.settings.northbound import NorthboundSection
 from gateway.settings.notify import NotifySection
 
@@ -38,7 +38,7 @@ OF_THE_TYPE = (
 MAX_ARMED_MINUTES = 480.0
 FORMER_HISTORIAN = Path("../out/historian.sqlite")
 """Where the records were by default, from the plant file on (record 0079)."""
-LEAST_BLOCKS = 10.0
+MIN_BLOCKS_PER_SECOND = 10.0
 
 
 class ScanSection(Section):
@@ -98,7 +98,7 @@ class WritebackSection(Section):
     )
 
     @model_validator(mode="after")
-    def _armed_is_signed(self) -> "WritebackSection":
+    def _check_signature(self) -> "WritebackSection":
         if self.mode == "armed":
             missing = [name for name in ("armed_by", "reason", "minutes") if not getattr(self, name)]
             if missing:
@@ -206,7 +206,7 @@ class ForecastSection(Section):
 
     @field_validator("horizons")
     @classmethod
-    def _ascending(cls, horizons: tuple[float, ...]) -> tuple[float, ...]:
+    def _check_order(cls, horizons: tuple[float, ...]) -> tuple[float, ...]:
         if any(later <= earlier for earlier, later in zip((0.0, *horizons), horizons, strict=False)):
             raise ValueError(f"{list(horizons)} must be positive and ascending; give seconds such as [60, 300, 900]")
         return horizons
@@ -314,7 +314,7 @@ class PageSection(Section):
         return self.host == "localhost"
 
     @model_validator(mode="after")
-    def _protected_elsewhere(self) -> "PageSection":
+    def _check_protection(self) -> "PageSection":
         if self.enabled and not self.loopback and self.certificates is None:
             raise ValueError(
                 f"host {self.host!r} can be reached from other machines, and passwords would cross the network as they "
@@ -411,7 +411,7 @@ class Config:
         return self.machine if self.several else ""
 
     @property
-    def armed_for(self) -> str:
+    def arming_hash(self) -> str:
         """What an arming of this machine is for: the SHA-256 of all in the configuration that decides what is written
         where, short.
 
@@ -423,7 +423,7 @@ class Config:
         return sha256(text.encode()).hexdigest()[:_ARMED_FOR_LETTERS]
 
     @property
-    def followed(self) -> tuple["Config", ...]:
+    def temperature_configs(self) -> tuple["Config", ...]:
         """This configuration once for each of its temperatures, with that one's model and limit."""
         own = []
         for place, row in enumerate(self.temperatures):
@@ -438,9 +438,9 @@ class Config:
     @property
     def block_layout(self) -> WritebackLayout | None:
         """The block of the (first) predicted temperature; None where the device takes none of it."""
-        return self.map.block_of(self.model.temperature)
+        return self.map.find_block(self.model.temperature)
 
-    def limit_of(self, tag: str) -> float:
+    def find_limit(self, tag: str) -> float:
         """The alarm limit of a temperature under the threshold alarm."""
         return next(
             (row.limit for row in self.temperatures if row.tag == tag and row.limit is not None), self.alarms.limit
@@ -500,8 +500,8 @@ class Config:
 
     @property
     def blocks_per_second(self) -> float:
-        """The most blocks a real second: as configured, or twice the scans and at least LEAST_BLOCKS."""
-        return self.writeback.most_per_second or max(LEAST_BLOCKS, 2.0 * self.clock.speed / self.scan.period)
+        """The most blocks a real second: as configured, or twice the scans and at least MIN_BLOCKS_PER_SECOND."""
+        return self.writeback.most_per_second or max(MIN_BLOCKS_PER_SECOND, 2.0 * self.clock.speed / self.scan.period)
 
     @property
     def block_max_age(self) -> float:
@@ -514,7 +514,7 @@ class Config:
         return self.writeback.max_age or min(max(2.0 * self.scan.period / self.clock.speed, 1.0), most)
 
     @property
-    def watched(self) -> tuple[str, ...]:
+    def watched_temperatures(self) -> tuple[str, ...]:
         """The tags of the temperatures under the threshold alarm."""
         return watched_tags(self.alarms, [row.tag for row in self.temperatures])
 
@@ -522,7 +522,7 @@ class Config:
     def twins(self) -> tuple[str, ...]:
         """The two tags of temperatures that warm alike: the named ones, or the two that are watched; () without."""
         named = "twins" in self.alarms.model_fields_set
-        return self.alarms.twins if named or len(self.watched) != 2 else self.watched
+        return self.alarms.twins if named or len(self.watched_temperatures) != 2 else self.watched_temperatures
 
     @property
     def block_horizon(self) -> float:
@@ -567,14 +567,14 @@ def load_plant(path: Path, overrides: Mapping[str, Any] | None = None) -> tuple[
             settle(path)
         except ReplacementError as error:
             raise ConfigError([str(error)]) from None
-        before, left = version_of(path), left - 1
+        before, left = files_version(path), left - 1
         try:
             machines = read_plant(path, overrides)
         except ConfigError:
-            if not left or not was_replaced(path, before):
+            if not left or not has_newer_files(path, before):
                 raise
         else:
-            if not left or not was_replaced(path, before):
+            if not left or not has_newer_files(path, before):
                 return machines
 
 
@@ -586,7 +586,7 @@ def read_plant(path: Path, overrides: Mapping[str, Any] | None = None) -> tuple[
     data = {key: dict(value) if isinstance(value, dict) else value for key, value in read_toml(path).items()}
     if "tags" in data:
         raise ConfigError([f"{path}: is a device file and no plant file; give it with --device"])
-    _take_out_workers(data, path)
+    _drop_workers(data, path)
     rows = data.pop("machine", None)
     for key, value in (overrides or {}).items():
         section, _, name = key.partition(".")
@@ -603,7 +603,7 @@ def read_plant(path: Path, overrides: Mapping[str, Any] | None = None) -> tuple[
         try:
             place = f"{path}: machine {name!r}"
             machines.append(
-                _machine_config(path, _over_common(data, table), place, name, stamp=stamp, leads=not machines)
+                _machine_config(path, _complete_table(data, table), place, name, stamp=stamp, leads=not machines)
             )
         except ConfigError as error:
             problems += error.problems
@@ -619,7 +619,7 @@ def read_plant(path: Path, overrides: Mapping[str, Any] | None = None) -> tuple[
     return tuple(machines)
 
 
-def _take_out_workers(data: dict[str, Any], path: Path) -> None:
+def _drop_workers(data: dict[str, Any], path: Path) -> None:
     """Leave out `[plant] workers = 1`, which former versions had: it says what is so. Raises ConfigError for more."""
     plant = data.get("plant")
     if not isinstance(plant, dict) or "workers" not in plant:
@@ -647,7 +647,7 @@ _NOT_WRITTEN_BY: Any = {
 
 
 def _plain_text(value: object) -> str:
-    return str(place_of(value) if isinstance(value, Path) else value)
+    return str(normal_path(value) if isinstance(value, Path) else value)
 
 
 @cache
@@ -655,7 +655,7 @@ def _plain_configs() -> TypeAdapter[tuple[Config, ...]]:
     return TypeAdapter(tuple[Config, ...])  # at its first use: few programs need it, and it takes its time
 
 
-def _device_of(link: DeviceLink) -> Hashable:
+def _device_identity(link: DeviceLink) -> Hashable:
     """What tells a link's device from others, defaults and all; None where that cannot be told."""
     driver = capabilities(link.map.driver)
     if driver.identifies:
@@ -674,7 +674,7 @@ def _same_places(machines: Sequence[Config]) -> list[str]:
     problems, known, served = [], dict[Hashable, str](), dict[int, str]()
     for config in machines:
         for link in config.links:
-            if (device := _device_of(link)) is None:
+            if (device := _device_identity(link)) is None:
                 continue
             other = known.setdefault(device, config.machine)
             if other != config.machine:
@@ -703,24 +703,24 @@ def _plant_alarms(machines: Sequence[Config]) -> list[str]:
     ]
 
 
-def _over_common(data: Mapping[str, Any], table: Mapping[str, Any]) -> dict[str, Any]:
+def _complete_table(data: Mapping[str, Any], table: Mapping[str, Any]) -> dict[str, Any]:
     """A machine's whole table: its own over what is common; temperatures are named in one way only, its own if any."""
     common = dict(data)
     if "temperature" in table:
         common.pop("model", None)
     elif "model" in table:
         common.pop("temperature", None)
-    whole = {key: _over(common.get(key), table.get(key)) for key in dict.fromkeys((*common, *table))}
+    whole = {key: _merge_tables(common.get(key), table.get(key)) for key in dict.fromkeys((*common, *table))}
     # The rows of a list go over one another: a machine's come after those that all have.
     if isinstance(rows := common.get("alarm"), list) and isinstance(own := table.get("alarm"), list):
         whole["alarm"] = [*rows, *own]
     return whole
 
 
-def _over(common: object, own: object) -> object:
+def _merge_tables(common: object, own: object) -> object:
     """A machine's own table over the common one, key for key."""
     if isinstance(common, dict) and isinstance(own, dict):
-        return {key: _over(common.get(key), own.get(key)) for key in dict.fromkeys((*common, *own))}
+        return {key: _merge_tables(common.get(key), own.get(key)) for key in dict.fromkeys((*common, *own))}
     return common if own is None else own
 
 
@@ -733,7 +733,7 @@ def _machine_tables(rows: object, path: Path) -> dict[str, dict[str, Any]]:
     problems, tables = [], dict[str, dict[str, Any]]()
     for index, row in enumerate(rows):
         try:
-            name = checked(_MachineName, {"name": row["name"]} if "name" in row else {}, path).name
+            name = validate_section(_MachineName, {"name": row["name"]} if "name" in row else {}, path).name
         except ConfigError as error:
             problems += [problem.replace(": name", f": machine[{index}].name", 1) for problem in error.problems]
             continue
@@ -768,8 +768,8 @@ def _machine_config(
 ) -> Config:
     """The configuration of one machine from its whole table; `place` begins each sentence. Raises ConfigError."""
     home = path.parent
-    content = checked(_PlantFile, data, place, home=home)
-    links = links_of(content.device, home)
+    content = validate_section(_PlantFile, data, place, home=home)
+    links = make_links(content.device, home)
     rows = content.temperature or (_only(content.model),)
     problems = _problems(content, rows, links)
     if problems:
@@ -891,7 +891,7 @@ def _problems(content: _PlantFile, rows: Sequence[TemperatureSection], links: tu
         )
     if content.writeback.mode != "off" and device.writeback is None:
         problems.append(f"writeback.mode: {device.path} has no [writeback] table; add one or set mode to 'off'")
-    elif content.writeback.mode != "off" and device.block_of(rows[0].tag) is None:
+    elif content.writeback.mode != "off" and device.find_block(rows[0].tag) is None:
         known = ", ".join(str(layout.temperature) for layout in device.writebacks)
         problems.append(
             f"writeback.mode: no block of {device.path} speaks of {rows[0].tag!r} (the first temperature), "

@@ -8,7 +8,7 @@ from typing import Any
 from drivers.derived import Derived
 from drivers.device_file import ACKNOWLEDGE_BITS, REFUSALS, BlockField, read_device_file
 from drivers.driver import capabilities
-from drivers.named_files import place_of
+from drivers.named_files import normal_path
 from drivers.settings import ConfigError
 from drivers.tag import Tag
 
@@ -73,7 +73,7 @@ class DeviceMap:
         """The first block; None where nothing is written."""
         return self.writebacks[0] if self.writebacks else None
 
-    def block_of(self, temperature: str) -> WritebackLayout | None:
+    def find_block(self, temperature: str) -> WritebackLayout | None:
         """The block that speaks of this temperature, else a lone one of which the file does not say; None: no block."""
         for layout in self.writebacks:
             if layout.temperature in (temperature, None):
@@ -102,7 +102,7 @@ def complete_paths(driver: str, settings: Mapping[str, Any], home: Path) -> dict
     """The driver's settings with the paths among them made complete: they are relative to the file they stand in."""
     files = capabilities(driver).files
     return {
-        key: str(place_of(home / value)) if key in files and isinstance(value, str) and value else value
+        key: str(normal_path(home / value)) if key in files and isinstance(value, str) and value else value
         for key, value in settings.items()
     }
 

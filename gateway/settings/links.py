@@ -13,7 +13,7 @@ from drivers.settings import Section
 from gateway.settings.devices import DeviceMap, complete_paths, load_device
 
 _NamedFile = Annotated[Path, Field(strict=False)]
-"""A device file as the plant file names it: what an arming is for has it so. `links_of` makes it complete."""
+"""A device file as the plant file names it: what an arming is for has it so. `make_links` makes it complete."""
 _OF_ONE_LINK = ("file", "host", "port", "unit", "node", "timeout", "attempts")
 
 
@@ -69,7 +69,7 @@ class DeviceLink:
         return " ".join(f"{key} {self.settings[key]}" for key in keys if key in self.settings) or "in this process"
 
 
-def links_of(section: DeviceSection, home: Path) -> tuple[DeviceLink, ...]:
+def make_links(section: DeviceSection, home: Path) -> tuple[DeviceLink, ...]:
     """The links in their order, with their device files. Raises ConfigError for a file that cannot be used."""
     if section.file is not None:
         device = load_device(home / section.file)

@@ -83,7 +83,7 @@ class MqttRow(SinkRow):
         return self.user is not None
 
     @model_validator(mode="after")
-    def _protected(self) -> "MqttRow":
+    def _check_protection(self) -> "MqttRow":
         if self.primary_host is not None and self.payload != "sparkplug":
             raise ValueError("primary_host is Sparkplug's; leave it out, or give payload = 'sparkplug'")
         if not self.tls and not is_loopback(self.host):
@@ -187,7 +187,7 @@ class OpcUaSection(Section):
     most_clients: int = Field(16, ge=1, le=200, description="how many connections are served at a time, 1 to 200")
 
     @model_validator(mode="after")
-    def _protected_elsewhere(self) -> "OpcUaSection":
+    def _check_protection(self) -> "OpcUaSection":
         if self.port is not None and self.certificates is None and not is_loopback(self.host):
             raise ValueError(
                 f"host {self.host!r} can be reached from other machines, and whoever reaches it would read all; give "
@@ -238,7 +238,7 @@ class NorthboundSection(Section):
         return bool(self.sinks) or self.metrics.port is not None or self.opcua.port is not None
 
     @model_validator(mode="after")
-    def _told_apart(self) -> "NorthboundSection":
+    def _check_names(self) -> "NorthboundSection":
         names = [row.name for row in self.sinks]
         if twice := next((name for name in names if names.count(name) > 1), None):
             raise ValueError(f"{twice!r} is named twice; give each a name of its own")

@@ -34,7 +34,7 @@ class SmtpSection(Section):
     )
 
     @model_validator(mode="after")
-    def _no_password_in_the_clear(self) -> "SmtpSection":
+    def _check_security(self) -> "SmtpSection":
         if self.security == "none" and self.user is not None and not _is_loopback(self.host):
             raise ValueError(
                 "security 'none' would send the password in the clear; give 'starttls' or 'tls', or no user"
@@ -89,7 +89,7 @@ class NotifySection(Section):
     )
 
     @model_validator(mode="after")
-    def _can_be_told(self) -> "NotifySection":
+    def _check_recipients(self) -> "NotifySection":
         names = [row.name for row in self.to]
         if twice := next((name for name in names if names.count(name) > 1), None):
             raise ValueError(f"{twice!r} is named twice; give each recipient a name of its own")

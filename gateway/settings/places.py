@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from drivers.driver import DRIVERS
-from drivers.named_files import MOST_TOML_BYTES, contents, parse_toml, place_of
+from drivers.named_files import MOST_TOML_BYTES, contents, normal_path, parse_toml
 from drivers.settings import ConfigError
 from gateway.settings.config import FORMER_HISTORIAN, HistorianSection, historian_file, load_plant
 
@@ -73,15 +73,18 @@ def named_files(plant: Path, contents: Mapping[Path, bytes]) -> Mapping[str, fro
         for link in (own, *_rows(own, "links")):
             if not isinstance(file := link.get("file"), str):
                 continue
-            settings = _table(_tables(contents.get(place := place_of(home / file), b"")), "device")
+            settings = _table(_tables(contents.get(place := normal_path(home / file), b"")), "device")
             driver = settings.get("driver")
             files = DRIVERS[driver].files if isinstance(driver, str) and driver in DRIVERS else frozenset[str]()
             # A link's own settings are relative to the plant file, those of the device file to that.
             named = [(place.parent, settings.get(key)) for key in files] + [(home, link.get(key)) for key in files]
-            devices |= {place, *(place_of(folder / name) for folder, name in named if isinstance(name, str) and name)}
+            devices |= {
+                place,
+                *(normal_path(folder / name) for folder, name in named if isinstance(name, str) and name),
+            }
         wanted = [_table(machine, "model").get("path"), *_names(_table(machine, "ensemble").get("members"))]
         wanted += [row.get("model") for row in _rows(machine, "temperature")]
-        models |= {place_of(home / name) for name in wanted if isinstance(name, str) and name}
+        models |= {normal_path(home / name) for name in wanted if isinstance(name, str) and name}
     own_historian, users = _path(document, "historian", "path"), _path(document, "page", "users")
     key, heads = (_path(document, "writeback", name) for name in ("audit_key", "audit_heads"))
     # Where nothing is named the records are at the default, or where those of former versions are.
@@ -103,7 +106,7 @@ def named_files(plant: Path, contents: Mapping[Path, bytes]) -> Mapping[str, fro
         "historian": historians,
         "audit": audits,
     }
-    return {role: frozenset(map(place_of, places)) for role, places in found.items()}
+    return {role: frozenset(map(normal_path, places)) for role, places in found.items()}
 
 
 def _audit(tables: Mapping[str, Any], home: Path, historian: Path) -> Path:

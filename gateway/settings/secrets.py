@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TypeVar
 
-from drivers.settings import ConfigError, Section, checked, read_toml
+from drivers.settings import ConfigError, Section, read_toml, validate_section
 
 Secrets = TypeVar("Secrets", bound=Section)
 
@@ -24,7 +24,7 @@ def read_secrets(model: type[Secrets], path: Path, *, page: str) -> Secrets:
     if mode & (stat.S_IRWXG | stat.S_IRWXO):
         raise ConfigError([f"{path}: others may read the secrets (mode {mode & 0o777:o}); chmod 600 {path}"])
     try:
-        return checked(model, read_toml(path), path)
+        return validate_section(model, read_toml(path), path)
     except ConfigError as error:
         # A sentence quotes the value that is wrong: of a secret only the place is said.
         places = [problem.partition(", got ")[0].partition(" (at line")[0] for problem in error.problems]

@@ -2,18 +2,18 @@
 
 from typing import TYPE_CHECKING
 
-from sim.doors import opened_at_use
+from sim.doors import lazy_getattr
 
 if TYPE_CHECKING:
     from gateway.store.arming_rows import (
         Uptime,
         armed_subjects,
+        arming_end,
         armings,
-        cancelling,
-        end_of,
+        cancel_entry,
+        end_reason,
+        find_arming,
         given_words,
-        over,
-        standing,
     )
     from gateway.store.audit import (
         ARMED,
@@ -24,10 +24,10 @@ if TYPE_CHECKING:
         AuditEntry,
         AuditError,
         AuditRow,
-        detail_about,
         head,
         open_audit,
         read,
+        subject_detail,
         verify,
     )
     from gateway.store.audit_damage import open_or_set_aside
@@ -45,7 +45,7 @@ if TYPE_CHECKING:
         signer,
         stage,
     )
-    from gateway.store.chain import first_break, hash_of
+    from gateway.store.chain import first_break, sha256_hex
     from gateway.store.confirming import confirmation
     from gateway.store.durable import (
         RECORDS_MODE,
@@ -60,12 +60,12 @@ if TYPE_CHECKING:
         FollowedRow,
         RowPosition,
         RowStream,
+        find_position,
         newest_position,
         newest_rows,
-        position_at,
+        next_rows,
         row_streams,
-        rows_after,
-        rows_between,
+        select_rows,
     )
     from gateway.store.historian import Historian, HistorianView, open_historian, saved_state
     from gateway.store.nearest_rank import percentile
@@ -74,10 +74,10 @@ if TYPE_CHECKING:
         events,
         history,
         machines,
-        matured,
-        moment_of,
+        mature_forecasts,
         newest_scan,
         oldest_scan,
+        parse_moment,
         reading,
         recent,
         samples,
@@ -91,14 +91,14 @@ if TYPE_CHECKING:
     from gateway.store.score import scorecard, warning_score
     from gateway.store.signing import (
         SigningKeyError,
-        key_beside,
+        key_path,
         load_key,
         load_or_make_key,
         load_public_key,
         public_digits,
         public_path,
     )
-    from gateway.store.tables import TABLE_COLUMNS, Cells, TableColumn, cells_of
+    from gateway.store.tables import TABLE_COLUMNS, Cells, TableColumn, row_cells
     from gateway.store.witness import (
         HEAD_EVENT,
         HEAD_STATE,
@@ -106,11 +106,11 @@ if TYPE_CHECKING:
         SignedHead,
         WitnessPlaces,
         acknowledgement,
+        default_places,
         examine,
         heads_file,
-        places_beside,
         sign_head,
         trusted_key,
     )
 else:
-    __getattr__ = opened_at_use(__name__)
+    __getattr__ = lazy_getattr(__name__)

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from gateway.store.audit import ARMED, CANCELLED, CONFIRMED, AuditEntry, AuditRow, arming_rows, newest_time
-from gateway.store.confirming import is_confirmed, public_key
-from gateway.store.signing import key_beside
+from gateway.store.confirming import has_confirmation, public_key
+from gateway.store.signing import key_path
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,10 +23,10 @@ class Uptime:
     seconds: float
 
 
-def cancelling(entry: AuditEntry, reason: str) -> AuditEntry:
+def cancel_entry(entry: AuditEntry, reason: str) -> AuditEntry:
     """The row that undoes the ARMED row of `entry`, whether that was stored or not."""
     detail = {"armed": entry.time, "until": entry.detail["until"]}
-    return AuditEntry(entry.time, CANCELLED, entry.who, reason, detail).of(entry.subject or "")
+    return AuditEntry(entry.time, CANCELLED, entry.who, reason, detail).with_subject(entry.subject or "")
 
 
 def armed_subjects(path: Path) -> list[str]:
@@ -65,14 +65,14 @@ def armings(path: Path, key: Path | None = None, *, subject: str = "") -> Iterat
     `key` is the gateway's key file, by default the one beside the log. Raises AuditError, and SigningKeyError for a key
     that cannot be trusted.
     """
-    public = public_key(key or key_beside(path))
+    public = public_key(key or key_path(path))
     by = [row for row in arming_rows(path) if row.entry.kind == CONFIRMED and row.entry.subject == subject]
     for row in given_words(path, subject=subject):
-        if row.entry.kind != ARMED or is_confirmed(path, row, by, public):
+        if row.entry.kind != ARMED or has_confirmation(path, row, by, public):
             yield row
 
 
-def standing(
+def find_arming(
     path: Path, now: float, uptime: Uptime | None = None, *, key: Path | None = None, subject: str = ""
 ) -> AuditRow | None:
     """The arming of a subject in force at `now`; None if there is none, it was taken back, or it is over.
@@ -80,10 +80,10 @@ def standing(
     Raises as `armings`.
     """
     row = next(armings(path, key, subject=subject), None)
-    return None if row is None or row.entry.kind != ARMED or over(path, row, now, uptime) else row
+    return None if row is None or row.entry.kind != ARMED or end_reason(path, row, now, uptime) else row
 
 
-def over(path: Path, row: AuditRow, now: float, uptime: Uptime | None = None) -> str:
+def end_reason(path: Path, row: AuditRow, now: float, uptime: Uptime | None = None) -> str:
     """Why the arming of an ARMED row of this log is over at `now`; "" while it lasts. Raises AuditError.
 
     The wall clock alone is not believed: nothing that was stored since then may be of later than `now`.
@@ -93,12 +93,12 @@ def over(path: Path, row: AuditRow, now: float, uptime: Uptime | None = None) ->
     newest = newest_time(path, row.id)
     if newest is not None and now < newest:
         return f"the clock stands {newest - now:.3g} s before the newest record, so that its time cannot be told"
-    if now >= end_of(row, now, uptime):
+    if now >= arming_end(row, now, uptime):
         return "its time is over by the machine's own count, whatever the clock says"
     return ""
 
 
-def end_of(row: AuditRow, now: float, uptime: Uptime | None = None) -> float:
+def arming_end(row: AuditRow, now: float, uptime: Uptime | None = None) -> float:
     """When the arming of an ARMED row ends, in the time of `now`.
 
     While the machine has not been started anew its own count of seconds bounds what is left (`uptime`).

@@ -14,9 +14,9 @@ under way already, a row of its own undoes it (`undo`). So what was reported as 
 An entry is about a subject: one of the blocks that a gateway writes. The first, "", is that of a gateway with one; any
 other stands in the entry's detail, so that chain and confirmations are bound to it.
 
-At most BACKLOG rows of a subject wait. Beyond that those of `put` are given up and counted, except armings and
+At most MAX_WAITING_ROWS rows of a subject wait. Beyond that those of `put` are given up and counted, except armings and
 disarmings, and one row of the kind LOST says how many, as soon as the disk takes rows again. A commit takes at most
-SHARE rows of a subject: however many come of one, those of another wait for no more than that.
+MAX_SUBJECT_ROWS_PER_COMMIT rows of a subject: however many come of one, those of another wait for no more than that.
 """
 
 import asyncio
@@ -37,15 +37,15 @@ from drivers.supervision import Supervisor
 from gateway.store.chain import BEGIN, digest
 from gateway.store.durable import make_private
 from gateway.store.relied_files import GROWS, ReliedFiles, database
-from sim.strict_json import escaped, json_text
+from sim.strict_json import escape_text, json_text
 
 APPLICATION_ID = 0x6465_6175
 """Marks the file as a decanter audit log (SQLite's application_id)."""
 VERSION = 1
-BACKLOG = 1_000
+MAX_WAITING_ROWS = 1_000
 """Entries of a subject that may wait for the disk; with as many of them nothing of it is written to the PLC any more.
 """
-SHARE = 200
+MAX_SUBJECT_ROWS_PER_COMMIT = 200
 """Entries of a subject in one commit."""
 SUBJECT = "subject"
 """The key of an entry's detail that names its subject."""
@@ -109,14 +109,14 @@ class AuditEntry:
         # Names and reasons come from people and from the device: none of them breaks a line or steers a terminal.
         for name in ("kind", "who", "reason", "detail"):
             if (value := getattr(self, name)) is not None:
-                object.__setattr__(self, name, escaped(value))
+                object.__setattr__(self, name, escape_text(value))
 
-    def of(self, subject: str) -> "AuditEntry":
+    def with_subject(self, subject: str) -> "AuditEntry":
         """This entry about a subject ("": the first, which no entry names). Raises ValueError for one that is no name.
 
         What would be stored as another text than it is could be taken for another subject: it is refused.
         """
-        return replace(self, detail=detail_about(subject, self.detail)) if subject else self
+        return replace(self, detail=subject_detail(subject, self.detail)) if subject else self
 
     @property
     def subject(self) -> str | None:
@@ -127,7 +127,7 @@ class AuditEntry:
         return subject if isinstance(subject, str) and subject else None
 
 
-def detail_about(subject: str, detail: Mapping[str, Any]) -> Mapping[str, Any]:
+def subject_detail(subject: str, detail: Mapping[str, Any]) -> Mapping[str, Any]:
     """The detail of an entry about a subject ("": the first, as it is). Raises ValueError for one that is no name."""
     if not subject:
         return detail
@@ -227,7 +227,7 @@ class Audit:
         """
         waiting = _Waiting(entry, _columns(entry), entry.subject)
         with self._wake:
-            if self._backlog[waiting.subject] >= BACKLOG and entry.kind not in _ARMINGS:
+            if self._backlog[waiting.subject] >= MAX_WAITING_ROWS and entry.kind not in _ARMINGS:
                 self._lost[waiting.subject] += 1
                 return
             self._append(waiting)
@@ -241,17 +241,17 @@ class Audit:
 
         Where that cannot be known, as its commit was under way when the time was over or has failed, `undo` follows it.
         """
-        ticket = self._submitted(entry)
+        ticket = self._submit(entry)
         try:
             return ticket.result(timeout)
         except (TimeoutError, CancelledError, sqlite3.Error):
-            return self._given_up(ticket, undo)
+            return self._abandon(ticket, undo)
 
     async def stored(
         self, entry: AuditEntry, timeout: float = PATIENCE_SECONDS, undo: AuditEntry | None = None
     ) -> AuditRow | None:
         """`record` for a task of the event loop; one that is cancelled meanwhile takes its entry back too."""
-        ticket = self._submitted(entry)
+        ticket = self._submit(entry)
         if ticket.cancelled():
             return None
         loop = asyncio.get_running_loop()
@@ -263,30 +263,30 @@ class Audit:
             if not looked_at.done():
                 looked_at.set_result(None)
 
-        def decided(_ticket: "Future[AuditRow]") -> None:
+        def on_decision(_ticket: "Future[AuditRow]") -> None:
             with suppress(RuntimeError):  # the loop is closed: nobody waits any more
                 loop.call_soon_threadsafe(look)
 
-        ticket.add_done_callback(decided)
+        ticket.add_done_callback(on_decision)
         timer = loop.call_later(timeout, look)
         try:
             await looked_at
         except asyncio.CancelledError:
-            self._given_up(ticket, undo, wanted=False)
+            self._abandon(ticket, undo, wanted=False)
             raise
         finally:
             timer.cancel()
         # What fails after nobody waits any more is said by `failure`.
         if ticket.done() and not ticket.cancelled() and ticket.exception() is None:
             return ticket.result()
-        return self._given_up(ticket, undo)
+        return self._abandon(ticket, undo)
 
-    async def kept(self, entry: AuditEntry, timeout: float) -> None:
+    async def keep(self, entry: AuditEntry, timeout: float) -> None:
         """Have the entry stored and wait for it; what takes longer than `timeout` goes on with nobody waiting."""
         if await self.stored(entry, timeout) is None:
             self.put(entry)
 
-    def _submitted(self, entry: AuditEntry) -> "Future[AuditRow]":
+    def _submit(self, entry: AuditEntry) -> "Future[AuditRow]":
         ticket: Future[AuditRow] = Future()
         waiting = _Waiting(entry, _columns(entry), entry.subject, ticket)
         with self._wake:
@@ -298,7 +298,7 @@ class Audit:
             self._wake.notify_all()
         return ticket
 
-    def _given_up(self, ticket: "Future[AuditRow]", undo: AuditEntry | None, *, wanted: bool = True) -> AuditRow | None:
+    def _abandon(self, ticket: "Future[AuditRow]", undo: AuditEntry | None, *, wanted: bool = True) -> AuditRow | None:
         """Nobody waits for the entry any more; its row if it was stored in this very moment, and is `wanted`."""
         if ticket.cancel():
             return None
@@ -315,20 +315,20 @@ class Audit:
 
     @property
     def complaint(self) -> str:
-        """`complaint_of` the subject that has most entries waiting."""
-        return self.complaint_of(max(self._backlog, key=self._backlog.__getitem__, default=""))
+        """`subject_complaint` the subject that has most entries waiting."""
+        return self.subject_complaint(max(self._backlog, key=self._backlog.__getitem__, default=""))
 
     @property
     def lost(self) -> int:
         """The entries that were given up since the disk took the last."""
         return self._lost.total()
 
-    def complaint_of(self, subject: str | None) -> str:
+    def subject_complaint(self, subject: str | None) -> str:
         """Why nothing of a subject may be written to the PLC now, as it could not be accounted for; "" if it may."""
         if why := self.failure or self.files.complaint:
             return why
         waiting = self._backlog[subject]
-        return f"{self.path}: {waiting} entries wait for the disk" if waiting >= BACKLOG else ""
+        return f"{self.path}: {waiting} entries wait for the disk" if waiting >= MAX_WAITING_ROWS else ""
 
     def close(self) -> bool:
         """Store what waits and close the file; False if entries had to be given up. May be called twice."""
@@ -343,7 +343,7 @@ class Audit:
 
     def _work(self) -> None:
         while True:
-            if not self._attached():
+            if not self._ensure_open():
                 return
             with self._wake:
                 self._wake.wait_for(lambda: self._waiting or self._stopping)
@@ -361,16 +361,16 @@ class Audit:
                 """The entries of this commit with their columns, behind those that say how many were lost before."""
                 nonlocal claimed, lost
                 with self._wake:
-                    claimed, lost = self._claimed(), self._lost.copy()
+                    claimed, lost = self._claim(), self._lost.copy()
                 now = claimed[0].entry.time if claimed else 0.0
-                missing = [_lost(subject, rows, now) for subject, rows in lost.items() if rows and claimed]
+                missing = [_loss_entry(subject, rows, now) for subject, rows in lost.items() if rows and claimed]
                 return [
                     *((entry, _columns(entry)) for entry in missing),
                     *((one.entry, one.columns) for one in claimed),
                 ]
 
             try:
-                rows = self._committed(claim)
+                rows = self._commit(claim)
                 rows = rows[len(rows) - len(claimed) :]
             except sqlite3.Error as error:
                 stored = False
@@ -386,15 +386,15 @@ class Audit:
                 with self._wake:
                     self._pressing = False
                     if not claimed:  # the lock did not come: who waits learns it now, and what can wait does
-                        claimed = self._claimed(len(self._waiting))
-                    self._give_back(claimed)
+                        claimed = self._claim(len(self._waiting))
+                    self._requeue(claimed)
                 for one in claimed:
                     if one.ticket is not None:
                         one.ticket.set_exception(error)
             except Exception as error:
                 # The supervisor says it and begins anew; what was claimed does not go with it.
                 with self._wake:
-                    self._give_back(claimed)
+                    self._requeue(claimed)
                 for one in claimed:
                     if one.ticket is not None:
                         one.ticket.set_exception(sqlite3.OperationalError(str(error)))
@@ -412,7 +412,7 @@ class Audit:
                 if not stored and not taken:
                     self._wake.wait_for(lambda: self._stopping or self._pressing, _RETRY_SECONDS)
 
-    def _attached(self) -> bool:
+    def _ensure_open(self) -> bool:
         """Wait until there is a file to write to; False if it is to stop before, and a last try has failed."""
         last = False
         while self._connection is None:
@@ -421,7 +421,7 @@ class Audit:
                     raise UnusableAuditError(self.failure or f"{self.path}: is not open")
                 self._connection, damaged = self._attach()
                 self._rely_on_file()
-                self.note = "; ".join(filter(None, (self.note, damaged, self._missing())))
+                self.note = "; ".join(filter(None, (self.note, damaged, self._missing_rows())))
                 self.failure, self._newest = "", None
             except AuditError as error:
                 self.failure = str(error)
@@ -444,7 +444,7 @@ class Audit:
                 self.ended_elsewhere = {
                     subject: ended
                     for subject, ended in self.ended_elsewhere.items()
-                    if _ended_since(self._connection, ended.row - 1).get(subject) == ended
+                    if _newest_ends(self._connection, ended.row - 1).get(subject) == ended
                 }
 
     def _let_go(self) -> None:
@@ -453,7 +453,7 @@ class Audit:
             self._connection.close()
             self._connection = None
 
-    def _missing(self) -> str:
+    def _missing_rows(self) -> str:
         """What of it is not in the file that is open now, after another one was; "" where none was."""
         if self._newest is None or self._connection is None:
             return ""
@@ -463,32 +463,32 @@ class Audit:
             return "what is there now has all rows that were written"
         return f"what is there now has not row {row}, which was written; it has to be acknowledged as lost"
 
-    def _committed(self, claim: Callable[[], Sequence[tuple[AuditEntry, AuditColumns]]]) -> list[AuditRow]:
+    def _commit(self, claim: Callable[[], Sequence[tuple[AuditEntry, AuditColumns]]]) -> list[AuditRow]:
         """Commit what `claim` gives, which is asked once the write lock is had. Raises sqlite3.Error."""
         if (connection := self._connection) is None:
             raise sqlite3.OperationalError("the audit log is not open")
         # Before the file is touched, as what was cut there would end the process, and after it: what is committed to a
         # file whose name is gone is on record nowhere.
-        self._raise_if_taken_away()
+        self._check_presence()
         with connection:
             # The write lock comes first, and may take its time: until then an entry can be taken back.
             connection.execute("BEGIN IMMEDIATE")
-            if why := _rolled_back(connection, self._newest):
+            if why := _rollback_reason(connection, self._newest):
                 self.files.tell(why)
                 raise _TakenAwayError(why)
-            self.ended_elsewhere = {**self.ended_elsewhere, **_ended_since(connection, self._known_rows or 0)}
+            self.ended_elsewhere = {**self.ended_elsewhere, **_newest_ends(connection, self._known_rows or 0)}
             rows = _insert(connection, claim())
-        self._raise_if_taken_away()
+        self._check_presence()
         if rows:
             self._known_rows = rows[-1].id
             self._newest = rows[-1].id, bytes.fromhex(rows[-1].hash)
         return rows
 
-    def _raise_if_taken_away(self) -> None:
+    def _check_presence(self) -> None:
         if why := self.files.look(_FILES):
             raise _TakenAwayError(why)
 
-    def _claimed(self, share: int = SHARE) -> "list[_Waiting]":
+    def _claim(self, share: int = MAX_SUBJECT_ROWS_PER_COMMIT) -> "list[_Waiting]":
         """Take what the next commit stores: of each subject the oldest entries, `share` at most (the lock is held)."""
         taken: Counter[str | None] = Counter()
         claimed, left = [], deque[_Waiting]()
@@ -503,7 +503,7 @@ class Audit:
         self._waiting, self._pressing = left, bool(left)
         return claimed
 
-    def _give_back(self, claimed: "Sequence[_Waiting]") -> None:
+    def _requeue(self, claimed: "Sequence[_Waiting]") -> None:
         """Have what nobody waits for tried again, before what has come since (the lock is held)."""
         for one in reversed(claimed):
             if one.ticket is None:
@@ -515,17 +515,17 @@ def _is_read_only(error: sqlite3.Error) -> bool:
     return getattr(error, "sqlite_errorcode", 0) & 0xFF == sqlite3.SQLITE_READONLY
 
 
-def _lost(subject: str | None, rows: int, now: float) -> AuditEntry:
+def _loss_entry(subject: str | None, rows: int, now: float) -> AuditEntry:
     reason = f"{rows} rows could not be kept while the disk took none"
-    return AuditEntry(now, LOST, "", reason, {"rows": rows}).of(subject or "")
+    return AuditEntry(now, LOST, "", reason, {"rows": rows}).with_subject(subject or "")
 
 
 def open_audit(path: Path, supervisor: Supervisor | None = None) -> Audit:
     """The audit log at `path`, made if there is none; `supervisor` keeps its thread going. Raises AuditError."""
-    return Audit(path, connected(path), supervisor or Supervisor())
+    return Audit(path, connect(path), supervisor or Supervisor())
 
 
-def connected(path: Path) -> sqlite3.Connection:
+def connect(path: Path) -> sqlite3.Connection:
     """A connection to the audit log at `path`, made if there is none.
 
     Raises AuditError: UnusableAuditError where it cannot be made or written, which may change while a gateway runs.
@@ -613,7 +613,7 @@ def verify(path: Path, head: str = "") -> ChainVerdict:
                     number, before.hex(), f"row {number} was changed, or one before it was put in or taken out"
                 )
             seen = seen or before.hex() == head
-        if reason := _damage_behind(connection, count):
+        if reason := _tail_damage(connection, count):
             return ChainVerdict(count, before.hex(), f"nothing behind row {count} can be read: {reason}")
     return ChainVerdict(count, before.hex(), "" if seen else f"no row has the hash {head[:16]}...: the end is missing")
 
@@ -625,7 +625,7 @@ def head(path: Path) -> str:
     return bytes(row[0]).hex() if row else BEGIN.hex()
 
 
-def recomputed(path: Path, rows: Iterable[int]) -> dict[int, str]:
+def recompute_hashes(path: Path, rows: Iterable[int]) -> dict[int, str]:
     """The hashes at these rows as they follow from what stands there and from the hash before. Raises AuditError."""
     found = {}
     with _reading(path) as connection:
@@ -652,7 +652,7 @@ def hashes(path: Path, rows: Iterable[int] | None = None) -> dict[int, str]:
 # ---------------------------------------------------------------- the file
 
 
-def _rolled_back(connection: sqlite3.Connection, newest: tuple[int, bytes] | None) -> str:
+def _rollback_reason(connection: sqlite3.Connection, newest: tuple[int, bytes] | None) -> str:
     """That the row which was written last (number, hash) is not in the file any more; "" if it is."""
     if newest is None:
         return ""
@@ -663,7 +663,7 @@ def _rolled_back(connection: sqlite3.Connection, newest: tuple[int, bytes] | Non
     return f"{name}: row {newest[0]} was written and is not in it any more, or is another one"
 
 
-def _ended_since(connection: sqlite3.Connection, row: int) -> dict[str, EndedElsewhere]:
+def _newest_ends(connection: sqlite3.Connection, row: int) -> dict[str, EndedElsewhere]:
     """The newest disarming of each subject behind a row, as far as they are well formed. To take away needs no key."""
     ended = {}
     sql = f"SELECT {_COLUMNS} FROM audit WHERE id > ? AND kind IN (?, ?) ORDER BY id"  # noqa: S608
@@ -717,13 +717,13 @@ def _rows(connection: sqlite3.Connection, kinds: Sequence[str] = ()) -> sqlite3.
 
 
 def _readable(rows: sqlite3.Cursor) -> Iterator[tuple[Any, ...]]:
-    """The rows up to the first damage (`_damage_behind`)."""
+    """The rows up to the first damage (`_tail_damage`)."""
     with suppress(sqlite3.DatabaseError):
         while (row := rows.fetchone()) is not None:
             yield row
 
 
-def _damage_behind(connection: sqlite3.Connection, row: int) -> str:
+def _tail_damage(connection: sqlite3.Connection, row: int) -> str:
     """Why there is nothing to be read behind a row; "" where it is the last one."""
     try:
         for _ in connection.execute(f"SELECT {_COLUMNS} FROM audit WHERE id > ? ORDER BY id", (row,)):  # noqa: S608

@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 
 from drivers.supervision import Supervisor
-from gateway.store.audit import APPLICATION_ID, Audit, AuditError, UnusableAuditError, connected
+from gateway.store.audit import APPLICATION_ID, Audit, AuditError, UnusableAuditError, connect
 from gateway.store.durable import set_aside
 from gateway.store.relied_files import ReliedFiles
 
@@ -39,14 +39,14 @@ def _sound(path: Path) -> tuple[sqlite3.Connection, str]:
         raise UnusableAuditError(f"{path}: cannot be read ({error.strerror}); give a path that is yours") from None
     if not reason:
         begun = f"{path}: was empty; a new one is begun, and its rows, if it had any, are gone"
-        return connected(path), begun if emptied else ""
+        return connect(path), begun if emptied else ""
     try:
         aside = set_aside(path)
     except OSError as error:
         raise UnusableAuditError(
             f"{path}: is damaged ({reason}) and cannot be set aside ({error.strerror}); move it away"
         ) from None
-    return connected(path), f"{path}: is damaged ({reason}); it is set aside as {aside.name}, and a new one is begun"
+    return connect(path), f"{path}: is damaged ({reason}); it is set aside as {aside.name}, and a new one is begun"
 
 
 def damage(path: Path) -> str:

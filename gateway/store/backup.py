@@ -22,14 +22,14 @@ from typing import Any
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from drivers.errors import OneLineError
-from drivers.named_files import contents, place_of
-from gateway.replacement import draft_of, replaced
+from drivers.named_files import contents, normal_path
+from gateway.replacement import draft_path, replace_files
 from gateway.store import audit as audit_log
 from gateway.store import schema
 from gateway.store.audit import verify
 from gateway.store.audit_damage import damage
 from gateway.store.durable import DATABASE_SUFFIXES, free_name, sync_folder, write_durably
-from gateway.store.signing import is_signed, public_digits
+from gateway.store.signing import public_digits, verify_signature
 
 FORMAT = 1
 MANIFEST = "manifest.json"
@@ -115,7 +115,7 @@ def make_backup(
         draft.chmod(0o700)  # it holds the key
         files, layouts, rows, head, damaged = list[Backed](), dict[str, int](), 0, "", ""
         for number, (given, source) in enumerate(sources):
-            role, original = given, place_of(source)
+            role, original = given, normal_path(source)
             stored = f"files/{number:04d}-{source.name}"
             target = draft / stored
             status = source.stat()
@@ -250,17 +250,17 @@ def signer(folder: Path, manifest: Manifest) -> str:
         key, signature = str(plain["key"]), str(plain["signature"])
     except (OSError, ValueError, RecursionError, TypeError, KeyError):
         return ""
-    return key if is_signed(key, signature, _signed_bytes(manifest.seal)) else ""
+    return key if verify_signature(key, signature, _signed_bytes(manifest.seal)) else ""
 
 
 def stage(folder: Path, manifest: Manifest, root: Path) -> dict[Path, Path]:
     """Copy a backup's files beside the places under `root` where they were, on the disk; gives draft by place.
 
-    Within `gateway.replacement.replacing`. Raises OSError, BackupError for a file that has changed since the manifest
+    Within `gateway.replacement.hold_folder`. Raises OSError, BackupError for a file that has changed since the manifest
     was read, and leaves no draft then.
     """
     places = [root / Path(file.original).relative_to("/") for file in manifest.files]
-    drafts = {place: draft_of(place) for place in places}
+    drafts = {place: draft_path(place) for place in places}
     discard(drafts)  # of one that was killed
     done = False
     try:
@@ -281,7 +281,7 @@ def stage(folder: Path, manifest: Manifest, root: Path) -> dict[Path, Path]:
 
 
 def put_in_place(plant: Path, drafts: Mapping[Path, Path], *, away: Sequence[Path] = ()) -> list[Path]:
-    """Give every draft its place, in one step with that of the plant file, within `gateway.replacement.replacing`.
+    """Give every draft its place, in one step with that of the plant file, within `gateway.replacement.hold_folder`.
 
     What stands there is set aside, and what stands at the places `away`; its new names are given back. Raises OSError.
     """
@@ -296,7 +296,7 @@ def put_in_place(plant: Path, drafts: Mapping[Path, Path], *, away: Sequence[Pat
         for suffix in DATABASE_SUFFIXES
         if (beside := place.with_name(place.name + suffix)).exists()
     ]
-    with replaced(plant, drafts.keys(), renames):
+    with replace_files(plant, drafts.keys(), renames):
         pass
     return [aside for place, aside in renames if place in drafts or place in away]
 

@@ -2,7 +2,7 @@
 
 Two files are such chains, and each keeps its hashes in its own way: the audit log has beside each row the hash of the
 hash before and the row (`digest`); of commissioning's records each line names the hash of the line before
-(`hash_of`). Bound by nothing is the end of either: keep the newest hash apart from the file.
+(`sha256_hex`). Bound by nothing is the end of either: keep the newest hash apart from the file.
 """
 
 import hashlib
@@ -17,7 +17,7 @@ def digest(before: bytes, row: bytes) -> bytes:
     return hashlib.sha256(before + row).digest()
 
 
-def hash_of(data: bytes) -> str:
+def sha256_hex(data: bytes) -> str:
     """SHA-256 in hexadecimal digits."""
     return hashlib.sha256(data).hexdigest()
 

@@ -43,7 +43,7 @@ def pack(columns: Sequence[Sequence[Cell]]) -> bytes:
     """Pack columns of one length. Whole numbers beyond 64 bits are the one thing that cannot be packed (ValueError)."""
     heads, parts = [], []
     for column in columns:
-        head, part = _packed(column)
+        head, part = _pack_column(column)
         heads.append(head)
         parts.append(part)
     rows = len(columns[0]) if columns else 0
@@ -58,14 +58,14 @@ def unpack(data: bytes) -> list[list[Cell]]:
         rows, heads = json.loads(line)
         columns, place = [], 0
         for head in heads:
-            column, place = _unpacked(head, body, place, rows)
+            column, place = _unpack_column(head, body, place, rows)
             columns.append(column)
     except (zlib.error, ValueError, KeyError, TypeError, IndexError) as error:
         raise PackedError(f"a packed table cannot be read ({error})") from None
     return columns
 
 
-def _packed(column: Sequence[Cell]) -> tuple[dict[str, Any], bytes]:
+def _pack_column(column: Sequence[Cell]) -> tuple[dict[str, Any], bytes]:
     missing = np.fromiter((value is None for value in column), dtype=bool, count=len(column))
     head: dict[str, Any] = {}
     own: dict[str, Any]
@@ -97,12 +97,12 @@ def _packed(column: Sequence[Cell]) -> tuple[dict[str, Any], bytes]:
             which.append(places[key])
         own, numbers = {"kind": "t", "values": values}, [np.array(which, dtype=np.int64)]
     head |= own
-    coded = [_coded(one) for one in numbers]
+    coded = [_code_integers(one) for one in numbers]
     head["codes"] = [code for code, _ in coded]
     return head, b"".join([*parts, *(data for _, data in coded)])
 
 
-def _unpacked(head: dict[str, Any], body: bytes, place: int, rows: int) -> tuple[list[Cell], int]:
+def _unpack_column(head: dict[str, Any], body: bytes, place: int, rows: int) -> tuple[list[Cell], int]:
     missing = np.zeros(rows, dtype=bool)
     if "none" in head:
         length = (rows + 7) // 8
@@ -111,7 +111,7 @@ def _unpacked(head: dict[str, Any], body: bytes, place: int, rows: int) -> tuple
     count = rows - int(missing.sum())
     numbers = []
     for code in head["codes"]:
-        one, place = _decoded(code, body, place, count)
+        one, place = _decode_integers(code, body, place, count)
         numbers.append(one)
     present: list[Cell]
     match head["kind"]:
@@ -153,7 +153,7 @@ def _floats(values: NDArray[np.float64]) -> tuple[dict[str, Any], Integers]:
     return {"kind": "d"}, bits
 
 
-def _coded(numbers: Integers) -> tuple[list[int], bytes]:
+def _code_integers(numbers: Integers) -> tuple[list[int], bytes]:
     """([first, the median difference, bytes a row], the differences' bytes); the arithmetic is modulo 2^64."""
     if not numbers.size:
         return [0, 0, 0], b""
@@ -166,7 +166,7 @@ def _coded(numbers: Integers) -> tuple[list[int], bytes]:
     return [int(numbers[0]), int(middle), width], low_first[:, :width].T.tobytes()
 
 
-def _decoded(code: Sequence[int], body: bytes, place: int, count: int) -> tuple[Integers, int]:
+def _decode_integers(code: Sequence[int], body: bytes, place: int, count: int) -> tuple[Integers, int]:
     first, middle, width = code
     if not count:
         return np.empty(0, dtype=np.int64), place

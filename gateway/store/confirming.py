@@ -13,27 +13,27 @@ from pathlib import Path
 
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
-from gateway.store.audit import CONFIRMED, AuditEntry, AuditRow, recomputed
-from gateway.store.signing import is_signed, load_key, public_digits
+from gateway.store.audit import CONFIRMED, AuditEntry, AuditRow, recompute_hashes
+from gateway.store.signing import load_key, public_digits, verify_signature
 
 
 def confirmation(row: AuditRow, key: Ed25519PrivateKey, now: float) -> AuditEntry:
     """The row that confirms a stored one."""
     detail = {"row": row.id, "hash": row.hash, "signature": key.sign(_signed_bytes(row.id, row.hash)).hex()}
-    return AuditEntry(now, CONFIRMED, row.entry.who, f"row {row.id} ({row.entry.kind}) counts", detail).of(
+    return AuditEntry(now, CONFIRMED, row.entry.who, f"row {row.id} ({row.entry.kind}) counts", detail).with_subject(
         row.entry.subject or ""
     )
 
 
-def is_confirmed(path: Path, row: AuditRow, by: Iterable[AuditRow], public: str) -> bool:
+def has_confirmation(path: Path, row: AuditRow, by: Iterable[AuditRow], public: str) -> bool:
     """True if one of the rows `by` confirms this row of the log, signed with the key `public` (digits).
 
     Raises AuditError.
     """
     # What stands in the row is hashed anew: the hash beside it may have been left when the row was changed.
-    digest = recomputed(path, [row.id]).get(row.id, "")
+    digest = recompute_hashes(path, [row.id]).get(row.id, "")
     return digest == row.hash and any(
-        is_signed(public, str(each.entry.detail.get("signature")), _signed_bytes(row.id, digest))
+        verify_signature(public, str(each.entry.detail.get("signature")), _signed_bytes(row.id, digest))
         for each in by
         if each.entry.detail.get("row") == row.id
     )

@@ -43,7 +43,7 @@ RECOVERY_SECONDS = 20.0
 """How long is read from a damaged file; what is left then stays in it."""
 MOST_WAL_BYTES = 64 << 20
 """A WAL that grew while a reader held it back is cut to this once it is checkpointed."""
-_RESERVE = 16_000_000
+_RESERVE_BYTES = 16_000_000
 
 
 class HistorianError(OneLineError, OSError):
@@ -81,15 +81,15 @@ class HistorianFile:
             connection.close()
 
 
-def opened(path: Path, *, max_mb: float, mend: bool = False, heir: str = "") -> HistorianFile:
+def open_file(path: Path, *, max_mb: float, mend: bool = False, heir: str = "") -> HistorianFile:
     """Open or make the file at `path`. With `mend` a damaged one is set aside, and a new one begun with what is left.
 
     Raises HistorianError: DamagedHistorianError only without `mend`, UnusableHistorianError for what may pass.
     """
     emptied = path.is_file() and not path.stat().st_size
     try:
-        _examined(path, whole=mend)
-        file = _connected(path, max_mb, heir)
+        _examine(path, whole=mend)
+        file = _connect(path, max_mb, heir)
         note = f"{path}: was empty; a new one was begun, and what was in it, if anything was, is gone"
         return replace(file, note=note) if emptied else file
     except DamagedHistorianError as error:
@@ -101,26 +101,26 @@ def opened(path: Path, *, max_mb: float, mend: bool = False, heir: str = "") -> 
             raise UnusableHistorianError(
                 f"{path}: is damaged and cannot be set aside ({failed.strerror}); move it away by hand"
             ) from None
-    file = _connected(path, max_mb, heir)
-    rows, complete = _recovered(aside, file.normal, heir)
+    file = _connect(path, max_mb, heir)
+    rows, complete = _recover(aside, file.normal, heir)
     what = f"{rows} rows of it were recovered" + ("" if complete else ", and not all that may be left")
     note = f"{path}: was damaged ({reason}) and is set aside as {aside.name}; {what}; a new one was begun"
     return replace(file, note=note)
 
 
-def _connected(path: Path, max_mb: float, heir: str) -> HistorianFile:
+def _connect(path: Path, max_mb: float, heir: str) -> HistorianFile:
     if path.exists() and not path.is_file():
         what = "a directory" if path.is_dir() else "no file"
         raise DamagedHistorianError(f"{path}: is {what}; give the path of a file for the historian")
     # Of a disk that has less room than it may take, it takes nine tenths: the tenth is for alarms, log and audit.
     size = path.stat().st_size if path.exists() else 0
     limit = min(max_mb * 1_000_000, 0.9 * (size + disk_usage(path.parent).free))
-    reserve = min(limit / 8, _RESERVE)
+    reserve = min(limit / 8, _RESERVE_BYTES)
     connections: list[sqlite3.Connection] = []
     try:
         # Measurements leave a reserve: an alarm that is raised when the file is full still has its row.
         with closing(_connection(path, "FULL", limit)) as first:
-            _prepared(first, path, heir)
+            _prepare(first, path, heir)
         connections.append(_connection(path, "NORMAL", limit - reserve))
         connections.append(_connection(path, "FULL", limit))
         return HistorianFile(path, connections[0], connections[1])
@@ -130,7 +130,7 @@ def _connected(path: Path, max_mb: float, heir: str) -> HistorianFile:
         if isinstance(error, HistorianError):
             raise
         # A WAL or its index that is no file stands in the way of any database of that name.
-        strange = any(os.path.lexists(p) and not p.is_file() for p in _besides(path)[1:])
+        strange = any(os.path.lexists(p) and not p.is_file() for p in _side_files(path)[1:])
         if strange or (isinstance(error, sqlite3.Error) and is_damage(error)):
             raise DamagedHistorianError(
                 f"{path}: cannot be used ({error}); give the path of a historian or of a new file"
@@ -163,11 +163,11 @@ def _connection(path: Path, synchronous: str, most_bytes: float) -> sqlite3.Conn
     return connection
 
 
-def _prepared(connection: sqlite3.Connection, path: Path, heir: str) -> None:
+def _prepare(connection: sqlite3.Connection, path: Path, heir: str) -> None:
     version = connection.execute("PRAGMA user_version").fetchone()[0]
     tables = {str(row[0]) for row in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
     if tables and version != VERSION:
-        _migrated(connection, path, version, heir)
+        _migrate(connection, path, version, heir)
         tables = set(COLUMNS)
     with transaction(connection):
         for table in COLUMNS:
@@ -226,10 +226,10 @@ def _to_layout_3(connection: sqlite3.Connection, version: int, heir: str) -> Non
         connection.execute(definition(table))
     for statement in INDICES if "chunks" not in known else ():
         connection.execute(statement)
-    _inherited(connection, heir)
+    _name_sources(connection, heir)
 
 
-def _inherited(connection: sqlite3.Connection, heir: str) -> None:
+def _name_sources(connection: sqlite3.Connection, heir: str) -> None:
     """Name the sources of rows that were written for one machine, and give each followed temperature its own.
 
     Which temperature was followed when the runs say; the one followed last is the machine's first.
@@ -259,7 +259,7 @@ def _inherited(connection: sqlite3.Connection, heir: str) -> None:
         connection.execute("UPDATE state SET source = 1 WHERE key IN ('belief', 'bands', 'ensemble')")
 
 
-def _migrated(connection: sqlite3.Connection, path: Path, version: int, heir: str) -> None:
+def _migrate(connection: sqlite3.Connection, path: Path, version: int, heir: str) -> None:
     """Bring an older file to this layout, all or nothing, once a copy of it is kept beside it."""
     copy = path.with_name(f"{path.name}.layout{version}")
     if not copy.exists():
@@ -280,11 +280,11 @@ def _migrated(connection: sqlite3.Connection, path: Path, version: int, heir: st
 # ---------------------------------------------------------------- damage
 
 
-def _besides(path: Path) -> list[Path]:
+def _side_files(path: Path) -> list[Path]:
     return [path.with_name(path.name + ending) for ending in DATABASE_SUFFIXES]
 
 
-def _examined(path: Path, *, whole: bool) -> None:
+def _examine(path: Path, *, whole: bool) -> None:
     """Raise HistorianError for what is no historian of ours, DamagedHistorianError for one that SQLite finds damaged.
 
     It is only read: a file that is refused is left as it was, and a WAL of another database is not worked into it. With
@@ -323,7 +323,7 @@ def _examined(path: Path, *, whole: bool) -> None:
         raise DamagedHistorianError(f"{path}: {verdict.splitlines()[-1]}")
 
 
-def _recovered(aside: Path, target: sqlite3.Connection, heir: str) -> tuple[int, bool]:
+def _recover(aside: Path, target: sqlite3.Connection, heir: str) -> tuple[int, bool]:
     """Copy what can be read of a damaged file; gives the number of rows, and whether its end was reached.
 
     The durable tables come first, then the newest of the measurements: there may not be time for all.
@@ -332,7 +332,7 @@ def _recovered(aside: Path, target: sqlite3.Connection, heir: str) -> tuple[int,
     rows, complete = 0, True
     if not aside.is_file():
         return 0, True
-    wal, put_by = _besides(aside)[1], aside.with_name(aside.name + ".wal")
+    wal, put_by = _side_files(aside)[1], aside.with_name(aside.name + ".wal")
     with suppress(OSError):
         wal.rename(put_by)
         # A WAL that spoils a sound file is of another one, and stays out of it; any other has the newest rows.
@@ -357,11 +357,11 @@ def _recovered(aside: Path, target: sqlite3.Connection, heir: str) -> tuple[int,
             else:
                 names = [name for name in names if name != "id"]
             if table in known:
-                copied, whole = _copied(source, target, table, names, missing, until=until)
+                copied, whole = _copy_table(source, target, table, names, missing, until=until)
                 rows, complete = rows + copied, complete and whole
         if version < 3:
             with transaction(target):
-                _inherited(target, heir)
+                _name_sources(target, heir)
     return rows, complete
 
 
@@ -369,7 +369,7 @@ def _reader(path: Path) -> sqlite3.Connection:
     return sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True, isolation_level=None)
 
 
-def _copied(
+def _copy_table(
     source: sqlite3.Connection,
     target: sqlite3.Connection,
     table: str,

@@ -20,15 +20,15 @@ from drivers.tag import Quality
 from gateway.store.columns import Cell, PackedError, unpack
 from gateway.store.files import HistorianError
 from gateway.store.read_back import one_moment
-from gateway.store.schema import FOLLOWED, NAMES, PACKED, VERSION, restored
-from gateway.store.sqlite_file import key_range, keys_of
+from gateway.store.schema import FOLLOWED, NAMES, PACKED, VERSION, restore_value
+from gateway.store.sqlite_file import key_bounds, key_range
 
 FOLLOWABLE = ("samples", "predictions", "forecasts", "events", "alarms")
 """Tables whose rows can be followed."""
-MOST_FOLLOWED = 2_000
+MAX_ROWS_PER_READ = 2_000
 """Rows that are read at a time: more of them at once would keep the interpreter's collector of garbage busy, and with
 it every thread."""
-MOST_AT_ONCE = 2_000
+MAX_ROWS_PER_SCAN = 2_000
 """Rows that one scan of a machine may bring: so many are looked at beyond the last one, to see where a moment ends."""
 _SIGNAL = {"samples": "tag", "forecasts": "horizon", "alarms": "condition"}
 """The column that tells the signals of a table apart, where it has several."""
@@ -97,8 +97,8 @@ def row_streams(connection: sqlite3.Connection, machines: Iterable[str]) -> list
     ]
 
 
-def rows_after(connection: sqlite3.Connection, stream: RowStream, position: RowPosition) -> FollowedRows:
-    """The next rows of a stream, about MOST_FOLLOWED of them.
+def next_rows(connection: sqlite3.Connection, stream: RowStream, position: RowPosition) -> FollowedRows:
+    """The next rows of a stream, about MAX_ROWS_PER_READ of them.
 
     A position that the file does not know (it was begun anew) is found again by its time. Raises sqlite3.Error.
     """
@@ -110,15 +110,15 @@ def rows_after(connection: sqlite3.Connection, stream: RowStream, position: RowP
         lowest, last = ends
         newest = last if stream.table in PACKED else _own_newest(connection, stream)
         key = position.key
-        if key > last or (key >= lowest and _time_of(connection, stream, key) != position.time):
-            key = position_at(connection, stream, position.time).key
+        if key > last or (key >= lowest and _row_time(connection, stream, key) != position.time):
+            key = find_position(connection, stream, position.time).key
         begin = key + 1
         if begin >= lowest:
-            unpacked = _unpacked_from(connection, stream, begin)
+            unpacked = _unpacked_rows(connection, stream, begin)
             return FollowedRows(rows=unpacked, newest=newest, gone=0, passed=end or position)
         # Packed meanwhile: of the batches that reach beyond the position the oldest that can be read comes next.
         following = []
-        for batch, first, rows, _ in _packed(connection, stream, lowest):
+        for batch, first, rows, _ in _packed_batches(connection, stream, lowest):
             if first + rows <= begin:
                 break
             following.append((batch, first))
@@ -126,11 +126,11 @@ def rows_after(connection: sqlite3.Connection, stream: RowStream, position: RowP
             packed = _batch_rows(connection, stream, batch, first, skip=max(begin - first, 0))
             if packed:
                 return FollowedRows(rows=packed, newest=newest, gone=packed[0].key - begin, passed=position)
-        unpacked = _unpacked_from(connection, stream, lowest)
+        unpacked = _unpacked_rows(connection, stream, lowest)
         return FollowedRows(rows=unpacked, newest=newest, gone=lowest - begin, passed=end or position)
 
 
-def position_at(connection: sqlite3.Connection, stream: RowStream, time: float) -> RowPosition:
+def find_position(connection: sqlite3.Connection, stream: RowStream, time: float) -> RowPosition:
     """The position after the last row that is no later than a time (s UTC). Raises sqlite3.Error."""
     with one_moment(connection):
         ends = _ends(connection, stream)
@@ -142,8 +142,8 @@ def position_at(connection: sqlite3.Connection, stream: RowStream, time: float) 
         (found,) = connection.execute(query, (*values, time)).fetchone()
         if found is not None:
             key = int(found) - _base(stream)
-            return RowPosition(key, _time_of(connection, stream, key))
-        for batch, first, _, earliest in _packed(connection, stream, lowest):
+            return RowPosition(key, _row_time(connection, stream, key))
+        for batch, first, _, earliest in _packed_batches(connection, stream, lowest):
             if earliest <= time:
                 packed = _batch_rows(connection, stream, batch, first, most=PACKED[stream.table])
                 before = [row for row in packed if row.time <= time]
@@ -169,7 +169,7 @@ def newest_rows(connection: sqlite3.Connection, stream: RowStream) -> tuple[list
         return _selected_rows(connection, stream, f"t.id IN ({newest}) ORDER BY t.id", values), ends[1]
 
 
-def rows_between(
+def select_rows(
     connection: sqlite3.Connection, machines: Iterable[str], table: str, start: float, end: float
 ) -> Iterator[FollowedRow]:
     """The rows of a table with start <= time < end, machine by machine in the order of their arrival.
@@ -179,8 +179,8 @@ def rows_between(
     for stream in row_streams(connection, machines):
         if stream.table != table:
             continue
-        position = position_at(connection, stream, nextafter(start, -inf))
-        while (batch := rows_after(connection, stream, position)).rows:
+        position = find_position(connection, stream, nextafter(start, -inf))
+        while (batch := next_rows(connection, stream, position)).rows:
             yield from (row for row in batch.rows if start <= row.time < end)
             position = batch.rows[-1].position or position
 
@@ -206,7 +206,7 @@ def _ends(connection: sqlite3.Connection, stream: RowStream) -> tuple[int, int] 
     A table that is never packed begins with 1 and has other sources' rows in between.
     """
     if stream.table in PACKED:
-        keys = keys_of(connection, stream.table, stream.number)
+        keys = key_bounds(connection, stream.table, stream.number)
         return None if keys is None else (keys[0] - _base(stream), keys[1] - _base(stream))
     end = newest_position(connection, stream)
     return None if end is None else (1, end.key)
@@ -228,13 +228,15 @@ def newest_position(connection: sqlite3.Connection, stream: RowStream) -> RowPos
     return None if row is None else RowPosition(int(row[0]) - _base(stream), float(row[1]))
 
 
-def _time_of(connection: sqlite3.Connection, stream: RowStream, key: int) -> float:
+def _row_time(connection: sqlite3.Connection, stream: RowStream, key: int) -> float:
     query = f"SELECT time FROM {stream.table} WHERE id = ?"  # noqa: S608
     row = connection.execute(query, (key + _base(stream),)).fetchone()
     return -inf if row is None else float(row[0])
 
 
-def _packed(connection: sqlite3.Connection, stream: RowStream, lowest: int) -> Iterator[tuple[int, int, int, float]]:
+def _packed_batches(
+    connection: sqlite3.Connection, stream: RowStream, lowest: int
+) -> Iterator[tuple[int, int, int, float]]:
     """(batch, number of its first row, rows, least time) of the packed batches of a stream, the newest first.
 
     The newest ends before `lowest`, the oldest row that is not packed.
@@ -267,17 +269,17 @@ def _selected_rows(
         query = f"SELECT t.id, {', '.join(f't.{name}' for name in names)} FROM {stream.table} t WHERE {condition}"  # noqa: S608
     plain = [name.strip('"') for name in names]
     stored = connection.execute(query, values).fetchall()
-    return _followed(stream, [(int(key) - base, dict(zip(plain, row, strict=True))) for key, *row in stored])
+    return _make_rows(stream, [(int(key) - base, dict(zip(plain, row, strict=True))) for key, *row in stored])
 
 
-def _unpacked_from(connection: sqlite3.Connection, stream: RowStream, begin: int) -> list[FollowedRow]:
-    """The rows from the number `begin` on, to the last position among the first MOST_FOLLOWED."""
+def _unpacked_rows(connection: sqlite3.Connection, stream: RowStream, begin: int) -> list[FollowedRow]:
+    """The rows from the number `begin` on, to the last position among the first MAX_ROWS_PER_READ."""
     condition, values = _mine(stream)
-    condition += f" AND t.id >= ? ORDER BY t.id LIMIT {MOST_FOLLOWED + MOST_AT_ONCE}"
+    condition += f" AND t.id >= ? ORDER BY t.id LIMIT {MAX_ROWS_PER_READ + MAX_ROWS_PER_SCAN}"
     rows = _selected_rows(connection, stream, condition, (*values, begin + _base(stream)))
-    if len(rows) < MOST_FOLLOWED + MOST_AT_ONCE:
+    if len(rows) < MAX_ROWS_PER_READ + MAX_ROWS_PER_SCAN:
         return rows
-    end = next((place for place in range(MOST_FOLLOWED, 0, -1) if rows[place - 1].position), MOST_FOLLOWED)
+    end = next((place for place in range(MAX_ROWS_PER_READ, 0, -1) if rows[place - 1].position), MAX_ROWS_PER_READ)
     return rows[:end]
 
 
@@ -288,7 +290,7 @@ def _batch_rows(
     first: int,
     *,
     skip: int = 0,
-    most: int = MOST_FOLLOWED,
+    most: int = MAX_ROWS_PER_READ,
 ) -> list[FollowedRow]:
     """The rows of one packed batch, whose first has the number `first`, after `skip` of them; none that cannot be
     read."""
@@ -317,10 +319,10 @@ def _batch_rows(
         plain = [name.strip('"') for name in NAMES[stream.table]]
         rows = zip(*(chunks[0][1] if chunks else []), strict=True)
         found = [dict(zip(plain, row, strict=True)) for row in islice(rows, skip, skip + most)]
-    return _followed(stream, list(enumerate(found, first + skip)), packed=True)
+    return _make_rows(stream, list(enumerate(found, first + skip)), packed=True)
 
 
-def _followed(
+def _make_rows(
     stream: RowStream, found: Sequence[tuple[int, dict[str, Any]]], *, packed: bool = False
 ) -> list[FollowedRow]:
     """Rows with the positions after them: none between two readings of one moment, which packing puts side by side."""
@@ -332,7 +334,7 @@ def _followed(
         if together:
             open_until = max(open_until, last[values["time"], values["sent"]])
         if stream.table == "samples":
-            values["value"], values["quality"] = restored(values["value"]), Quality(values["quality"])
+            values["value"], values["quality"] = restore_value(values["value"]), Quality(values["quality"])
         position = RowPosition(key, time) if place >= open_until else None
         rows.append(FollowedRow(stream=stream, key=key, time=time, values=values, position=position))
     return rows

@@ -3,11 +3,11 @@
 One historian serves all machines of a plant. Each puts its rows through a view of it, which knows whose they are; the
 file's numbers of sources and tags are the thread's own matter (`numbers`).
 
-Policy of the queues: rows of measurement wait in queues of QUEUE rows at most, rows of DURABLE tables in those of
-URGENT, each source in its own. When there are too many (the disk is full or has gone) the oldest rows of the source
-that has most of them are dropped and counted: a machine that floods costs no other a row. While the disk refuses,
-`failure` says why and the thread tries again each second; nothing else stops. A row that cannot be stored costs that
-row, a table with a bad page that table: it is counted, and `complaint` says it.
+Policy of the queues: rows of measurement wait in queues of MAX_QUEUED_ROWS rows at most, rows of DURABLE tables in
+those of MAX_URGENT_ROWS, each source in its own. When there are too many (the disk is full or has gone) the oldest rows
+of the source that has most of them are dropped and counted: a machine that floods costs no other a row. While the disk
+refuses, `failure` says why and the thread tries again each second; nothing else stops. A row that cannot be stored
+costs that row, a table with a bad page that table: it is counted, and `complaint` says it.
 
 Measurements are committed once a second by a connection that does not wait for the disk (synchronous NORMAL), DURABLE
 rows by one that does (FULL), those of AT_ONCE tables at once: a power cut may take the last second of measurements, but
@@ -36,29 +36,29 @@ from drivers.supervision import Supervisor
 from drivers.tag import Tag
 from gateway.store.columns import PackedError
 from gateway.store.durable import RECORDS_MODE
-from gateway.store.files import MOST_WAL_BYTES, HistorianError, HistorianFile, UnusableHistorianError, opened
-from gateway.store.numbers import FileNumbers, Source, newest_of
+from gateway.store.files import MOST_WAL_BYTES, HistorianError, HistorianFile, UnusableHistorianError, open_file
+from gateway.store.numbers import FileNumbers, Source, newest_scan_time
 from gateway.store.queues import Batch, LostRows, Row, RowQueues
 from gateway.store.relied_files import STAYS, FileRule, ReliedFiles, database
 from gateway.store.retention import (
     Packer,
-    deleted_before,
-    gave_back,
+    delete_step,
     make_room,
     pages,
+    release_pages,
 )
 from gateway.store.schema import AT_ONCE, DURABLE, INDICES, INSERTS, MEASURED, PACKED, definition
-from gateway.store.sqlite_file import concerns_file, is_damage, sources_in, transaction
+from gateway.store.sqlite_file import concerns_file, is_damage, source_numbers, transaction
 
 if TYPE_CHECKING:
     from structlog.typing import FilteringBoundLogger
 
 
-QUEUE, URGENT = 200_000, 10_000
+MAX_QUEUED_ROWS, MAX_URGENT_ROWS = 200_000, 10_000
 BATCH_SECONDS = 1.0
 STALL_SECONDS = 10.0
 """How long rows may wait for the disk before that is a complaint."""
-DISK_MARGIN = 1_000_000
+DISK_MARGIN_BYTES = 1_000_000
 """Bytes: with less of them left it is the disk that is full, and not the historian that has reached its size."""
 _FILES = "historian"
 """What its files are called among those that are relied on."""
@@ -68,7 +68,7 @@ ROW_ERRORS = (sqlite3.Error, ArithmeticError, LookupError, TypeError, ValueError
 
 
 class Historian:
-    """An open historian: views of it may be had at any time (`of`), and nothing needs to be awaited.
+    """An open historian: views of it may be had at any time (`view`), and nothing needs to be awaited.
 
     `failure` says why nothing can be stored now ("": it can). Without a `file` rows wait in the queues, and `attach` is
     tried each second.
@@ -94,7 +94,7 @@ class Historian:
         self._sources: list[Source] = []
         self._units: dict[tuple[str, str], str] = {}
         self._numbers: FileNumbers | None = None
-        self._rows, self._urgent = RowQueues(QUEUE), RowQueues(URGENT)
+        self._rows, self._urgent = RowQueues(MAX_QUEUED_ROWS), RowQueues(MAX_URGENT_ROWS)
         self._lost: defaultdict[str, LostRows] = defaultdict(LostRows)
         self._wake = threading.Condition()
         self._at_once = self._flush = False
@@ -107,7 +107,7 @@ class Historian:
         self._rely_on_file()
         self._thread = supervisor.thread("historian", self._work, stop=self._stop)
 
-    def of(self, machine: str, tags: Iterable[Tag] = (), temperature: str = "") -> HistorianView:
+    def view(self, machine: str, tags: Iterable[Tag] = (), temperature: str = "") -> HistorianView:
         """The historian as one machine sees it, or one `temperature` that is followed on it; `tags` give the units.
 
         The temperatures of a machine keep the order in which they were first asked for.
@@ -130,7 +130,7 @@ class Historian:
             if self._waits_since is None and (self._rows.rows or self._urgent.rows):
                 self._waits_since = monotonic()
             # Many writes do not wait for their second either: of a replay as fast as it goes none is to be dropped.
-            if self._urgent.rows and (table in AT_ONCE or self._urgent.rows >= URGENT // 10):
+            if self._urgent.rows and (table in AT_ONCE or self._urgent.rows >= MAX_URGENT_ROWS // 10):
                 self._at_once = True
                 self._wake.notify_all()
 
@@ -143,7 +143,7 @@ class Historian:
             self._wake.notify_all()
             return self._wake.wait_for(lambda: self._completed >= wanted, timeout)
 
-    def forget_before(self, moment: float) -> None:
+    def delete_older(self, moment: float) -> None:
         """Have measurements older than `moment` deleted with the next batch."""
         with self._wake:
             self._forget = moment
@@ -156,7 +156,7 @@ class Historian:
             return self.failure
         return f"{self.path}: nothing has been stored for more than {STALL_SECONDS:g} s; see to the disk"
 
-    def lost_by(self, machine: str) -> LostRows:
+    def machine_losses(self, machine: str) -> LostRows:
         """What a machine has lost."""
         return self._lost[machine]
 
@@ -197,7 +197,7 @@ class Historian:
         if self._file is None:
             return None
         try:
-            return newest_of(self._file.normal, machine)
+            return newest_scan_time(self._file.normal, machine)
         except sqlite3.Error:
             return None
 
@@ -248,7 +248,7 @@ class Historian:
                     self._begun, self._flush = self._begun + 1, False
             if everything:
                 self._due = monotonic() + BATCH_SECONDS
-            committed = self._attached() and self._round(everything=everything)
+            committed = self._ensure_file() and self._round(everything=everything)
             if stopping and (not committed or not (self._rows.rows or self._urgent.rows)):
                 return
             if not committed:
@@ -263,19 +263,19 @@ class Historian:
         # Only on a disk that takes rows: to pack and to delete is to write as well.
         packer = self._packer = self._packer or Packer(self._normal)
         for table in PACKED:
-            self._tended(table, partial(self._packed, packer, table))
-        self._tended("tiers", packer.tiers)
+            self._tend_table(table, partial(self._pack_batch, packer, table))
+        self._tend_table("tiers", packer.tiers)
         if moment is not None:
-            for source in sources_in(self._normal):
+            for source in source_numbers(self._normal):
                 for table in (*MEASURED, "writes"):
-                    self._tended(table, partial(deleted_before, self._normal, table, source, moment))
+                    self._tend_table(table, partial(delete_step, self._normal, table, source, moment))
             with self._wake:
                 # Another moment may have been given while the deletion ran; that one is still to be done.
                 self._forget = None if self._forget == moment else self._forget
             self._least = 0  # it may become smaller now
-            self._tended("", partial(gave_back, self._normal))
+            self._tend_table("", partial(release_pages, self._normal))
 
-    def _attached(self) -> bool:
+    def _ensure_file(self) -> bool:
         """Whether there is a file to write to: the one that is open, or, where it has gone, another one."""
         # All files that the gateway relies on: each second, also where nothing is written.
         gone = self.files.look(_FILES)
@@ -329,7 +329,7 @@ class Historian:
             self._wake.notify_all()
         return whole
 
-    def _packed(self, packer: Packer, table: str) -> bool:
+    def _pack_batch(self, packer: Packer, table: str) -> bool:
         """Have one batch of a table packed; False if none has enough rows for one."""
         numbers = self._numbers
         if numbers is None or (source := packer.step(table, numbers.waiting[table])) is None:
@@ -354,7 +354,7 @@ class Historian:
         finally:
             with self._wake:
                 if not stored:
-                    queues.give_back(batch)
+                    queues.requeue(batch)
                 self._drop_beyond_the_queues()
         return stored
 
@@ -381,7 +381,7 @@ class Historian:
                         numbers.source(connection, source)
                     self._number_tags(connection, numbers, by_table)
                     for (table, source), rows in by_table.items():
-                        reasons = _inserted(connection, numbers, table, source, rows)
+                        reasons = _insert_rows(connection, numbers, table, source, rows)
                         refused += [(table, source, reason) for reason in reasons]
             except sqlite3.Error as error:
                 code = getattr(error, "sqlite_errorcode", 0) & 0xFF
@@ -390,7 +390,7 @@ class Historian:
                 total, free = pages(self._normal)
                 if (
                     code == sqlite3.SQLITE_FULL
-                    and disk_usage(self.path.parent).free > DISK_MARGIN
+                    and disk_usage(self.path.parent).free > DISK_MARGIN_BYTES
                     and make_room(self._normal, free + (max(128, total // 50) << turn))
                 ):
                     continue
@@ -435,7 +435,7 @@ class Historian:
             f"{self.path}: table {table} is damaged ({reason}) and was begun anew; a restart recovers what is left"
         )
 
-    def _tended(self, table: str, step: Callable[[], bool | None]) -> None:
+    def _tend_table(self, table: str, step: Callable[[], bool | None]) -> None:
         """Let `step` work while it says that there is more; alarms that come meanwhile are stored between its turns."""
         try:
             while not self._stop.is_set() and step():
@@ -448,14 +448,14 @@ class Historian:
             self.failure = f"{self.path}: old rows cannot be put away ({error}); make room or mend the disk"
 
 
-def _inserted(
+def _insert_rows(
     connection: sqlite3.Connection, numbers: FileNumbers, table: str, source: Source, rows: Sequence[Row]
 ) -> list[Exception]:
     """Insert the rows of a source; gives why some are taken by no table. Raises sqlite3.Error when the file refuses."""
     number = numbers.sources[source]
     key, step = (numbers.next_key(connection, table, number), 1) if table in PACKED else (number, 0)
 
-    def stored(place: int, row: Row) -> Row:
+    def to_row(place: int, row: Row) -> Row:
         if table == "samples":
             row = (numbers.tags[source[0], row[0]], *row[1:])
         return (*row, key + step * place)
@@ -463,7 +463,7 @@ def _inserted(
     taken, refused = len(rows), list[Exception]()
     connection.execute("SAVEPOINT rows")
     try:
-        connection.executemany(INSERTS[table], [stored(place, row) for place, row in enumerate(rows)])
+        connection.executemany(INSERTS[table], [to_row(place, row) for place, row in enumerate(rows)])
     except ROW_ERRORS as error:
         if _beyond_the_row(error):
             raise
@@ -472,7 +472,7 @@ def _inserted(
         taken = 0
         for row in rows:
             try:
-                connection.execute(INSERTS[table], stored(taken, row))
+                connection.execute(INSERTS[table], to_row(taken, row))
                 taken += 1
             except ROW_ERRORS as reason:
                 if _beyond_the_row(reason):
@@ -543,17 +543,17 @@ class HistorianView:
     @property
     def dropped(self) -> int:
         """The machine's rows that the queue had no place for."""
-        return self._historian.lost_by(self.machine).dropped
+        return self._historian.machine_losses(self.machine).dropped
 
     @property
     def refused(self) -> int:
         """The machine's rows that no table takes."""
-        return self._historian.lost_by(self.machine).refused
+        return self._historian.machine_losses(self.machine).refused
 
     @property
     def complaint(self) -> str:
         """Why the machine's records cannot be relied on: `Historian.complaint` without the rows of other machines."""
-        return self.stuck or self._historian.lost_by(self.machine).complaint or self.note
+        return self.stuck or self._historian.machine_losses(self.machine).complaint or self.note
 
 
 def _beyond_the_row(error: Exception) -> bool:
@@ -591,7 +591,7 @@ def open_historian(
         locked.take()
         if not files.knows(LOCK):
             files.watch(LOCK, {locked.place: STAYS})
-        return opened(path, max_mb=max_mb, mend=mend, heir=heir)
+        return open_file(path, max_mb=max_mb, mend=mend, heir=heir)
 
     file, failure = None, ""
     try:

@@ -9,7 +9,7 @@ import sqlite3
 from collections import defaultdict
 
 from gateway.store.schema import first_key
-from gateway.store.sqlite_file import key_range, keys_of
+from gateway.store.sqlite_file import key_bounds, key_range
 
 Source = tuple[str, str]
 """A machine's name and the temperature that is followed on it ("": the machine itself)."""
@@ -28,7 +28,7 @@ class FileNumbers:
 
     def recount(self, connection: sqlite3.Connection, table: str, source: int) -> None:
         """Count the rows of a source anew: some were packed or deleted."""
-        keys = keys_of(connection, table, source)
+        keys = key_bounds(connection, table, source)
         self.waiting[table][source] = keys[1] - keys[0] + 1 if keys else 0
         # Not below what was given before: what is numbered once more would be taken for what was there.
         before = self._newest.get((table, source), first_key(source))
@@ -64,7 +64,7 @@ class FileNumbers:
         self.waiting[table][source] += rows
 
 
-def newest_of(connection: sqlite3.Connection, machine: str) -> float | None:
+def newest_scan_time(connection: sqlite3.Connection, machine: str) -> float | None:
     """The time (s UTC) of a machine's scan that was stored last, whatever the clock said before; None without one."""
     query = "SELECT id FROM sources WHERE machine = ? ORDER BY temperature"
     for (source,) in connection.execute(query, (machine,)).fetchall():

@@ -67,7 +67,7 @@ class RowQueues:
         self.rows = 0
         return batch
 
-    def give_back(self, batch: Batch) -> None:
+    def requeue(self, batch: Batch) -> None:
         """Put what was taken before what has come since."""
         for source, rows in batch.items():
             self._by_source[source].extendleft(reversed(rows))

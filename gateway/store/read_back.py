@@ -20,9 +20,9 @@ import numpy as np
 from drivers.tag import Quality, Sample
 from gateway.store.columns import Cell, PackedError, unpack
 from gateway.store.files import HistorianError
-from gateway.store.numbers import newest_of
-from gateway.store.retention import TIERS, means, merged, tier_kind
-from gateway.store.schema import APPLICATION_ID, FOLLOWED, NAMES, PACKED, VERSION, number, restored
+from gateway.store.numbers import newest_scan_time
+from gateway.store.retention import TIERS, means, merge_rows, tier_kind
+from gateway.store.schema import APPLICATION_ID, FOLLOWED, NAMES, PACKED, VERSION, number, restore_value
 from gateway.store.sqlite_file import key_range
 from sim.sha import Array, Event, Mask, Trace, holds_roughly
 
@@ -109,7 +109,7 @@ class SelectedSources:
     own: tuple[int, ...]
     followed: tuple[int, ...]
 
-    def of(self, table: str) -> tuple[int, ...]:
+    def table_sources(self, table: str) -> tuple[int, ...]:
         """The sources whose rows of a table are read."""
         return self.followed if table in FOLLOWED else self.own
 
@@ -117,7 +117,7 @@ class SelectedSources:
         """The condition for the rows of a table that are not packed, and its values."""
         if self.layout < 3:
             return "1", ()
-        sources = self.of(table)
+        sources = self.table_sources(table)
         if table in PACKED:
             condition = " OR ".join(["id BETWEEN ? AND ?"] * len(sources))
             return f"({condition or 0})", tuple(key for source in sources for key in key_range(source))
@@ -131,7 +131,7 @@ class SelectedSources:
         return connection.execute(query, (self.machine,)).fetchall()
 
 
-def selected(
+def select_sources(
     connection: sqlite3.Connection, machine: str | None = None, temperature: str | None = None
 ) -> SelectedSources:
     """The sources of a machine (None: the only one), those of a followed temperature (None: its first).
@@ -139,7 +139,7 @@ def selected(
     With a `temperature` only that one's rows are read, of any table. Raises HistorianError for one that is not there,
     and without a machine where there are several.
     """
-    found, file = dict(machines(connection)), _path_of(connection)
+    found, file = dict(machines(connection)), _database_path(connection)
     names = ", ".join(name or "a machine without a name" for name in found)
     if machine is None:
         if len(found) > 1:
@@ -164,7 +164,7 @@ def selected(
     return SelectedSources(layout=layout, machine=machine, own=own, followed=followed)
 
 
-def _path_of(connection: sqlite3.Connection) -> str:
+def _database_path(connection: sqlite3.Connection) -> str:
     return str(connection.execute("PRAGMA database_list").fetchone()[2])
 
 
@@ -199,7 +199,7 @@ def stored_rows(
 
     Of a machine's temperatures each has an order of its own. Raises HistorianError.
     """
-    return _rows(connection, selected(connection, machine, temperature), table, names, start=start, end=end)
+    return _rows(connection, select_sources(connection, machine, temperature), table, names, start=start, end=end)
 
 
 def _rows(
@@ -215,7 +215,7 @@ def _rows(
     rows: list[tuple[Any, ...]] = []
     # One moment for both places: a row that is packed meanwhile would be seen twice or not at all.
     with one_moment(connection):
-        for source in whose.of(table):
+        for source in whose.table_sources(table):
             for _, columns in _chunks(connection, table, source, start, end):
                 picked = zip(*(columns[place] for place in places), strict=True)
                 rows += (row for row in picked if start <= row[0] < end)
@@ -229,9 +229,9 @@ def row_number(
     connection: sqlite3.Connection, table: str, *, machine: str | None = None, temperature: str | None = None
 ) -> int:
     """How many rows a table has, packed or not. Raises HistorianError."""
-    whose, packed = selected(connection, machine, temperature), 0
+    whose, packed = select_sources(connection, machine, temperature), 0
     if whose.layout >= 2:
-        places = [tag for tag, _ in whose.tags(connection)] if table == "samples" else whose.of(table)
+        places = [tag for tag, _ in whose.tags(connection)] if table == "samples" else whose.table_sources(table)
         query = "SELECT coalesce(sum(rows), 0) FROM chunks WHERE kind = ? AND tag = ?"
         packed = sum(connection.execute(query, (table, place)).fetchone()[0] for place in places)
     condition, values = whose.where(table)
@@ -241,7 +241,7 @@ def row_number(
 
 def tag_names(connection: sqlite3.Connection, *, machine: str | None = None) -> list[str]:
     """The machine's tags, in the order in which they came. Raises HistorianError."""
-    return [name for _, name in selected(connection, machine).tags(connection)]
+    return [name for _, name in select_sources(connection, machine).tags(connection)]
 
 
 def newest_scan(connection: sqlite3.Connection, *, machine: str | None = None) -> float | None:
@@ -249,9 +249,9 @@ def newest_scan(connection: sqlite3.Connection, *, machine: str | None = None) -
 
     Raises HistorianError.
     """
-    whose = selected(connection, machine)
+    whose = select_sources(connection, machine)
     if whose.layout >= 3:
-        return newest_of(connection, whose.machine)
+        return newest_scan_time(connection, whose.machine)
     key = "rowid" if whose.layout == 2 else "time"
     row = connection.execute(f"SELECT time FROM scans ORDER BY {key} DESC LIMIT 1").fetchone()  # noqa: S608
     return float(row[0]) if row else None
@@ -262,14 +262,14 @@ def oldest_scan(connection: sqlite3.Connection, *, machine: str | None = None) -
 
     Raises HistorianError.
     """
-    whose = selected(connection, machine)
+    whose = select_sources(connection, machine)
     condition, values = whose.where("scans")
     with one_moment(connection):
         query = f"SELECT min(time) FROM scans WHERE {condition}"  # noqa: S608
         found = [connection.execute(query, values).fetchone()[0]]
         if whose.layout >= 2:
             query = "SELECT min(first) FROM chunks WHERE kind = 'scans' AND tag = ?"
-            found += [connection.execute(query, (source,)).fetchone()[0] for source in whose.of("scans")]
+            found += [connection.execute(query, (source,)).fetchone()[0] for source in whose.table_sources("scans")]
     return min((float(time) for time in found if time is not None), default=None)
 
 
@@ -328,7 +328,7 @@ def history(
     """Measured and predicted at the scans with start <= time < end. Raises HistorianError."""
     columns = ("time", "measured", "mean", "low", "high", "free_run", "anomaly", "location")
     with reading(path) as connection:
-        whose = selected(connection, machine, temperature)
+        whose = select_sources(connection, machine, temperature)
         rows = sorted(_rows(connection, whose, "predictions", columns, start=start, end=end), key=lambda row: row[0])
     numbers = np.array([row[:7] for row in rows], dtype=float).reshape(len(rows), 7).T
     times, measured, mean, low, high, free_run, anomaly = numbers
@@ -344,7 +344,7 @@ def history(
     )
 
 
-def matured(
+def mature_forecasts(
     path: Path,
     tolerance: float = 5.0,
     *,
@@ -357,7 +357,7 @@ def matured(
     s after what it spoke of."""
     with reading(path) as connection:
         columns = ("time", "horizon", "levels", "quantiles", "p_limit", "measured")
-        whose = selected(connection, machine, temperature)
+        whose = select_sources(connection, machine, temperature)
         made = _rows(connection, whose, "forecasts", columns, start=start, end=end)
         rows = sorted(made, key=lambda row: (row[1], row[0]))
     farthest = max((row[1] for row in rows), default=0.0)
@@ -402,14 +402,14 @@ def samples(
     `sent` is as the driver gave it, None where not good. Raises HistorianError.
     """
     with reading(path) as connection:
-        whose = selected(connection, machine)
+        whose = select_sources(connection, machine)
         for number, name in whose.tags(connection):
             if tag not in (None, name):
                 continue
             with one_moment(connection):
                 rows = _SampleReader(connection, whose).rows(number, start, end)
             for time, value, quality, sent in rows:
-                yield Sample(name, restored(value), Quality(quality), time, sent)
+                yield Sample(name, restore_value(value), Quality(quality), time, sent)
 
 
 def to_trace(
@@ -428,7 +428,7 @@ def to_trace(
     so is what is none of the `tags` (None: all). Raises HistorianError.
     """
     with reading(path) as connection:
-        whose = selected(connection, machine)
+        whose = select_sources(connection, machine)
         clock = sorted(row[0] for row in _rows(connection, whose, "scans", ("time",), start=start, end=end))
         times = np.array(clock, dtype=float)
         signals: dict[str, Array] = {}
@@ -470,7 +470,7 @@ def recent(path: Path, since: str, *, machine: str | None = None) -> Trace:
     if last is None:
         raise ValueError(f"{path}: this historian has no scan yet; let the gateway run first")
     # Up to the newest scan and no further: what a clock that was ahead has left beyond it is not recent.
-    trace = to_trace(path, start=moment_of(since, last), end=nextafter(last, inf), machine=machine)
+    trace = to_trace(path, start=parse_moment(since, last), end=nextafter(last, inf), machine=machine)
     if trace.times.size < 2:
         raise ValueError(f"{path}: there is nothing since {since}; its newest scan is of {_date(last)}")
     return trace
@@ -503,7 +503,7 @@ def trend(
     if width not in TIERS:
         raise ValueError(f"there is no tier of {width} s; give one of {', '.join(map(str, TIERS))}")
     with reading(path) as connection, one_moment(connection):
-        whose = selected(connection, machine)
+        whose = select_sources(connection, machine)
         found = {name: place for place, name in whose.tags(connection)}.get(tag)
         if found is None:
             raise ValueError(f"{path}: has no tag {tag!r}")
@@ -531,11 +531,11 @@ def trend(
         good = np.array([number(row[1]) if Quality(row[2]).is_good else nan for row in rows])
         parts.append(means(scans, np.array([row[0] for row in rows]), good, width))
     columns = np.hstack(parts)
-    columns = merged(columns[:, (columns[0] >= begin) & (columns[0] < end)])
+    columns = merge_rows(columns[:, (columns[0] >= begin) & (columns[0] < end)])
     return Trend(width=width, **dict(zip(("starts", "count", "low", "mean", "high"), columns, strict=True)))
 
 
-def moment_of(since: str, last: float) -> float:
+def parse_moment(since: str, last: float) -> float:
     """The moment (s UTC) that a date, or a span back from `last`, names. Raises ValueError for neither."""
     span = re.fullmatch(r"([0-9]+(?:\.[0-9]+)?)([dhms])", since.strip())
     if span is not None:

@@ -128,7 +128,7 @@ class ReliedFiles:
         """Look at all of them; gives what is wrong with those of this name, by default with any of them."""
         with self._looking:
             self._let_go()
-            found = {name: _first(self._found(group)) for name, group in self._groups.items()}
+            found = {name: _first(self._problems(group)) for name, group in self._groups.items()}
             wrong = "; ".join(dict.fromkeys(filter(None, found.values())))
             if wrong and not self.complaint:
                 self.taken += 1
@@ -148,21 +148,21 @@ class ReliedFiles:
         for file in gone:
             file.let_go()
 
-    def _found(self, group: Iterable[_ReliedFile]) -> Iterable[str]:
+    def _problems(self, group: Iterable[_ReliedFile]) -> Iterable[str]:
         for file in group:
-            if problem := self._problem_of(file):
+            if problem := self._file_problem(file):
                 yield f"{file.path}: {problem}; put back what it was, or start the gateway anew"
 
-    def _problem_of(self, file: _ReliedFile) -> str:
+    def _file_problem(self, file: _ReliedFile) -> str:
         try:
-            return self._looked_at(file, file.path.stat(), read_only=self._on_read_only_disk(file.path))
+            return self._compare_file(file, file.path.stat(), read_only=self._on_read_only_disk(file.path))
         except FileNotFoundError:
             awaited = file.rule.late and file.seen is None
             return "" if awaited else "is gone, as it was removed or renamed while it was in use"
         except OSError as error:
             return f"cannot be looked at while it is in use ({(error.strerror or str(error)).lower()})"
 
-    def _looked_at(self, file: _ReliedFile, now: os.stat_result, *, read_only: bool) -> str:
+    def _compare_file(self, file: _ReliedFile, now: os.stat_result, *, read_only: bool) -> str:
         before, rule = file.seen, file.rule
         another = before is not None and (now.st_dev, now.st_ino) != (before.st_dev, before.st_ino)
         changed = before is None or another or (now.st_size, now.st_mtime_ns) != (before.st_size, before.st_mtime_ns)
@@ -185,9 +185,9 @@ class ReliedFiles:
             return "may not be written any more, as its mode was changed while it was in use"
         if read_only and not file.was_read_only:
             return "may not be written any more, as its disk is mounted read-only now"
-        return self._cut_or_changed(file, now)
+        return self._size_problem(file, now)
 
-    def _cut_or_changed(self, file: _ReliedFile, now: os.stat_result) -> str:
+    def _size_problem(self, file: _ReliedFile, now: os.stat_result) -> str:
         rule = file.rule
         least = min(file.largest, rule.most) if rule.grows else rule.least() if rule.least is not None else 0
         if now.st_size < least:

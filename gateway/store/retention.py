@@ -16,14 +16,14 @@ import numpy as np
 from drivers.tag import Quality
 from gateway.store.columns import Cell, pack, unpack
 from gateway.store.schema import MEASURED, NAMES, PACKED, first_key, number
-from gateway.store.sqlite_file import concerns_file, is_damage, key_range, sources_in, transaction
+from gateway.store.sqlite_file import concerns_file, is_damage, key_range, source_numbers, transaction
 from sim.sha import Array
 
 TIERS = (60, 3600)
 """The widths (s) of the tiers."""
-STRETCHES = 1440
+STRETCHES_PER_CHUNK = 1440
 """Stretches of a tier that are packed together: of the minutes a day, of the hours sixty."""
-STEP = 5_000
+ROWS_PER_DELETION = 5_000
 """Rows that are deleted in one transaction."""
 ROUNDED: Mapping[str, Mapping[str, int]] = {
     "scans": {"duration": 6},
@@ -130,7 +130,7 @@ class Packer:
             columns = [[places[row[:2]] for row in rows], values, qualities]
             _put_chunk(self._connection, ("samples", tag, batch), own, columns)
             self._tell(tag, scans, np.array(own), values, qualities)
-        begun = [last // (width * STRETCHES) for width in TIERS]
+        begun = [last // (width * STRETCHES_PER_CHUNK) for width in TIERS]
         if begun != self._begun.get(source):
             self._begun[source] = begun
             self._ended += [one for one in ended_tiers(self._connection, last, source) if one not in self._ended]
@@ -171,13 +171,14 @@ def tier_kind(width: int) -> str:
 
 
 def ended_tiers(connection: sqlite3.Connection, now: float, source: int) -> list[tuple[int, int, float]]:
-    """(tag, width, start) of every STRETCHES that a source's machine has in `tiers` and were over at `now` (s UTC)."""
+    """(tag, width, start) of every STRETCHES_PER_CHUNK that a source's machine has in `tiers` and were over at `now` (s
+    UTC)."""
     ended = []
     tags = "SELECT id FROM tags WHERE machine = (SELECT machine FROM sources WHERE id = ?)"
     query = "SELECT min(start) FROM tiers WHERE tag = ? AND width = ? AND start >= ? AND start < ?"
     for (tag,) in connection.execute(tags, (source,)).fetchall():
         for width in TIERS:
-            span, start = width * STRETCHES, -inf
+            span, start = width * STRETCHES_PER_CHUNK, -inf
             over = now // span * span
             while (first := connection.execute(query, (tag, width, start, over)).fetchone()[0]) is not None:
                 ended.append((tag, width, first // span * span))
@@ -186,12 +187,13 @@ def ended_tiers(connection: sqlite3.Connection, now: float, source: int) -> list
 
 
 def pack_tier(connection: sqlite3.Connection, tag: int, width: int, start: float) -> None:
-    """Put the rows of a tier from `start` on, STRETCHES at most, into a chunk.
+    """Put the rows of a tier from `start` on, STRETCHES_PER_CHUNK at most, into a chunk.
 
-    Where a clock that was set back tells of that time once more, its rows become another chunk: `merged` joins them.
+    Where a clock that was set back tells of that time once more, its rows become another chunk: `merge_rows` joins
+    them.
     """
     where = "FROM tiers WHERE tag = ? AND width = ? AND start >= ? AND start < ?"
-    values = (tag, width, start, start + width * STRETCHES)
+    values = (tag, width, start, start + width * STRETCHES_PER_CHUNK)
     with transaction(connection):
         query = f"SELECT start, count, low, mean, high {where} ORDER BY start"
         columns = [list(column) for column in zip(*connection.execute(query, values), strict=True)]
@@ -212,10 +214,10 @@ def means(scans: Array, times: Array, values: Array, width: float) -> Array:
     standing = np.where(place < 0, np.nan, values[order][place]) if times.size else np.full(scans.size, np.nan)
     known = np.isfinite(standing)
     starts, standing = np.floor(scans[known] / width) * width, standing[known]
-    return merged(np.array([starts, np.ones(starts.size), standing, standing, standing]))
+    return merge_rows(np.array([starts, np.ones(starts.size), standing, standing, standing]))
 
 
-def merged(rows: Array) -> Array:
+def merge_rows(rows: Array) -> Array:
     """Rows (5, n) of start, count, least, mean, greatest, those of one start made one: (5, k), ascending."""
     starts, count, low, mean, high = rows[:, np.argsort(rows[0], kind="stable")]
     alone, begins = np.unique(starts, return_index=True)
@@ -229,7 +231,7 @@ def merged(rows: Array) -> Array:
     return np.array([alone, counts, least, mean, most])
 
 
-def deleted_before(connection: sqlite3.Connection, table: str, source: int, moment: float) -> bool:
+def delete_step(connection: sqlite3.Connection, table: str, source: int, moment: float) -> bool:
     """Delete one step of what a source has in a table, or its chunks, from before a `moment` (s UTC).
 
     False if there is none. Only what arrived first goes, up to the first row that is younger: rows of yesterday that
@@ -244,7 +246,7 @@ def deleted_before(connection: sqlite3.Connection, table: str, source: int, mome
     young = f"SELECT min(id) FROM {table} WHERE id BETWEEN :lowest AND :highest AND time >= :moment"  # noqa: S608
     rows = (
         f"SELECT id FROM {table} WHERE id BETWEEN :lowest AND :highest AND id < coalesce(({young}), :none) "  # noqa: S608
-        f"ORDER BY id LIMIT {STEP}"
+        f"ORDER BY id LIMIT {ROWS_PER_DELETION}"
     )
     with transaction(connection):
         gone = connection.execute(f"DELETE FROM chunks WHERE batch IN ({batches})", values).rowcount  # noqa: S608
@@ -254,7 +256,7 @@ def deleted_before(connection: sqlite3.Connection, table: str, source: int, mome
     return gone > 0
 
 
-def gave_back(connection: sqlite3.Connection) -> None:
+def release_pages(connection: sqlite3.Connection) -> None:
     """Give freed pages back to the system, 4 MB at most: each one moved is written again."""
     connection.execute("PRAGMA incremental_vacuum(4000)").fetchall()
 
@@ -271,12 +273,12 @@ def make_room(connection: sqlite3.Connection, wanted: int) -> bool:
     Measurements go first, then the tiers, the narrow ones before the wide, last the writes. Alarms, audit record and
     runs stay.
     """
-    ranges = [key_range(source) for source in sources_in(connection)]
+    ranges = [key_range(source) for source in source_numbers(connection)]
     # A little of each source in turn: none gives all that it has for the others.
     rows = {
         table: [
             f"DELETE FROM {table} WHERE id IN (SELECT id FROM {table} WHERE id BETWEEN {lowest} AND {highest} "  # noqa: S608
-            f"ORDER BY id LIMIT {STEP // 10})"
+            f"ORDER BY id LIMIT {ROWS_PER_DELETION // 10})"
             for lowest, highest in ranges
         ]
         for table in (*MEASURED, "writes")
@@ -297,7 +299,7 @@ def make_room(connection: sqlite3.Connection, wanted: int) -> bool:
     for kinds, tables in order:
         _delete_chunks(connection, kinds, wanted)
         for statements in tables:
-            while pages(connection)[1] < wanted and sum(_deleted(connection, one) for one in statements) > 0:
+            while pages(connection)[1] < wanted and sum(_delete_rows(connection, one) for one in statements) > 0:
                 pass
     return pages(connection)[1] >= wanted
 
@@ -318,10 +320,10 @@ def _delete_chunks(connection: sqlite3.Connection, kinds: Sequence[str], wanted:
     for (place,) in oldest:
         if pages(connection)[1] >= wanted:
             return
-        _deleted(connection, f"DELETE FROM chunks WHERE rowid = {place}")  # noqa: S608
+        _delete_rows(connection, f"DELETE FROM chunks WHERE rowid = {place}")  # noqa: S608
 
 
-def _deleted(connection: sqlite3.Connection, statement: str) -> int:
+def _delete_rows(connection: sqlite3.Connection, statement: str) -> int:
     """The rows that a statement deletes in a transaction of its own: none where a bad page is in the way."""
     try:
         with transaction(connection):

@@ -136,7 +136,7 @@ def storable(value: int | float | str | None) -> int | float | str | bytes | Non
     return value
 
 
-def restored(value: int | float | str | bytes | None) -> int | float | str | None:
+def restore_value(value: int | float | str | bytes | None) -> int | float | str | None:
     """The value that `storable` was given."""
     return int(value) if isinstance(value, bytes) else value
 

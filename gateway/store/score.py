@@ -15,7 +15,7 @@ from gateway.store.read_back import (
     Matured,
     history,
     machines,
-    matured,
+    mature_forecasts,
     newest_scan,
     reading,
     row_number,
@@ -98,7 +98,7 @@ def scorecard(
             reports = stored_rows(connection, "guards", ("time", "content"), machine=machine, temperature=temperature)
             guards = json.loads(reports[-1][1]) or {} if reports else {}
     seen = history(path, start, end, machine=machine, temperature=temperature)
-    forecasts = matured(path, machine=machine, temperature=temperature, start=start, end=end)
+    forecasts = mature_forecasts(path, machine=machine, temperature=temperature, start=start, end=end)
     known = np.isfinite(seen.mean) & np.isfinite(seen.measured)
     band90 = coverage(seen.low[known], seen.high[known], seen.measured[known]) if known.any() else nan
     return Scorecard(

@@ -35,7 +35,7 @@ def public_path(key: Path) -> Path:
     return key.with_suffix(".pub")
 
 
-def key_beside(audit: Path) -> Path:
+def key_path(audit: Path) -> Path:
     """Where the key of an audit log lies where nothing else is said."""
     return audit.with_suffix(".key")
 
@@ -117,7 +117,7 @@ def public_digits(key: Ed25519PublicKey) -> str:
     return key.public_bytes(Encoding.Raw, PublicFormat.Raw).hex()
 
 
-def is_signed(public: str, signature: str, data: bytes) -> bool:
+def verify_signature(public: str, signature: str, data: bytes) -> bool:
     """True if the key of these hexadecimal digits has signed the data."""
     try:
         Ed25519PublicKey.from_public_bytes(bytes.fromhex(public)).verify(bytes.fromhex(signature), data)

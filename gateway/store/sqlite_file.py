@@ -43,7 +43,7 @@ def key_range(source: int) -> tuple[int, int]:
     return first_key(source), first_key(source + 1) - 1
 
 
-def keys_of(connection: sqlite3.Connection, table: str, source: int) -> tuple[int, int] | None:
+def key_bounds(connection: sqlite3.Connection, table: str, source: int) -> tuple[int, int] | None:
     """The keys of the oldest and of the newest row of a source in a PACKED table; None without any."""
     query = f"SELECT min(id), max(id) FROM {table} WHERE id BETWEEN ? AND ?"  # noqa: S608
     # One at a time: only alone min and max are looked up and not searched for (sqlite.org/optoverview.html, 11).
@@ -54,6 +54,6 @@ def keys_of(connection: sqlite3.Connection, table: str, source: int) -> tuple[in
     return None if first is None else (int(first), int(last))
 
 
-def sources_in(connection: sqlite3.Connection) -> list[int]:
+def source_numbers(connection: sqlite3.Connection) -> list[int]:
     """The numbers of the file's sources."""
     return [int(row[0]) for row in connection.execute("SELECT id FROM sources ORDER BY id")]

@@ -101,7 +101,7 @@ TABLE_COLUMNS: Mapping[str, Sequence[TableColumn]] = {
 """The columns of each table, in their order."""
 
 
-def cells_of(row: FollowedRow) -> Cells:
+def row_cells(row: FollowedRow) -> Cells:
     """A row's cells, in the order of TABLE_COLUMNS."""
     return tuple(_cell(column, row) for column in TABLE_COLUMNS[row.stream.table])
 

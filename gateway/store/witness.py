@@ -20,16 +20,16 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from gateway.store.audit import CONFIRMED, AuditEntry, AuditError, ChainVerdict, hashes, read, verify
 from gateway.store.audit_damage import damage
-from gateway.store.confirming import is_confirmed
+from gateway.store.confirming import has_confirmation
 from gateway.store.durable import RECORDS_MODE
 from gateway.store.files import HistorianError
 from gateway.store.signing import (
-    is_signed,
-    key_beside,
+    key_path,
     load_key,
     load_public_key,
     public_digits,
     public_path,
+    verify_signature,
 )
 
 HEAD_EVENT = "audit head"
@@ -54,7 +54,7 @@ class SignedHead:
     @property
     def is_valid(self) -> bool:
         """True if the key that it names has signed it."""
-        return is_signed(self.key, self.signature, self.signed_bytes())
+        return verify_signature(self.key, self.signature, self.signed_bytes())
 
     def signed_bytes(self) -> bytes:
         """What the signature is over."""
@@ -63,7 +63,7 @@ class SignedHead:
         return b"decanter audit head\n" + json.dumps(plain, sort_keys=True, allow_nan=False).encode()
 
 
-def head_of(plain: object) -> SignedHead | None:
+def parse_head(plain: object) -> SignedHead | None:
     """The signed head in plain values; None for anything else, or one whose signature is not right."""
     if not isinstance(plain, Mapping):
         return None
@@ -95,9 +95,9 @@ class WitnessPlaces:
     logs: tuple[Path, ...] = ()
 
 
-def places_beside(audit: Path) -> WitnessPlaces:
+def default_places(audit: Path) -> WitnessPlaces:
     """Key and heads file of an audit log where nothing else is said; no other witness."""
-    return WitnessPlaces(audit=audit, key=key_beside(audit), heads=audit.with_suffix(".heads.jsonl"))
+    return WitnessPlaces(audit=audit, key=key_path(audit), heads=audit.with_suffix(".heads.jsonl"))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -170,12 +170,12 @@ def examine(places: WitnessPlaces, *, head: str = "", public: str | None = None)
     read at all.
     """
     # The witnesses first: a gateway that runs appends rows meanwhile, and each head must be in what is read after it.
-    witnesses, heads, problems = _gathered(places)
+    witnesses, heads, problems = _gather(places)
     if heads and not places.audit.is_file():
         row = max(signed.row for signed in heads)
         chain = ChainVerdict(0, "", f"there is no audit log, and row {row} of one was signed")
     else:
-        chain = _verified(places.audit, head)
+        chain = _verify_chain(places.audit, head)
     notes: list[str] = []
     strange = [signed for signed in heads if public is not None and signed.key != public]
     if strange:
@@ -192,13 +192,13 @@ def examine(places: WitnessPlaces, *, head: str = "", public: str | None = None)
         noted = [
             (row.id, row.entry)
             for row in said
-            if row.entry.kind == ACKNOWLEDGED and any(is_confirmed(places.audit, row, by, key) for key in keys)
+            if row.entry.kind == ACKNOWLEDGED and any(has_confirmation(places.audit, row, by, key) for key in keys)
         ]
         notes += [f"row {number}: {entry.who} has acknowledged that {entry.reason}" for number, entry in noted]
         missing = [
             signed
             for signed in heads
-            if stored.get(signed.row) != signed.head and not _excused(signed, noted, stored.get(1, ""))
+            if stored.get(signed.row) != signed.head and not _has_excuse(signed, noted, stored.get(1, ""))
         ]
     lost = max(missing, key=lambda signed: (signed.time, signed.row), default=None)
     if lost is not None:
@@ -219,7 +219,7 @@ def examine(places: WitnessPlaces, *, head: str = "", public: str | None = None)
     )
 
 
-def _verified(audit: Path, head: str) -> ChainVerdict:
+def _verify_chain(audit: Path, head: str) -> ChainVerdict:
     """The verdict on the chain, of a damaged file too. Raises AuditError for what is no audit log at all."""
     try:
         return verify(audit, head)
@@ -235,7 +235,7 @@ def acknowledgement(lost: SignedHead, by: str, now: float) -> AuditEntry:
     return AuditEntry(now, ACKNOWLEDGED, by, f"the rows up to {lost.row}, head {lost.head}, are lost", detail)
 
 
-def _excused(signed: SignedHead, acknowledged: Sequence[tuple[int, AuditEntry]], begin: str) -> bool:
+def _has_excuse(signed: SignedHead, acknowledged: Sequence[tuple[int, AuditEntry]], begin: str) -> bool:
     """True for a head of rows that a person has acknowledged as lost."""
     for number, entry in acknowledged:
         detail = entry.detail
@@ -245,7 +245,7 @@ def _excused(signed: SignedHead, acknowledged: Sequence[tuple[int, AuditEntry]],
     return False
 
 
-def _gathered(places: WitnessPlaces) -> tuple[dict[str, str], list[SignedHead], list[str]]:
+def _gather(places: WitnessPlaces) -> tuple[dict[str, str], list[SignedHead], list[str]]:
     """Of each witness what it holds, all their signed heads, and what is wrong with them."""
     witnesses: dict[str, str] = {}
     heads: dict[tuple[int, str, str], SignedHead] = {}
@@ -253,7 +253,7 @@ def _gathered(places: WitnessPlaces) -> tuple[dict[str, str], list[SignedHead], 
 
     def take(name: str, rows: Iterable[object], whole: bool = True) -> None:
         read_rows = list(rows)
-        valid = [signed for row in read_rows if (signed := head_of(row)) is not None]
+        valid = [signed for row in read_rows if (signed := parse_head(row)) is not None]
         heads.update({(signed.row, signed.head, signed.key): signed for signed in valid})
         witnesses[name] = f"{len(valid)} signed heads" if valid else "holds no signed head"
         if len(valid) < len(read_rows) and whole:

@@ -2,25 +2,24 @@
 
 from typing import TYPE_CHECKING
 
-from sim.doors import opened_at_use
+from sim.doors import lazy_getattr
 
 if TYPE_CHECKING:
-    from sim.artefacts.effect_lines import effect_line_in, effect_line_part, effect_lines_text, read_effect_lines
+    from sim.artefacts.effect_lines import effect_line_part, effect_lines_text, read_effect_lines, read_embedded_line
     from sim.artefacts.familiarity_file import FAMILIARITY_FILE, Familiarity, read_familiarity
     from sim.artefacts.finding_file import FINDING_FILE, DiagnosisFinding, FoundEffect, read_finding
-    from sim.artefacts.model_directory import MANIFEST, MODEL_FILE, listed, sha256
+    from sim.artefacts.model_directory import MANIFEST, MODEL_FILE, read_hashes, sha256
     from sim.artefacts.model_json import model_hash, model_text
     from sim.artefacts.store import (
         STORE_FILE,
-        VERSIONS,
+        VERSIONS_FOLDER,
         Force,
         check_store,
         current,
-        forced,
+        find_force,
         is_store,
         load,
-        locked,
-        number_of,
+        lock_store,
         objection,
         objections,
         promote,
@@ -28,17 +27,18 @@ if TYPE_CHECKING:
         ran,
         read_model,
         version_directory,
+        version_number,
         versions,
     )
     from sim.artefacts.verdict_file import (
-        FORECAST,
-        UNJUDGED,
+        FORECAST_CRITERION,
+        NO_VERDICT_TEXT,
         VERDICT_FILE,
         JudgedCriterion,
         ModelVerdict,
         Word,
+        rate_criteria,
         read_verdict,
-        word_of,
     )
 else:
-    __getattr__ = opened_at_use(__name__)
+    __getattr__ = lazy_getattr(__name__)

@@ -9,13 +9,13 @@ from typing import Any
 from drivers.named_files import MOST_TOML_BYTES, contents, parse_toml
 from sim.artefacts.json_node import JsonNode, written_number
 from sim.effects import LineError, own_kind
-from sim.files import ArtefactError, at
+from sim.files import ArtefactError, file_error
 from sim.sha import EffectLine, LineActs, LineParameter
 
 ACTS: dict[str, LineActs] = {"running": "running", "anywhere": "anywhere"}
-KEYS = ("name", "meaning", "heat", "acts", "strength", "signals", "parameters", "experiment", "look")
-USUAL_STRENGTH = "gain"
-MOST_EFFECTS = 50
+LINE_KEYS = ("name", "meaning", "heat", "acts", "strength", "signals", "parameters", "experiment", "look")
+DEFAULT_STRENGTH = "gain"
+MAX_EFFECTS = 50
 """Effects of one file at most: each is a hypothesis more that the data must pay for."""
 
 
@@ -24,27 +24,29 @@ def read_effect_lines(path: Path) -> tuple[EffectLine, ...]:
     try:
         document = parse_toml(contents(path, MOST_TOML_BYTES).decode("utf-8"))
     except UnicodeDecodeError:
-        raise at(path, None, "is no UTF-8 text; save it as UTF-8") from None
+        raise file_error(path, None, "is no UTF-8 text; save it as UTF-8") from None
     except tomllib.TOMLDecodeError as error:
-        raise at(path, None, f"is no TOML: {error}; correct that place") from None
-    nodes = list(JsonNode(document, path).only(("effect",)).get("effect").each())
-    if not 0 < len(nodes) <= MOST_EFFECTS:
-        raise at(path, None, f"effect: has {len(nodes)} entries; give 1 to {MOST_EFFECTS}, each under [[effect]]")
-    lines = tuple(effect_line_of(node) for node in nodes)
+        raise file_error(path, None, f"is no TOML: {error}; correct that place") from None
+    nodes = list(JsonNode(document, path).require_keys(("effect",)).get("effect").each())
+    if not 0 < len(nodes) <= MAX_EFFECTS:
+        raise file_error(
+            path, None, f"effect: has {len(nodes)} entries; give 1 to {MAX_EFFECTS}, each under [[effect]]"
+        )
+    lines = tuple(read_effect_line(node) for node in nodes)
     for number, line in enumerate(lines):
         if line.name in [other.name for other in lines[:number]]:
             raise nodes[number].get("name").error(f"{line.name!r} stands there twice; give one of them another name")
     return lines
 
 
-def effect_line_in(value: Any, file: Path, path: str) -> EffectLine:
+def read_embedded_line(value: Any, file: Path, path: str) -> EffectLine:
     """The line of an entry that stands at a key path of somebody else's document. Raises ArtefactError."""
-    return effect_line_of(JsonNode(value, file, path))
+    return read_effect_line(JsonNode(value, file, path))
 
 
-def effect_line_of(node: JsonNode) -> EffectLine:
+def read_effect_line(node: JsonNode) -> EffectLine:
     """The line of an entry, checked as a whole. Raises ArtefactError with the key that is wrong."""
-    table = node.only(KEYS).value
+    table = node.require_keys(LINE_KEYS).value
     acts = node.get("acts").text() if "acts" in table else "running"
     if acts not in ACTS:
         raise node.get("acts").error(f"{acts!r} is unknown; give 'running' (while the machine runs) or 'anywhere'")
@@ -52,13 +54,13 @@ def effect_line_of(node: JsonNode) -> EffectLine:
         name=node.get("name").text(),
         heat=node.get("heat").text(),
         meaning=node.get("meaning").text(),
-        strength=node.get("strength").text() if "strength" in table else USUAL_STRENGTH,
+        strength=node.get("strength").text() if "strength" in table else DEFAULT_STRENGTH,
         experiment=node.get("experiment").text(),
         look=node.get("look").text() if "look" in table else "",
         acts=ACTS[acts],
         signals=tuple(node.get("signals").table(JsonNode.text).items()) if "signals" in table else (),
         parameters=tuple(
-            _parameter_of(name, node.get("parameters").get(name))
+            _read_parameter(name, node.get("parameters").get(name))
             for name in node.get("parameters").table(lambda each: each)
         ),
     )
@@ -78,8 +80,8 @@ def _at_key(node: JsonNode, key: str) -> JsonNode:
     return node
 
 
-def _parameter_of(name: str, node: JsonNode) -> LineParameter:
-    table = node.only(("unit", "low", "high", "try", "usual")).value
+def _read_parameter(name: str, node: JsonNode) -> LineParameter:
+    table = node.require_keys(("unit", "low", "high", "try", "usual")).value
     return LineParameter(
         name=name,
         unit=node.get("unit").text(),
@@ -91,7 +93,7 @@ def _parameter_of(name: str, node: JsonNode) -> LineParameter:
 
 
 def effect_line_part(line: EffectLine) -> dict[str, Any]:
-    """The entry of a line, as `effect_line_of` reads it; what is not given is left out."""
+    """The entry of a line, as `read_effect_line` reads it; what is not given is left out."""
     return {
         "name": line.name,
         "meaning": line.meaning,
@@ -137,6 +139,6 @@ def effect_lines_text(lines: Sequence[EffectLine]) -> str:
     document["effect"] = entries
     text = tomlkit.dumps(document)
     read_back = JsonNode(parse_toml(text), "the written effects")
-    if tuple(effect_line_of(node) for node in read_back.get("effect").each()) != tuple(lines):
+    if tuple(read_effect_line(node) for node in read_back.get("effect").each()) != tuple(lines):
         raise ArtefactError("the effects cannot be written: they would not be read back as they are")
     return text

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from sim.familiarity import ErrorCurve, FamiliarityReference, parse_curve, parse_reference
-from sim.files import at, read_text
+from sim.files import file_error, read_text
 from sim.strict_json import json_text
 
 FAMILIARITY_FILE = "familiarity.json"
@@ -51,6 +51,6 @@ def read_familiarity(folder: Path) -> Familiarity | None:
         curve = None if curve is None else parse_curve(curve)
         return Familiarity(parse_reference(document["reference"]), curve, bool(document["held_out"]))
     except (AttributeError, KeyError, OverflowError, RecursionError, TypeError, ValueError) as error:
-        raise at(
+        raise file_error(
             file, None, f"cannot be used ({str(error)[:80]}); learn the model again, or take the file away"
         ) from None

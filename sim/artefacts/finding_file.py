@@ -5,7 +5,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from sim.files import at, read_text
+from sim.files import file_error, read_text
 from sim.strict_json import json_text
 
 FINDING_FILE = "finding.json"
@@ -71,4 +71,6 @@ def read_finding(folder: Path) -> DiagnosisFinding | None:
             unit=str(document["unit"]),
         )
     except (AttributeError, KeyError, OverflowError, RecursionError, TypeError, ValueError) as error:
-        raise at(file, None, f"cannot be used as a finding ({str(error)[:80]}); restore it from a backup") from None
+        raise file_error(
+            file, None, f"cannot be used as a finding ({str(error)[:80]}); restore it from a backup"
+        ) from None

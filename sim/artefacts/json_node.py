@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from drivers.named_files import unusable
-from sim.files import ArtefactError, at
+from sim.files import ArtefactError, file_error
 
 T = TypeVar("T")
 
-INFINITE = {"inf": inf, "-inf": -inf}
+INFINITIES = {"inf": inf, "-inf": -inf}
 """JSON has no infinity: it is written as a text. NaN is never allowed."""
 
 
@@ -27,7 +27,7 @@ class JsonNode:
 
     def error(self, sentence: str) -> ArtefactError:
         """The error `file: key path: sentence`."""
-        return at(self.file, None, f"{self.path or 'the document'}: {sentence}")
+        return file_error(self.file, None, f"{self.path or 'the document'}: {sentence}")
 
     def get(self, key: str) -> "JsonNode":
         """The value of a key that must be there."""
@@ -36,7 +36,7 @@ class JsonNode:
             raise self.error(f"the key {key!r} is missing; it has {', '.join(map(repr, table)) or 'no keys'}")
         return JsonNode(table[key], self.file, f"{self.path}.{key}" if self.path else key)
 
-    def only(self, keys: Collection[str]) -> "JsonNode":
+    def require_keys(self, keys: Collection[str]) -> "JsonNode":
         """Itself, if it is an object with no other keys than these."""
         unknown = [key for key in self._of_type(dict, "an object {...}") if key not in keys]
         if unknown:
@@ -45,10 +45,10 @@ class JsonNode:
 
     def number(self) -> float:
         """A finite number, or the texts "inf" and "-inf"."""
-        if isinstance(self.value, str) and self.value in INFINITE:
-            return INFINITE[self.value]
+        if isinstance(self.value, str) and self.value in INFINITIES:
+            return INFINITIES[self.value]
         if isinstance(self.value, bool) or not isinstance(self.value, int | float):  # true is an int to Python
-            raise self.error(f'a number is needed (or "inf"), but this is {_shown(self.value)}')
+            raise self.error(f'a number is needed (or "inf"), but this is {_format_value(self.value)}')
         try:
             return float(self.value)
         except OverflowError:
@@ -65,7 +65,7 @@ class JsonNode:
     def integer(self) -> int:
         """A whole number."""
         if isinstance(self.value, bool):
-            raise self.error(f"a whole number is needed, but this is {_shown(self.value)}")
+            raise self.error(f"a whole number is needed, but this is {_format_value(self.value)}")
         return int(self._of_type(int, "a whole number"))
 
     def each(self) -> Iterator["JsonNode"]:
@@ -83,11 +83,11 @@ class JsonNode:
 
     def _of_type(self, wanted: type, description: str) -> Any:
         if not isinstance(self.value, wanted):
-            raise self.error(f"{description} is needed, but this is {_shown(self.value)}")
+            raise self.error(f"{description} is needed, but this is {_format_value(self.value)}")
         return self.value
 
 
-def _shown(value: object) -> str:
+def _format_value(value: object) -> str:
     if value is None:
         return "null"
     text = json.dumps(value)
@@ -100,11 +100,11 @@ def parse_json(text: str, file: str | Path) -> JsonNode:
         document = json.loads(text, parse_constant=_no_constant, object_pairs_hook=_unique)
     except json.JSONDecodeError as error:
         sentence = f"is no JSON ({error.msg} at column {error.colno}); correct that place"
-        raise at(file, error.lineno, sentence) from None
+        raise file_error(file, error.lineno, sentence) from None
     except (ValueError, RecursionError) as error:
-        raise at(file, None, f"is no JSON that can be used ({error}); correct that place") from None
+        raise file_error(file, None, f"is no JSON that can be used ({error}); correct that place") from None
     if problem := unusable(document):
-        raise at(file, None, problem)
+        raise file_error(file, None, problem)
     return JsonNode(document, file)
 
 

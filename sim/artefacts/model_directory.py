@@ -10,7 +10,7 @@ from pathlib import Path
 from drivers.named_files import regular
 from sim.artefacts.json_node import JsonNode, parse_json
 from sim.artefacts.model_json import parse_model
-from sim.files import at, read_text
+from sim.files import file_error, read_text
 from sim.sha import Model
 
 MODEL_FILE = "model.json"
@@ -22,12 +22,12 @@ def sha256(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()
 
 
-def listed(manifest: Path) -> dict[str, str]:
+def read_hashes(manifest: Path) -> dict[str, str]:
     """The hash of each file by its name. Raises ArtefactError."""
     hashes = parse_json(read_text(manifest), manifest).get("files").table(JsonNode.text)
     strange = next((name for name in hashes if "/" in name or name in ("", ".", "..")), None)
     if strange is not None:
-        raise at(manifest, None, f"files: {strange!r} is no file of this directory; write the model again")
+        raise file_error(manifest, None, f"files: {strange!r} is no file of this directory; write the model again")
     return hashes
 
 
@@ -42,18 +42,18 @@ def read_model_directory(directory: Path) -> Model:
 def check_hashes(directory: Path) -> None:
     """Raises ArtefactError, naming the file, unless every file of the manifest is there and unchanged."""
     manifest = directory / MANIFEST
-    hashes = listed(manifest)
+    hashes = read_hashes(manifest)
     for name, expected in hashes.items():
         try:
             digest = sha256(regular(directory / name).read_bytes())
         except OSError as error:
             sentence = f"the manifest lists this file, but it cannot be read ({error.strerror}); write the model again"
-            raise at(directory / name, None, sentence) from None
+            raise file_error(directory / name, None, sentence) from None
         if digest != expected:
             sentence = (
                 f"its content has changed since it was written (SHA-256 {digest[:12]}, manifest {expected[:12]}); "
                 "restore the file, or write the model again"
             )
-            raise at(directory / name, None, sentence)
+            raise file_error(directory / name, None, sentence)
     if MODEL_FILE not in hashes:
-        raise at(manifest, None, f"files: {MODEL_FILE} is not listed; write the model again")
+        raise file_error(manifest, None, f"files: {MODEL_FILE} is not listed; write the model again")

@@ -12,12 +12,12 @@ from math import inf, isfinite
 from pathlib import Path
 from typing import Any
 
-from sim.artefacts.effect_lines import effect_line_of, effect_line_part
+from sim.artefacts.effect_lines import effect_line_part, read_effect_line
 from sim.artefacts.json_node import JsonNode, parse_json, written_number
 from sim.effects import check_effect, check_sha, in_sensor_scale, of_machine
 from sim.files import ArtefactError, read_text
 from sim.sha import (
-    DEGREES,
+    DEFAULT_UNIT,
     SHA,
     Alphabet,
     Bins,
@@ -88,10 +88,10 @@ KEYS = (
 
 def _units(unit: str, units: Mapping[str, str] = UNITS) -> dict[str, str]:
     """The unit of every kind of number, for a model that follows a variable in `unit`."""
-    return {key: text.replace(DEGREES, unit) for key, text in units.items()}
+    return {key: text.replace(DEFAULT_UNIT, unit) for key, text in units.items()}
 
 
-def _units_of(sha: SHA) -> Mapping[str, str]:
+def _unit_table(sha: SHA) -> Mapping[str, str]:
     """The table for the flows that a model has: one without a transient keeps its text and its hash."""
     return TRANSIENT_UNITS if any(location.flow.kind == "transient" for location in sha.locations) else UNITS
 
@@ -115,7 +115,7 @@ def model_document(model: Model) -> dict[str, Any]:
     return {
         "format": FORMAT,
         "version": _version(sha),
-        "units": _units(model.unit, _units_of(sha)),
+        "units": _units(model.unit, _unit_table(sha)),
         "name": sha.name,
         "temperature": model.temperature,
         "sensor_sigma": written_number(model.sensor_sigma),
@@ -157,21 +157,21 @@ def parse_model(text: str, file: str | Path = "model.json") -> Model:
     if version not in (VERSION, EFFECTS_VERSION, LINES_VERSION):
         known = f"{VERSION}, {EFFECTS_VERSION} (with effects) and {LINES_VERSION} (with own effects)"
         raise root.get("version").error(f"version {version} is unknown; this program reads the versions {known}")
-    root.only(KEYS)
+    root.require_keys(KEYS)
     if version == VERSION and "effects" in root.value:
         raise root.get("effects").error(f"a model with effects has version {EFFECTS_VERSION}, here it is {version}")
     units = root.get("units").table(JsonNode.text)
-    unit = units.get("temperature", DEGREES)
+    unit = units.get("temperature", DEFAULT_UNIT)
     stated = {**units, "temperature": unit}
     if stated not in (_units(unit), _units(unit, TRANSIENT_UNITS)):
         raise root.get("units").error(f"the units must be {_units(unit)}; convert the model's numbers and say so here")
     # The automaton first: what the other parts name (locations, signals) is checked against it.
-    limits = root.get("limits").only(("low", "high", "max_rate"))
+    limits = root.get("limits").require_keys(("low", "high", "max_rate"))
     name, initial = root.get("name").text(), root.get("initial_location").text()
-    locations = tuple(_location_of(node) for node in root.get("locations").each())
-    edges = tuple(_edge_of(node) for node in root.get("edges").each())
+    locations = tuple(_read_location(node) for node in root.get("locations").each())
+    edges = tuple(_read_edge(node) for node in root.get("edges").each())
     bounds = {key: limits.get(key).number() for key in ("max_rate", "low", "high")}
-    effects = tuple(_effect_of(node) for node in root.get("effects").each()) if "effects" in root.value else ()
+    effects = tuple(_read_effect(node) for node in root.get("effects").each()) if "effects" in root.value else ()
     if version != LINES_VERSION and any(effect.line is not None for effect in effects):
         raise root.get("version").error(f"a model with an own effect has version {LINES_VERSION}, here it is {version}")
     try:
@@ -180,18 +180,18 @@ def parse_model(text: str, file: str | Path = "model.json") -> Model:
         raise root.error(str(error)) from None
     model = Model(
         sha=sha,
-        alphabet=_alphabet_of(root.get("alphabet")),
+        alphabet=_read_alphabet(root.get("alphabet")),
         temperature=root.get("temperature").text(),
         sensor_sigma=root.get("sensor_sigma").number(),
         sensor_memory=root.get("sensor_memory").number() if "sensor_memory" in root.value else 0.0,
-        initial=root.get("initial_temperature").optional(_law_of),
-        semi_markov=root.get("semi_markov").table(_stay_of),
-        calibration=_calibration_of(root.get("calibration")),
-        provenance=_provenance_of(root.get("provenance")),
-        correction=_correction_of(root),
-        machines=root.get("machines").table(_machine_of) if "machines" in root.value else {},
-        borrowed=_borrowed_of(root, sha),
-        plain=tuple(_plain_of(node) for node in root.get("plain").each()) if "plain" in root.value else (),
+        initial=root.get("initial_temperature").optional(_read_law),
+        semi_markov=root.get("semi_markov").table(_read_stay),
+        calibration=_read_calibration(root.get("calibration")),
+        provenance=_read_provenance(root.get("provenance")),
+        correction=_read_correction(root),
+        machines=root.get("machines").table(_read_machine) if "machines" in root.value else {},
+        borrowed=_read_borrowed_names(root, sha),
+        plain=tuple(_read_plain(node) for node in root.get("plain").each()) if "plain" in root.value else (),
         unit=unit,
     )
     try:
@@ -239,9 +239,9 @@ def _law_part(law: Distribution) -> dict[str, Any]:
     return {"kind": law.kind, "params": _numbers_part(law.params)}
 
 
-def _law_of(node: JsonNode) -> Distribution:
+def _read_law(node: JsonNode) -> Distribution:
     """The distribution that `_law_part` wrote."""
-    node.only(("kind", "params"))
+    node.require_keys(("kind", "params"))
     return Distribution(node.get("kind").text(), node.get("params").table(JsonNode.number))
 
 
@@ -264,21 +264,21 @@ def _location_part(location: Location) -> dict[str, Any]:
     }
 
 
-def _location_of(node: JsonNode) -> Location:
+def _read_location(node: JsonNode) -> Location:
     """The location that `_location_part` wrote."""
-    node.only(("name", "flow", "distribution", "entry"))
+    node.require_keys(("name", "flow", "distribution", "entry"))
     entry = node.get("entry").text()
     if entry not in ENTRIES:
         raise node.get("entry").error(f"the entry mode {entry!r} is unknown; known are {', '.join(ENTRIES)}")
-    flow = node.get("flow").only(("kind", "params", "inputs"))
+    flow = node.get("flow").require_keys(("kind", "params", "inputs"))
     inputs = []
     for part in flow.get("inputs").each():
-        part.only(("signal", "gain", "reference"))
+        part.require_keys(("signal", "gain", "reference"))
         inputs.append(Input(part.get("signal").text(), part.get("gain").number(), part.get("reference").number()))
     return Location(
         node.get("name").text(),
         Flow(flow.get("kind").text(), flow.get("params").table(JsonNode.number), tuple(inputs)),
-        node.get("distribution").optional(_law_of),
+        node.get("distribution").optional(_read_law),
         ENTRIES[entry],
     )
 
@@ -289,9 +289,9 @@ def _edge_part(edge: Edge) -> dict[str, Any]:
     return {"source": edge.source, "symbol": edge.symbol, "target": edge.target} | guard
 
 
-def _edge_of(node: JsonNode) -> Edge:
+def _read_edge(node: JsonNode) -> Edge:
     """The edge that `_edge_part` wrote."""
-    node.only(("source", "symbol", "target", "guard"))
+    node.require_keys(("source", "symbol", "target", "guard"))
     guard = node.get("guard").text() if "guard" in node.value else None
     return Edge(node.get("source").text(), node.get("symbol").text(), node.get("target").text(), guard)
 
@@ -315,15 +315,15 @@ def _effects_part(effects: tuple[Effect, ...]) -> dict[str, Any]:
     }
 
 
-def _effect_of(node: JsonNode) -> Effect:
-    node.only(("kind", "params", "signals", "locations", "event", "line"))
+def _read_effect(node: JsonNode) -> Effect:
+    node.require_keys(("kind", "params", "signals", "locations", "event", "line"))
     effect = Effect(
         node.get("kind").text(),
         node.get("params").table(JsonNode.number),
         node.get("signals").table(JsonNode.text),
         locations=tuple(item.text() for item in node.get("locations").each()),
         event=node.get("event").text(),
-        line=effect_line_of(node.get("line")) if "line" in node.value else None,
+        line=read_effect_line(node.get("line")) if "line" in node.value else None,
     )
     try:
         check_effect(effect)
@@ -354,10 +354,10 @@ def _alphabet_part(alphabet: Alphabet) -> dict[str, Any]:
     }
 
 
-def _alphabet_of(node: JsonNode) -> Alphabet:
+def _read_alphabet(node: JsonNode) -> Alphabet:
     """The alphabet that `_alphabet_part` wrote."""
-    node.only(("channels", "gap", "debounce", "uppaal"))
-    channels = tuple(_channel_of(channel) for channel in node.get("channels").each())
+    node.require_keys(("channels", "gap", "debounce", "uppaal"))
+    channels = tuple(_read_channel(channel) for channel in node.get("channels").each())
     uppaal = []
     for pair in node.get("uppaal").each():
         texts = [text.text() for text in pair.each()]
@@ -367,16 +367,16 @@ def _alphabet_of(node: JsonNode) -> Alphabet:
     return Alphabet(channels, node.get("gap").number(), node.get("debounce").number(), tuple(uppaal))
 
 
-def _channel_of(node: JsonNode) -> Switch | Bins:
+def _read_channel(node: JsonNode) -> Switch | Bins:
     kind = node.get("kind").text()
     signal = node.get("signal").text()
     on_change = node.get("on_change").flag()
     if kind == "switch":
-        node.only(("kind", "signal", "rising", "falling", "on_change"))
+        node.require_keys(("kind", "signal", "rising", "falling", "on_change"))
         return Switch(signal, node.get("rising").text(), node.get("falling").text(), on_change)
     if kind != "bins":
         raise node.get("kind").error(f"the channel {kind!r} is unknown; known are switch, bins")
-    node.only(("kind", "signal", "thresholds", "symbols", "hysteresis", "on_change"))
+    node.require_keys(("kind", "signal", "thresholds", "symbols", "hysteresis", "on_change"))
     thresholds = tuple(item.number() for item in node.get("thresholds").each())
     symbols = tuple(item.text() for item in node.get("symbols").each())
     if len(symbols) != len(thresholds) + 1:
@@ -393,20 +393,22 @@ def _stay_part(stay: Stay) -> dict[str, Any]:
     return {"law": _law_part(stay.law), "to": _numbers_part(stay.to), "inputs": inputs}
 
 
-def _stay_of(node: JsonNode) -> Stay:
+def _read_stay(node: JsonNode) -> Stay:
     """The stay that `_stay_part` wrote."""
-    node.only(("law", "to", "inputs"))
-    return Stay(_law_of(node.get("law")), node.get("to").table(JsonNode.number), node.get("inputs").table(_moments_of))
+    node.require_keys(("law", "to", "inputs"))
+    return Stay(
+        _read_law(node.get("law")), node.get("to").table(JsonNode.number), node.get("inputs").table(_read_moments)
+    )
 
 
-def _moments_of(node: JsonNode) -> tuple[float, float]:
-    node.only(("mean", "sigma"))
+def _read_moments(node: JsonNode) -> tuple[float, float]:
+    node.require_keys(("mean", "sigma"))
     return node.get("mean").number(), node.get("sigma").number()
 
 
-def _calibration_of(node: JsonNode) -> dict[float, float]:
+def _read_calibration(node: JsonNode) -> dict[float, float]:
     """The factors by horizon (s)."""
-    pairs = [entry.only(("horizon", "factor")) for entry in node.each()]
+    pairs = [entry.require_keys(("horizon", "factor")) for entry in node.each()]
     factors = {entry.get("horizon").number(): entry.get("factor").number() for entry in pairs}
     if len(factors) < len(pairs):
         raise node.error("a horizon is given twice; keep one factor for each")
@@ -431,16 +433,16 @@ def _plain_part(member: PlainMember) -> dict[str, Any]:
     return {"name": member.name, **_numbers_part(numbers), "horizons": horizons}
 
 
-def _plain_of(node: JsonNode) -> PlainMember:
+def _read_plain(node: JsonNode) -> PlainMember:
     """The plain member that `_plain_part` wrote."""
-    node.only(("name", "sensor", "walk", "heat", "memory", "sensor_memory", "horizons"))
+    node.require_keys(("name", "sensor", "walk", "heat", "memory", "sensor_memory", "horizons"))
     name, sensor, walk = node.get("name").text(), node.get("sensor").number(), node.get("walk").number()
     heat = node.get("heat").number() if "heat" in node.value else 0.0
     memory = node.get("memory").number() if "memory" in node.value else inf
     sensor_memory = node.get("sensor_memory").number() if "sensor_memory" in node.value else 0.0
     factors, odds = {}, {}
     for row in node.get("horizons").each():
-        row.only(("horizon", "factor", "odds"))
+        row.require_keys(("horizon", "factor", "odds"))
         horizon = row.get("horizon").number()
         factors[horizon], odds[horizon] = row.get("factor").number(), row.get("odds").number()
     try:
@@ -451,7 +453,7 @@ def _plain_of(node: JsonNode) -> PlainMember:
         raise node.error(str(error)) from None
 
 
-def _borrowed_of(root: JsonNode, sha: SHA) -> frozenset[str]:
+def _read_borrowed_names(root: JsonNode, sha: SHA) -> frozenset[str]:
     """The names of borrowed locations; none where the document says nothing."""
     if "borrowed" not in root.value:
         return frozenset()
@@ -469,11 +471,11 @@ def _correction_part(correction: Correction) -> dict[str, Any]:
     return {"correction": _numbers_part({"gain": correction.gain, "offset": correction.offset})}
 
 
-def _correction_of(root: JsonNode) -> Correction:
+def _read_correction(root: JsonNode) -> Correction:
     """The correction of a model's document; the identity where it says nothing."""
     if "correction" not in root.value:
         return Correction()
-    node = root.get("correction").only(("gain", "offset"))
+    node = root.get("correction").require_keys(("gain", "offset"))
     try:
         return Correction(node.get("gain").number(), node.get("offset").number())
     except ValueError as error:
@@ -491,9 +493,9 @@ def _machines_part(machines: Mapping[str, MachineCorrection]) -> dict[str, Any]:
     }
 
 
-def _machine_of(node: JsonNode) -> MachineCorrection:
+def _read_machine(node: JsonNode) -> MachineCorrection:
     """What `_machines_part` wrote of one machine."""
-    node.only(MACHINE_NUMBERS)
+    node.require_keys(MACHINE_NUMBERS)
     try:
         return MachineCorrection(**{key: node.get(key).number() for key in MACHINE_NUMBERS})
     except ValueError as error:
@@ -519,22 +521,22 @@ def _provenance_part(provenance: Provenance) -> dict[str, Any]:
     }
 
 
-def _provenance_of(node: JsonNode) -> Provenance:
+def _read_provenance(node: JsonNode) -> Provenance:
     """The provenance that `_provenance_part` wrote."""
-    node.only(("method", "data_hash", "traces", "synthetic", "settings", "scores", "parent", "contents"))
+    node.require_keys(("method", "data_hash", "traces", "synthetic", "settings", "scores", "parent", "contents"))
     return Provenance(
         method=node.get("method").text(),
         data_hash=node.get("data_hash").text(),
         traces=tuple(item.text() for item in node.get("traces").each()),
         synthetic=node.get("synthetic").flag(),
-        settings=node.get("settings").table(_setting_of),
+        settings=node.get("settings").table(_read_setting),
         scores=node.get("scores").table(JsonNode.number),
         parent=node.get("parent").text(),
         contents=tuple(item.text() for item in node.get("contents").each()) if "contents" in node.value else (),
     )
 
 
-def _setting_of(node: JsonNode) -> str | float | int | bool:
+def _read_setting(node: JsonNode) -> str | float | int | bool:
     """A setting keeps its own type."""
     value = node.value
     if not isinstance(value, str | float | int):

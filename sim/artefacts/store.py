@@ -29,14 +29,14 @@ from sim.artefacts.model_directory import (
 )
 from sim.artefacts.model_json import read_model_file
 from sim.artefacts.verdict_file import ModelVerdict, read_verdict
-from sim.files import at, read_text, refused, replace_durably
+from sim.files import file_error, read_text, replace_durably, write_error
 from sim.sha import Model
 
 STORE_FILE = "store.json"
-CURRENT = "current"
-PROMOTED = "promoted.json"
-FORCED = "forced.json"
-VERSIONS = "versions"
+CURRENT_LINK = "current"
+PROMOTED_FILE = "promoted.json"
+FORCED_FILE = "forced.json"
+VERSIONS_FOLDER = "versions"
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,19 +51,25 @@ class Force:
 def versions(store: Path) -> tuple[str, ...]:
     """The versions of a store, oldest first; none for a new one. Raises ArtefactError when it is no store."""
     check_store(store)
-    names = [path.name for path in (store / VERSIONS).iterdir() if re.fullmatch(r"\d{4,}-[0-9a-f]{8}", path.name)]
-    return tuple(sorted(names, key=number_of))
+    names = [
+        path.name for path in (store / VERSIONS_FOLDER).iterdir() if re.fullmatch(r"\d{4,}-[0-9a-f]{8}", path.name)
+    ]
+    return tuple(sorted(names, key=version_number))
 
 
 def current(store: Path) -> str:
     """The promoted version. Raises ArtefactError when there is none."""
     known = versions(store)
-    file = store / CURRENT
+    file = store / CURRENT_LINK
     if not file.is_file():
-        raise at(store, None, f"no version is promoted; promote one of: {', '.join(known) or 'none yet, save a model'}")
+        raise file_error(
+            store, None, f"no version is promoted; promote one of: {', '.join(known) or 'none yet, save a model'}"
+        )
     name = read_text(file).strip()
     if name not in known:
-        raise at(file, None, f"names the version {name!r}, which is not there; promote one of: {', '.join(known)}")
+        raise file_error(
+            file, None, f"names the version {name!r}, which is not there; promote one of: {', '.join(known)}"
+        )
     return name
 
 
@@ -78,8 +84,10 @@ def version_directory(store: Path, version: str | None = None) -> Path:
     """Where the files of a version lie (by default of the current one). Raises ArtefactError."""
     name = current(store) if version is None else version
     if name not in versions(store):
-        raise at(store, None, f"there is no version {name!r}; there are: {', '.join(versions(store)) or 'none'}")
-    return store / VERSIONS / name
+        raise file_error(
+            store, None, f"there is no version {name!r}; there are: {', '.join(versions(store)) or 'none'}"
+        )
+    return store / VERSIONS_FOLDER / name
 
 
 def objections(refuted: Sequence[str], verdict: ModelVerdict | None) -> list[str]:
@@ -108,27 +116,29 @@ def promote(store: Path, version: str, force: Force | None = None) -> None:
     """
     runs, reason = objection(store, version)
     if not runs:
-        raise at(store / VERSIONS / version, None, f"is not promoted, as it cannot be run at all: {reason}")
+        raise file_error(
+            store / VERSIONS_FOLDER / version, None, f"is not promoted, as it cannot be run at all: {reason}"
+        )
     if reason and force is None:
-        raise at(
-            store / VERSIONS / version,
+        raise file_error(
+            store / VERSIONS_FOLDER / version,
             None,
             f"is not promoted, as {reason}; see `decanter model prove {store}@{version}`, learn "
             "another model, or force it with a name and a reason",
         )
     try:
-        with locked(store):
+        with lock_store(store):
             if reason and force is not None:
                 # The record goes first: a kill between the two leaves a reason without a promotion, never the reverse.
                 known = {name: asdict(record) for name, record in _forces(store).items()}
-                replace_durably(store / FORCED, json.dumps(known | {version: asdict(force)}, indent=2) + "\n")
+                replace_durably(store / FORCED_FILE, json.dumps(known | {version: asdict(force)}, indent=2) + "\n")
             before = ran(store)
-            replace_durably(store / CURRENT, version + "\n")
+            replace_durably(store / CURRENT_LINK, version + "\n")
             # It goes last: a kill between the two is made good by the next promotion, as `ran` begins with what runs.
             if before[-1:] != (version,):
-                replace_durably(store / PROMOTED, json.dumps({"ran": [*before, version]}, indent=1) + "\n")
+                replace_durably(store / PROMOTED_FILE, json.dumps({"ran": [*before, version]}, indent=1) + "\n")
     except OSError as error:
-        raise refused(store, error) from None
+        raise write_error(store, error) from None
 
 
 def ran(store: Path) -> tuple[str, ...]:
@@ -136,14 +146,14 @@ def ran(store: Path) -> tuple[str, ...]:
 
     Of a store of a former release only the current one is known. Raises ArtefactError.
     """
-    file = store / PROMOTED
+    file = store / PROMOTED_FILE
     known = [each.text() for each in parse_json(read_text(file), file).get("ran").each()] if file.is_file() else []
     # By what the file says: one that names a version which is gone must not stand in the way of the next promotion.
-    running = [read_text(store / CURRENT).strip()] if (store / CURRENT).is_file() else []
+    running = [read_text(store / CURRENT_LINK).strip()] if (store / CURRENT_LINK).is_file() else []
     return tuple(known) if known[-1:] == running else (*known, *running)
 
 
-def forced(path: Path, version: str | None = None) -> Force | None:
+def find_force(path: Path, version: str | None = None) -> Force | None:
     """Who forced a version of the store at `path`, by default the current one; None for others, and for no store.
 
     Raises ArtefactError.
@@ -161,7 +171,7 @@ def promotion(store: Path) -> tuple[tuple[int, int] | None, ...]:
     # Inode and time (ns), not content: a running gateway asks this again and again, and each rename puts another file
     # there. None where there is none.
     stamps: list[tuple[int, int] | None] = []
-    for name in (CURRENT, FORCED):
+    for name in (CURRENT_LINK, FORCED_FILE):
         try:
             status = (store / name).stat()
         except OSError:
@@ -172,14 +182,14 @@ def promotion(store: Path) -> tuple[tuple[int, int] | None, ...]:
 
 
 def _forces(store: Path) -> dict[str, Force]:
-    file = store / FORCED
+    file = store / FORCED_FILE
     if not file.is_file():
         return {}
-    return parse_json(read_text(file), file).table(_force_of)
+    return parse_json(read_text(file), file).table(_read_force)
 
 
-def _force_of(node: JsonNode) -> Force:
-    node.only(("by", "reason", "time"))
+def _read_force(node: JsonNode) -> Force:
+    node.require_keys(("by", "reason", "time"))
     return Force(node.get("by").text(), node.get("reason").text(), node.get("time").number())
 
 
@@ -191,21 +201,25 @@ def read_model(path: Path) -> Model:
         if (path / MODEL_FILE).is_file():
             return read_model_directory(path)
         present = ", ".join(sorted(entry.name for entry in path.iterdir())[:5]) or "nothing"
-        raise at(path, None, f"has neither {MODEL_FILE} nor {STORE_FILE} (it has {present}); give a model or a store")
+        raise file_error(
+            path, None, f"has neither {MODEL_FILE} nor {STORE_FILE} (it has {present}); give a model or a store"
+        )
     return read_model_file(path)
 
 
 def check_store(store: Path) -> None:
     file = store / STORE_FILE
     if not file.is_file():
-        raise at(store, None, f"is no model store (no {STORE_FILE} in it); save a model there first, or give another")
+        raise file_error(
+            store, None, f"is no model store (no {STORE_FILE} in it); save a model there first, or give another"
+        )
     document = parse_json(read_text(file), file)
     if document.get("version").integer() != 1:
         raise document.get("version").error("this version of the store is unknown; this program reads version 1")
 
 
 @contextmanager
-def locked(store: Path) -> Iterator[None]:
+def lock_store(store: Path) -> Iterator[None]:
     """One writer at a time; the system releases the lock when a process dies. Raises OSError."""
     handle = os.open(store / ".lock", os.O_RDWR | os.O_CREAT, 0o644)
     try:
@@ -215,5 +229,5 @@ def locked(store: Path) -> Iterator[None]:
         os.close(handle)
 
 
-def number_of(name: str) -> int:
+def version_number(name: str) -> int:
     return int(name.partition("-")[0])

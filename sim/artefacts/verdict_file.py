@@ -6,13 +6,13 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from sim.files import at, read_text
+from sim.files import file_error, read_text
 from sim.strict_json import json_text
 
 VERDICT_FILE = "verdict.json"
 FORMAT, VERSION = "decanter-verdict", 1
 
-FORECAST = "forecast"
+FORECAST_CRITERION = "forecast"
 """The criterion of what a model foresaw unseen, beside persistence."""
 
 Word = Literal["fit", "limited", "unfit", "not known"]
@@ -45,7 +45,7 @@ class ModelVerdict:
         for kept in (False, None):
             if found := tuple(each for each in self.criteria if each.kept is kept):
                 return found
-        return tuple(each for each in self.criteria if each.criterion == FORECAST)
+        return tuple(each for each in self.criteria if each.criterion == FORECAST_CRITERION)
 
     @property
     def why(self) -> str:
@@ -63,7 +63,7 @@ class ModelVerdict:
         """As JSON carries it, without the file's head."""
         return asdict(self)
 
-    def told(self) -> dict[str, Any]:
+    def as_command_json(self) -> dict[str, Any]:
         """As a command tells it: with its sentence."""
         return {**self.plain(), "sentence": self.sentence}
 
@@ -72,13 +72,13 @@ class ModelVerdict:
         return json_text({"format": FORMAT, "version": VERSION, **self.plain()}, indent=1) + "\n"
 
 
-UNJUDGED = "not judged where it was made: `decanter model validate` or `skill` say what it foresees"
+NO_VERDICT_TEXT = "not judged where it was made: `decanter model validate` or `skill` say what it foresees"
 """What there is to say of a model without a verdict."""
 
 
-def word_of(criteria: Sequence[JudgedCriterion], *, told: bool) -> Word:
-    """ "unfit" when one is not kept; else "not known" where nothing was `told` of forecasts; else "limited" when one
-    could not be looked at or limits it, else "fit"."""
+def rate_criteria(criteria: Sequence[JudgedCriterion], *, told: bool) -> Word:
+    """ "unfit" when one is not kept; else "not known" where nothing was `as_command_json` of forecasts; else "limited"
+    when one could not be looked at or limits it, else "fit"."""
     kept = {each.kept for each in criteria}
     if False in kept:
         return "unfit"
@@ -102,7 +102,9 @@ def read_verdict(folder: Path) -> ModelVerdict | None:
             criteria=tuple(_criterion(each) for each in document["criteria"]),
         )
     except (AttributeError, KeyError, OverflowError, RecursionError, TypeError, ValueError) as error:
-        raise at(file, None, f"cannot be used as a verdict ({str(error)[:80]}); learn the model again") from None
+        raise file_error(
+            file, None, f"cannot be used as a verdict ({str(error)[:80]}); learn the model again"
+        ) from None
 
 
 def _criterion(plain: Mapping[str, Any]) -> JudgedCriterion:

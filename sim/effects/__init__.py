@@ -1,10 +1,10 @@
 """What may act on top of the flows: kinds of effects as one table, and what every engine needs of them."""
 
 from sim.effects.check import check_effect, check_effects, check_sha
-from sim.effects.correction import corrected, in_sensor_scale, of_machine, with_targets
+from sim.effects.correction import apply_correction, in_sensor_scale, of_machine, with_targets
 from sim.effects.exchange import ABSOLUTE_ZERO, in_scale_of_x, is_gradual, linear_radiation, radiation_tangent
 from sim.effects.expressed import SINCE, TEMPERATURE, cells, enclosure, steepest_loss
-from sim.effects.expression import Expression, compiled, parse
+from sim.effects.expression import Expression, compile_expression, parse
 from sim.effects.expression import names as names_in
 from sim.effects.kind import (
     ABSOLUTE_SECONDS,
@@ -30,13 +30,15 @@ from sim.effects.kinds import (
     EFFECTS,
     RIVALS,
     ROLES,
-    acts_in,
+    affects_location,
     dead_time,
     delay_of,
+    drop_features,
+    effect_kind,
+    effect_signals,
     effect_summary,
-    growing_from,
-    kind_of,
-    lag_of,
+    growth_starts,
+    heat_lag,
     of_feature,
     offset_times,
     own_kind,
@@ -44,11 +46,9 @@ from sim.effects.kinds import (
     refuse,
     sensor_offset,
     sensor_offsets,
-    signals_of,
-    without,
 )
-from sim.effects.late import SETTLED, late_jumps, late_kept, late_mean, late_source
+from sim.effects.late import SETTLED_LAGS, late_jumps, late_mean, late_source, remaining_share
 from sim.effects.lines import LineError
 from sim.effects.random import DisturbanceStep, disturbance_step
-from sim.effects.rivals import UNMEASURED, moment_words
+from sim.effects.rivals import UNMEASURED_NEIGHBOUR, moment_words
 from sim.effects.roles import SETTABLE

@@ -1,8 +1,8 @@
 """Whether an automaton can be run: its flows, laws and entry modes, and its effects, by the table of their kinds."""
 
 from sim.effects.kind import EffectKind, Structural
-from sim.effects.kinds import kind_of
-from sim.sha import FIXED, SHA, Effect, check_distribution, check_flow
+from sim.effects.kinds import effect_kind
+from sim.sha import FIXED_PARAMETER, SHA, Effect, check_distribution, check_flow
 
 
 def check_sha(sha: SHA) -> None:
@@ -16,7 +16,11 @@ def check_sha(sha: SHA) -> None:
                 raise ValueError(f"unknown entry mode {location.entry!r}: known are parameter, resample, none")
             if location.entry == "resample" and location.distribution is None:
                 raise ValueError("entry mode 'resample' needs a distribution from which the temperature is drawn")
-            if FIXED in location.flow.params and location.entry == "parameter" and location.distribution is not None:
+            if (
+                FIXED_PARAMETER in location.flow.params
+                and location.entry == "parameter"
+                and location.distribution is not None
+            ):
                 raise ValueError("the flow fixes m and the entry draws it: leave out the flow's m or the distribution")
         except ValueError as error:
             raise ValueError(f"SHA {sha.name!r}, location {location.name!r}: {error}") from None
@@ -25,14 +29,14 @@ def check_sha(sha: SHA) -> None:
 
 def check_effect(effect: Effect) -> None:
     """Raises ValueError, saying what would be right, for an unknown kind, parameters or roles that it cannot use."""
-    kind = kind_of(effect)
+    kind = effect_kind(effect)
     _check_params(effect, kind)
-    known = (*kind.needed, *kind.optional)
-    missing = [role for role in kind.needed if not effect.signals.get(role)]
+    known = (*kind.required_roles, *kind.optional)
+    missing = [role for role in kind.required_roles if not effect.signals.get(role)]
     strange = [role for role in effect.signals if role not in known]
     if missing or strange:
         wrong = f"{missing[0]} is missing" if missing else f"{strange[0]} is unknown"
-        roles = [*kind.needed, *(f"{role} (optional)" for role in kind.optional)]
+        roles = [*kind.required_roles, *(f"{role} (optional)" for role in kind.optional)]
         raise ValueError(f"effect {effect.kind!r} takes signals for {', '.join(roles) or 'nothing'}; {wrong}")
     if kind.from_event != bool(effect.event):
         wrong = "counts from no event; leave `event` empty" if effect.event else "needs the event since which it counts"
@@ -78,7 +82,7 @@ def check_effects(sha: SHA) -> None:
                 f"SHA {sha.name!r}: effect {effect.kind!r} counts since the event {effect.event!r}, which no edge has; "
                 f"known are {', '.join(sorted(symbols)) or 'none'}"
             )
-        kind = kind_of(effect)
+        kind = effect_kind(effect)
         if kind.single and isinstance(kind.law, Structural):
             if kind.law.feature in features:
                 raise ValueError(

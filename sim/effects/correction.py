@@ -13,8 +13,8 @@ from dataclasses import replace
 from math import log
 from typing import Any
 
-from sim.effects.kinds import kind_of
-from sim.sha import FIXED, RELAXING, SHA, Correction, Distribution, Effect, Flow, Input, Location, Model
+from sim.effects.kinds import effect_kind
+from sim.sha import FIXED_PARAMETER, RELAXING_FLOWS, SHA, Correction, Distribution, Effect, Flow, Input, Location, Model
 
 
 def in_sensor_scale(model: Model) -> Model:
@@ -33,14 +33,14 @@ def in_sensor_scale(model: Model) -> Model:
         sha.edges,
         sha.initial,
         max_rate=correction.gain * sha.max_rate,
-        low=corrected(correction, sha.low),
-        high=corrected(correction, sha.high),
+        low=apply_correction(correction, sha.low),
+        high=apply_correction(correction, sha.high),
         effects=tuple(_effect(effect, correction) for effect in sha.effects),
     )
     return replace(model, sha=scaled, correction=Correction())
 
 
-def corrected(correction: Correction, temperature: float) -> float:
+def apply_correction(correction: Correction, temperature: float) -> float:
     """What the sensor reads (degC) when the automaton is at `temperature`."""
     return correction.gain * temperature + correction.offset
 
@@ -84,20 +84,22 @@ def with_targets(sha: SHA, targets: float) -> SHA:
     Flows without a target stay as they are. Raises ValueError where a target's law cannot be shifted.
     """
     locations = tuple(
-        replace(location, **_shifted(sha, location, targets)) if location.flow.kind in RELAXING else location
+        replace(location, **_shift_location(sha, location, targets))
+        if location.flow.kind in RELAXING_FLOWS
+        else location
         for location in sha.locations
     )
     return replace(sha, locations=locations)
 
 
-def _shifted(sha: SHA, location: Location, targets: float) -> dict[str, Any]:
+def _shift_location(sha: SHA, location: Location, targets: float) -> dict[str, Any]:
     """Law and flow of a location whose target lies `targets` (degC) higher."""
     flow, law = location.flow, location.distribution
     try:
         moved = None if law is None or location.entry == "resample" else _law(law, 1.0, targets)
     except ValueError as error:
         raise ValueError(f"SHA {sha.name!r}, location {location.name!r}: {error}") from None
-    fixed = {FIXED: flow.params[FIXED] + targets} if FIXED in flow.params else {}
+    fixed = {FIXED_PARAMETER: flow.params[FIXED_PARAMETER] + targets} if FIXED_PARAMETER in flow.params else {}
     return {"flow": replace(flow, params={**flow.params, **fixed}), "distribution": law if moved is None else moved}
 
 
@@ -106,14 +108,16 @@ def _location(sha: SHA, location: Location, correction: Correction) -> Location:
     law, flow, gain = location.distribution, location.flow, correction.gain
     # What is drawn is a temperature where X is drawn on entry or the flow has a target, and is mapped with the offset;
     # else it is a slope or a factor, a difference, which is multiplied alone. A fixed m is always the flow's.
-    absolute = location.entry == "resample" or flow.kind in RELAXING
+    absolute = location.entry == "resample" or flow.kind in RELAXING_FLOWS
     try:
         scaled = None if law is None else _law(law, gain, correction.offset if absolute else 0.0)
     except ValueError as error:
         raise ValueError(f"SHA {sha.name!r}, location {location.name!r}: {error}") from None
     params = {**flow.params, "noise": gain * flow.params["noise"]}
-    if FIXED in params:
-        params[FIXED] = gain * params[FIXED] + (correction.offset if flow.kind in RELAXING else 0.0)
+    if FIXED_PARAMETER in params:
+        params[FIXED_PARAMETER] = gain * params[FIXED_PARAMETER] + (
+            correction.offset if flow.kind in RELAXING_FLOWS else 0.0
+        )
     inputs = tuple(Input(driver.signal, gain * driver.gain, driver.reference) for driver in flow.inputs)
     return replace(location, flow=Flow(flow.kind, params, inputs), distribution=scaled)
 
@@ -124,7 +128,7 @@ def _effect(effect: Effect, correction: Correction) -> Effect:
     A radiated heat falls with the fourth power of temperatures that are all k times as far from absolute zero, so its
     gain is divided by k^3. Raises ValueError for a parameter of which it is not known.
     """
-    k, kind = correction.gain, kind_of(effect)
+    k, kind = correction.gain, effect_kind(effect)
     params = {}
     for name, each in kind.parameters.items():
         value = effect.params.get(name, each.default)
@@ -136,7 +140,7 @@ def _effect(effect: Effect, correction: Correction) -> Effect:
             case "scaled":
                 params[name] = k * value
             case "mapped":
-                params[name] = corrected(correction, value)
+                params[name] = apply_correction(correction, value)
             case "inverse cube":
                 params[name] = value * k**-3
             case strange:

@@ -27,9 +27,9 @@ from sim.sha import Array, Effect
 ABSOLUTE_ZERO = -273.15
 """degC."""
 
-LEAST_BAND = 0.2
+MIN_VALVE_BAND_DEGC = 0.2
 """degC between the opening and the closing of a switching thermostat that a diagnosis names, at least."""
-FASTEST_VALVE = 0.3
+MAX_VALVE_LOSS_PER_S = 0.3
 """1/s: the greatest loss of an open valve that a diagnosis names: its element of wax follows within seconds."""
 
 _LOSS = Parameter(unit="1/s per unit of the pump", low=0.0, rescaled="stays")
@@ -123,7 +123,7 @@ def _settled_valve(params: Params) -> Params:
     opens = params["opens"]
     if params.get("gradual"):
         return {**params, "closes": opens, "sink": opens}
-    return {**params, "closes": min(params["closes"], opens - LEAST_BAND)}
+    return {**params, "closes": min(params["closes"], opens - MIN_VALVE_BAND_DEGC)}
 
 
 def is_gradual(effect: Effect) -> bool:
@@ -131,7 +131,7 @@ def is_gradual(effect: Effect) -> bool:
     return effect.params["opens"] == effect.params["closes"]
 
 
-def _opens_above(params: Params) -> str:
+def _opening_text(params: Params) -> str:
     opens, closes, sink = params["opens"], params["closes"], params["sink"]
     if closes < opens or closes == opens == sink:
         return ""
@@ -304,7 +304,7 @@ BENDING = (
         law=Structural("thermostat"),
         bound=Structural("thermostat"),
         uppaal=Structural("thermostat"),
-        consistent=_opens_above,
+        consistent=_opening_text,
         candidate=EffectCandidate(
             strength="loss",
             sign=1.0,
@@ -319,7 +319,7 @@ BENDING = (
             either={"gradual": (0.0, 1.0)},
             settled=_settled_valve,
             jointly=lambda params: ("opens",) if params.get("gradual") else (),
-            most=FASTEST_VALVE,
+            most=MAX_VALVE_LOSS_PER_S,
         ),
     ),
     EffectKind(

@@ -16,13 +16,13 @@ from sim.effects.expression import (
     ExpressionNumber,
     Interval,
     bounds,
-    compiled,
+    compile_expression,
     derivative,
     jumps,
     names,
     negate,
     parse,
-    substituted,
+    substitute,
     uppaal_text,
 )
 from sim.effects.kind import ExpressedBound, HeldLaw, LatePart, Params, Signals, TextLaw, TextWriter
@@ -32,7 +32,7 @@ TEMPERATURE, SINCE = "temperature", "since"
 """What X (degC) and the seconds since the machine's last start are called in a line."""
 SCALE, SHIFT = "scale", "shift"
 """Parameters by which a line is carried to another scale of X: its `temperature` is (X - shift) / scale."""
-CELLS = {1: 32, 2: 24, 3: 10}
+CELLS_BY_SIGNALS = {1: 32, 2: 24, 3: 10}
 """Parts of each signal's range in which an expression of so many signals is bounded; beyond that 3."""
 
 
@@ -44,7 +44,7 @@ class ExpressedLaws(TypedDict):
     uppaal: TextLaw
 
 
-def expressed(heat: str) -> ExpressedLaws:
+def compile_held_heat(heat: str) -> ExpressedLaws:
     """Law, bound and text of a held heat written as one line. Raises ExpressionError."""
     return {"law": held_law(heat), "bound": ExpressedBound(parse(heat)), "uppaal": text_law(heat)}
 
@@ -63,13 +63,13 @@ def late_part(heat: str) -> LatePart:
 
 def heat_and_loss(tree: Expression) -> tuple[Expression, Expression]:
     """(heat, loss) of a heat that is straight in the temperature: h = heat - loss temperature."""
-    return substituted(tree, TEMPERATURE, ExpressionNumber(0.0)), negate(derivative(tree, TEMPERATURE))
+    return substitute(tree, TEMPERATURE, ExpressionNumber(0.0)), negate(derivative(tree, TEMPERATURE))
 
 
 def held_law(text: str) -> HeldLaw:
     """The law of a heat whose names are roles of the effect, parameters, and perhaps the temperature."""
     tree = parse(text)
-    heat, loss = (compiled(part) for part in heat_and_loss(tree))
+    heat, loss = (compile_expression(part) for part in heat_and_loss(tree))
     losing = TEMPERATURE in names(tree)
 
     def law(effect: Effect, signals: Signals) -> tuple[Array, Array]:
@@ -143,7 +143,7 @@ def enclosure(tree: Expression, params: Params, ranges: Mapping[str, Interval], 
 
 def cells(ranges: Mapping[str, tuple[float, float]]) -> dict[str, Interval]:
     """The box of the roles' ranges cut into cells: (c,) ends of each role in each cell."""
-    parts = CELLS.get(len(ranges), 3)
+    parts = CELLS_BY_SIGNALS.get(len(ranges), 3)
     ends = {role: np.linspace(low, high, parts + 1 if high > low else 2) for role, (low, high) in ranges.items()}
     chosen = list(product(*(range(edges.size - 1) for edges in ends.values())))
     places = np.array(chosen, dtype=np.intp).reshape(len(chosen), len(ends))

@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from sim.effects.expressed import expressed, late_part
+from sim.effects.expressed import compile_held_heat, late_part
 from sim.effects.kind import (
     EffectCandidate,
     EffectKind,
@@ -55,7 +55,7 @@ def _friction(
         },
         roles=Roles(needed=(role,)),
         acts="running",
-        **expressed(f"gain * (max({role.name}, 0) ^ power - max(reference, 0) ^ power)"),
+        **compile_held_heat(f"gain * (max({role.name}, 0) ^ power - max(reference, 0) ^ power)"),
         candidate=EffectCandidate(
             strength="gain", sign=1.0, experiment=experiment, look=look, shapes=shapes, refine={"power": powers}
         ),
@@ -100,7 +100,7 @@ HEATING = (
         },
         roles=Roles(needed=(CURRENT,)),
         acts="running",
-        **expressed("gain * (current - reference)"),
+        **compile_held_heat("gain * (current - reference)"),
         candidate=EffectCandidate(
             strength="gain",
             sign=1.0,
@@ -128,7 +128,7 @@ HEATING = (
         },
         roles=Roles(needed=(CURRENT,)),
         acts="running",
-        **expressed("gain * (current ^ 2 - reference ^ 2)"),
+        **compile_held_heat("gain * (current ^ 2 - reference ^ 2)"),
         late=late_part("gain * current ^ 2"),
         candidate=EffectCandidate(
             strength="gain",
@@ -158,7 +158,7 @@ HEATING = (
         },
         roles=Roles(needed=(CURRENT,)),
         acts="running",
-        **expressed("gain * (current - reference)"),
+        **compile_held_heat("gain * (current - reference)"),
         late=late_part("gain * current"),
         candidate=EffectCandidate(
             strength="gain",
@@ -190,7 +190,7 @@ HEATING = (
         },
         roles=Roles(needed=(CURRENT,)),
         acts="running",
-        **expressed("-gain * max(current - knee, 0)"),
+        **compile_held_heat("-gain * max(current - knee, 0)"),
         candidate=EffectCandidate(
             strength="gain",
             sign=1.0,
@@ -265,7 +265,7 @@ HEATING = (
         },
         roles=Roles(needed=(AMBIENT,)),
         acts="anywhere",
-        **expressed("gain * (ambient - reference)"),
+        **compile_held_heat("gain * (ambient - reference)"),
         candidate=EffectCandidate(
             strength="gain",
             sign=1.0,

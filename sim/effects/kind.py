@@ -384,7 +384,7 @@ class EffectKind:
         return ""
 
     @property
-    def needed(self) -> tuple[str, ...]:
+    def required_roles(self) -> tuple[str, ...]:
         """The roles that must be filled."""
         return tuple(role.name for role in self.roles.needed)
 
@@ -403,7 +403,7 @@ class EffectKind:
         """Whether an automaton has one at most: engines have one state for each feature, but add up offsets."""
         return isinstance(self.law, Structural) and self.law.feature != "sensor offset"
 
-    def acts_with(self, signals: Mapping[str, str]) -> Acts:
+    def action_place(self, signals: Mapping[str, str]) -> Acts:
         """Where it acts with the signals that fill its roles."""
         absent = [
             optional.acts

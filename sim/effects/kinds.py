@@ -39,7 +39,7 @@ ROLES: dict[str, str] = {
 """The plant's signal of each role; a column map gives other data's signals the plant's names."""
 
 
-def kind_of(effect: Effect) -> EffectKind:
+def effect_kind(effect: Effect) -> EffectKind:
     """The kind of an effect, made of its own line where it brings one. Raises ValueError for an unknown one."""
     if effect.line is not None:
         if effect.line.name != effect.kind:
@@ -64,45 +64,47 @@ def parameter(effect: Effect, name: str) -> float:
     """The value of a parameter, its kind's default where it is left out."""
     if name in effect.params:
         return effect.params[name]
-    default = kind_of(effect).parameters[name].default
+    default = effect_kind(effect).parameters[name].default
     if default is None:
         raise KeyError(name)
     return default
 
 
-def lag_of(effect: Effect) -> float:
+def heat_lag(effect: Effect) -> float:
     """Seconds by which a part of the effect's heat comes late; 0 where all of it is there at once."""
-    late = kind_of(effect).late
+    late = effect_kind(effect).late
     return 0.0 if late is None else parameter(effect, late.lag)
 
 
 def delay_of(effect: Effect) -> float:
     """Seconds after which what comes late of the effect's heat begins to come; 0 without such a part."""
-    late = kind_of(effect).late
+    late = effect_kind(effect).late
     return 0.0 if late is None else parameter(effect, late.delay)
 
 
-def acts_in(effect: Effect, location: str) -> bool:
+def affects_location(effect: Effect, location: str) -> bool:
     """True where the effect acts in the location of that name."""
     return not effect.locations or location in effect.locations
 
 
-def signals_of(sha: SHA, location: str | None = None) -> tuple[str, ...]:
+def effect_signals(sha: SHA, location: str | None = None) -> tuple[str, ...]:
     """The signals that the effects acting in a location (in any, by default) read, each once, in their order.
 
     Those of a heat that comes late are read everywhere, as what comes is known from all of them.
     """
-    acting = [each for each in sha.effects if location is None or acts_in(each, location) or lag_of(each) > 0]
+    acting = [
+        each for each in sha.effects if location is None or affects_location(each, location) or heat_lag(each) > 0
+    ]
     return tuple(dict.fromkeys(signal for effect in acting for signal in effect.signals.values()))
 
 
 def of_feature(sha: SHA, feature: Feature) -> tuple[Effect, ...]:
     """The effects that engines execute by their code of a feature."""
-    laws = [(effect, kind_of(effect).law) for effect in sha.effects]
+    laws = [(effect, effect_kind(effect).law) for effect in sha.effects]
     return tuple(effect for effect, law in laws if isinstance(law, Structural) and law.feature == feature)
 
 
-def without(sha: SHA, *features: Feature) -> SHA:
+def drop_features(sha: SHA, *features: Feature) -> SHA:
     """The automaton without the effects that engines execute by their code of these features."""
     gone = [effect for feature in features for effect in of_feature(sha, feature)]
     return replace(sha, effects=tuple(effect for effect in sha.effects if effect not in gone))
@@ -113,9 +115,9 @@ def dead_time(sha: SHA) -> float:
     return sum((effect.params["delay"] for effect in of_feature(sha, "dead time")), 0.0)
 
 
-def growing_from(sha: SHA) -> tuple[float, ...]:
+def growth_starts(sha: SHA) -> tuple[float, ...]:
     """The moments (absolute s) from which on some effect's heat grows without end."""
-    bounds = [(effect, kind_of(effect).bound) for effect in sha.effects]
+    bounds = [(effect, effect_kind(effect).bound) for effect in sha.effects]
     return tuple(
         bound.grows_from(effect)
         for effect, bound in bounds

@@ -12,16 +12,16 @@ first reading nothing is known and D is 0, and so it is after it: the source cou
 import numpy as np
 
 from sim.effects.kind import Signals
-from sim.effects.kinds import kind_of, lag_of
+from sim.effects.kinds import effect_kind, heat_lag
 from sim.sha import Array, Effect
 
-SETTLED = 30.0
+SETTLED_LAGS = 30.0
 """Lags after which nothing is left of a deviation: a share of 1e-13."""
 
 
 def late_source(effect: Effect, signals: Signals) -> Array:
     """The heat (degC/s) that an effect with a lag holds at once; NaN where its signals were not read."""
-    late = kind_of(effect).late
+    late = effect_kind(effect).late
     if late is None:
         raise ValueError(f"effects of the kind {effect.kind!r} have no part that comes late")
     return late.source(effect, signals)
@@ -33,12 +33,12 @@ def late_jumps(before: Array, after: Array) -> Array:
     return np.where(np.isfinite(jump), jump, 0.0)
 
 
-def late_kept(effect: Effect, seconds: Array) -> Array:
+def remaining_share(effect: Effect, seconds: Array) -> Array:
     """The share that is left of what fades after so many seconds."""
-    return np.asarray(np.exp(-np.asarray(seconds) / lag_of(effect)))
+    return np.asarray(np.exp(-np.asarray(seconds) / heat_lag(effect)))
 
 
 def late_mean(effect: Effect, seconds: Array) -> Array:
     """The mean of what fades over so many seconds, as a share of what it is at their start; 1 over none."""
-    part = np.asarray(seconds) / lag_of(effect)
+    part = np.asarray(seconds) / heat_lag(effect)
     return np.where(part > 0, -np.expm1(-part) / np.where(part > 0, part, 1.0), 1.0)

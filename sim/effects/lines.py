@@ -12,7 +12,7 @@ from math import inf, isfinite
 
 import numpy as np
 
-from sim.effects.expressed import SCALE, SHIFT, SINCE, TEMPERATURE, expressed
+from sim.effects.expressed import SCALE, SHIFT, SINCE, TEMPERATURE, compile_held_heat
 from sim.effects.expression import (
     FUNCTIONS_OF_A_LINE,
     Expression,
@@ -20,13 +20,13 @@ from sim.effects.expression import (
     ExpressionNumber,
     Interval,
     bounds,
-    compiled,
+    compile_expression,
     crossings,
     derivative,
     names,
     parse,
     problem,
-    substituted,
+    substitute,
     uppaal_text,
 )
 from sim.effects.kind import (
@@ -47,14 +47,14 @@ from sim.sha import Array, Effect, EffectLine, LineParameter
 
 MOST_TRIED, SPREAD = 64, 4
 """Sets of values from which a diagnosis begins at most, and values over a range where a line gives none."""
-DECADE = 20.0
+LOG_SEARCH_RATIO = 20.0
 """A positive range whose ends differ by so many times is searched by factors."""
-RESERVED = (TEMPERATURE, SINCE, SCALE, SHIFT, *FUNCTIONS_OF_A_LINE)
+RESERVED_NAMES = (TEMPERATURE, SINCE, SCALE, SHIFT, *FUNCTIONS_OF_A_LINE)
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,29}")
 _EFFECT_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,49}")
-LONG_AGO = 1e8
+NO_START_S = 1e8
 """Seconds from which on no start was seen: a record writes a number there, and the engines infinity."""
-_AGES: Array = np.concatenate([[0.0], np.geomspace(1.0, 1e6, 84)])
+_START_AGES_S: Array = np.concatenate([[0.0], np.geomspace(1.0, 1e6, 84)])
 """Seconds since a start at which a varying line is cut."""
 
 
@@ -91,7 +91,7 @@ def kind_of_line(line: EffectLine) -> EffectKind:
                 "write max(..., 0) around a signal that multiplies the temperature",
             )
     if varying:
-        _check_varying(line, tree, ranges)
+        _check_variation(line, tree, ranges)
     elif not line.signals:
         raise LineError("signals", "the heat reads no signal: a constant is in the model's own parameters already")
     parameters = {
@@ -123,7 +123,7 @@ def kind_of_line(line: EffectLine) -> EffectKind:
         candidate=_candidate(line),
         parameters=parameters | (TO_SCALE_OF_X if losing else {}),
         roles=Roles(needed=tuple(Role(role, signal) for role, signal in line.signals)),
-        **expressed(line.heat),
+        **compile_held_heat(line.heat),
     )
 
 
@@ -146,8 +146,10 @@ def _tree(line: EffectLine) -> Expression:
     given = [(f"signals.{role}", role) for role, _ in line.signals]
     given += [(f"parameters.{each.name}", each.name) for each in line.parameters]
     for place, (key, name) in enumerate(given):
-        if not _NAME.fullmatch(name) or name in RESERVED:
-            reason = "has a meaning of its own in a line" if name in RESERVED else "is no name (letters, digits and _)"
+        if not _NAME.fullmatch(name) or name in RESERVED_NAMES:
+            reason = (
+                "has a meaning of its own in a line" if name in RESERVED_NAMES else "is no name (letters, digits and _)"
+            )
             raise LineError(key, f"{name[:40]!r} {reason}; give it another one")
         if name in [other for _, other in given[:place]]:
             raise LineError(key, f"{name!r} is the name of a signal too; give one of them another name")
@@ -194,9 +196,7 @@ def _check_strength(line: EffectLine, tree: Expression) -> None:
     if line.strength not in [each.name for each in line.parameters]:
         raise LineError("strength", f"{line.strength!r} is no parameter of this effect")
     slope = derivative(tree, line.strength)
-    if line.strength in names(slope) or substituted(tree, line.strength, ExpressionNumber(0.0)) != ExpressionNumber(
-        0.0
-    ):
+    if line.strength in names(slope) or substitute(tree, line.strength, ExpressionNumber(0.0)) != ExpressionNumber(0.0):
         raise LineError("heat", f"it is not proportional to {line.strength!r}; write {line.strength} * (...)")
     count = int(
         np.prod(
@@ -214,7 +214,7 @@ def _check_strength(line: EffectLine, tree: Expression) -> None:
         )
 
 
-def _check_varying(line: EffectLine, tree: Expression, ranges: dict[str, Interval]) -> None:
+def _check_variation(line: EffectLine, tree: Expression, ranges: dict[str, Interval]) -> None:
     if line.signals or TEMPERATURE in names(tree):
         raise LineError(
             "heat", "it reads both `since` and something measured, which no engine has yet; give one of them"
@@ -245,17 +245,17 @@ def _candidate(line: EffectLine) -> EffectCandidate:
 
 
 def _shapes(others: Sequence[LineParameter], running: bool) -> Callable[[MachineLog], Sequence[Params]]:
-    def tried(each: LineParameter, log: MachineLog) -> tuple[float, ...]:
+    def try_values(each: LineParameter, log: MachineLog) -> tuple[float, ...]:
         if each.usual:
             return (float(np.clip(log.usual(each.usual, running=running), each.low, each.high)),)
         if each.tried:
             return each.tried
-        if each.low > 0 and each.high >= DECADE * each.low:
+        if each.low > 0 and each.high >= LOG_SEARCH_RATIO * each.low:
             return tuple(np.geomspace(each.low, each.high, 2 * SPREAD + 1)[1::2].tolist())
         return tuple(np.linspace(each.low, each.high, 2 * SPREAD + 1)[1::2].tolist())
 
     def shapes(log: MachineLog) -> Sequence[Params]:
-        choices = product(*(tried(each, log) for each in others))
+        choices = product(*(try_values(each, log) for each in others))
         return [dict(zip((each.name for each in others), values, strict=True)) for values in choices]
 
     return shapes
@@ -265,28 +265,28 @@ def _shapes(others: Sequence[LineParameter], running: bool) -> Callable[[Machine
 
 
 def _varying_law(tree: Expression) -> VaryingLaw:
-    value = compiled(tree)
-    slope = compiled(derivative(tree, SINCE))
-    bends = tuple(compiled(each) for each in crossings(tree) if SINCE in names(each))
+    value = compile_expression(tree)
+    slope = compile_expression(derivative(tree, SINCE))
+    bends = tuple(compile_expression(each) for each in crossings(tree) if SINCE in names(each))
 
     def heat(effect: Effect, _time: Array, since: Array) -> Array:
-        begun = since < LONG_AGO
+        begun = since < NO_START_S
         age = np.where(begun, np.maximum(since, 0.0), 0.0)
         return np.where(begun, value({**effect.params, SINCE: age}), 0.0)
 
     def knots(effect: Effect, starts: Array) -> Array:
         if not starts.size:
             return starts
-        ages = np.concatenate([_AGES[1:], *(_zeros(bend, effect.params) for bend in bends)])
+        ages = np.concatenate([_START_AGES_S[1:], *(_zeros(bend, effect.params) for bend in bends)])
         times = starts[:, None] + np.sort(ages)
         # What lies beyond the next start is of no use: there the clock begins anew.
         return np.asarray(times[times < np.append(starts[1:], np.inf)[:, None]])
 
     def speed(effect: Effect) -> float:
-        values: dict[str, Array | float] = {**effect.params, SINCE: _AGES[1:]}
+        values: dict[str, Array | float] = {**effect.params, SINCE: _START_AGES_S[1:]}
         with np.errstate(all="ignore"):
-            steepest = float(np.nanmax(np.abs(np.broadcast_to(slope(values), _AGES[1:].shape))))
-            largest = float(np.nanmax(np.abs(np.broadcast_to(value(values), _AGES[1:].shape))))
+            steepest = float(np.nanmax(np.abs(np.broadcast_to(slope(values), _START_AGES_S[1:].shape))))
+            largest = float(np.nanmax(np.abs(np.broadcast_to(value(values), _START_AGES_S[1:].shape))))
         return min(steepest / largest, 1.0) if largest > 0 else 0.0
 
     return VaryingLaw(heat=heat, knots=knots, speed=speed, from_event=True)
@@ -294,9 +294,9 @@ def _varying_law(tree: Expression) -> VaryingLaw:
 
 def _zeros(bend: Callable[..., Array], params: Params) -> Array:
     """Where a bend of the law lies (s), to a millisecond, found between the cuts by halving."""
-    signs = np.sign(np.broadcast_to(bend({**params, SINCE: _AGES}), _AGES.shape))
+    signs = np.sign(np.broadcast_to(bend({**params, SINCE: _START_AGES_S}), _START_AGES_S.shape))
     rows = np.flatnonzero(signs[1:] * signs[:-1] < 0)
-    low, high, before = _AGES[rows], _AGES[rows + 1], signs[rows]
+    low, high, before = _START_AGES_S[rows], _START_AGES_S[rows + 1], signs[rows]
     for _ in range(40):
         middle = 0.5 * (low + high)
         left = np.sign(bend({**params, SINCE: middle})) == before
@@ -307,7 +307,7 @@ def _zeros(bend: Callable[..., Array], params: Params) -> Array:
 def _extremes(tree: Expression, params: Params) -> tuple[float, float]:
     """Least and greatest heat at any time since a start; 0 before the first one is among them."""
     fixed = {name: _interval(value, value) for name, value in params.items()}
-    low, high = bounds(tree, {**fixed, SINCE: (_AGES, np.append(_AGES[1:], inf))})
+    low, high = bounds(tree, {**fixed, SINCE: (_START_AGES_S, np.append(_START_AGES_S[1:], inf))})
     return min(float(np.min(low)), 0.0), max(float(np.max(high)), 0.0)
 
 

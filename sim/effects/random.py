@@ -13,9 +13,9 @@ import numpy as np
 from sim.effects.kind import EffectKind, Parameter, Roles, Structural
 from sim.sha import Array
 
-DIGITS = 1e-11
+SERIES_TOLERANCE = 1e-11
 """What the Taylor series may leave out, of what it begins with: far less than a memory is ever known to."""
-BLOCK = 4096
+BLOCK_STEPS = 4096
 """Steps that are worked out at a time."""
 
 
@@ -34,14 +34,14 @@ class DisturbanceStep:
     dd: Array
 
     @property
-    def into(self) -> Array:
+    def coupling(self) -> Array:
         """(n,) s by which d shows in X: x = into d + what is independent of d (`own`)."""
         return np.asarray(self.xd / np.where(self.dd > 0, self.dd, 1.0))
 
     @property
     def own(self) -> Array:
         """(n,) s^2 the variance of x that d does not explain, for a standard deviation of 1 degC/s."""
-        return np.asarray(np.maximum(self.xx - self.into * self.xd, 0.0))
+        return np.asarray(np.maximum(self.xx - self.coupling * self.xd, 0.0))
 
 
 def disturbance_step(memory: float, k: Array, dt: Array) -> DisturbanceStep:
@@ -53,8 +53,8 @@ def disturbance_step(memory: float, k: Array, dt: Array) -> DisturbanceStep:
     rates, spans = np.ravel(k), np.ravel(dt)
     # The many passes over the same numbers are made block by block, while these lie in the processor's cache.
     blocks = [
-        _exact_step(memory, rates[at : at + BLOCK], spans[at : at + BLOCK])
-        for at in range(0, max(rates.size, 1), BLOCK)
+        _exact_step(memory, rates[at : at + BLOCK_STEPS], spans[at : at + BLOCK_STEPS])
+        for at in range(0, max(rates.size, 1), BLOCK_STEPS)
     ]
     return DisturbanceStep(*(np.concatenate(parts).reshape(dt.shape) for parts in zip(*blocks, strict=True)))
 
@@ -75,7 +75,7 @@ def _exact_step(memory: float, k: Array, dt: Array) -> tuple[Array, Array, Array
     more_xx, more_xd, more_dd = np.zeros_like(b), np.zeros_like(b), twice
     xx, xd, dd = more_xx, more_xd, more_dd
     order, left = 2, 1.0
-    while left > DIGITS:
+    while left > SERIES_TOLERANCE:
         more_xx, more_xd, more_dd = (
             (more_xd - a * more_xx) * (2.0 / order),
             (more_dd - both * more_xd) * (1.0 / order),

@@ -27,20 +27,20 @@ from sim.effects.roles import CURRENT
 from sim.sha import Array, Effect
 
 HOUR, DAY = 3600.0, 86400.0
-DATED = 1e8
+WORLD_CLOCK_S = 1e8
 """Seconds from which a trace's clock is taken for that of the world (1973)."""
-MOMENTS = 24
+MAX_MOMENTS = 24
 """Moments of a record at which something is tried to begin, at most."""
-TWICE = 16
+MAX_PAIR_MOMENTS = 16
 """The same of what comes twice, where every two of them are tried."""
-REFUSED = EffectRefusal("it has no name")
-BURDEN = 3.0
+NO_NAME = EffectRefusal("it has no name")
+SEARCH_COST_NATS = 3.0
 """Nats that looking at a dozen moments or hours costs."""
 
 
 def moment_words(time: float) -> str:
     """A moment (absolute s) as people read it, in UTC; of a clock that is not the world's, its hours."""
-    if time < DATED:
+    if time < WORLD_CLOCK_S:
         return f"{time / HOUR:.1f} h on the traces' clock"
     return datetime.fromtimestamp(time, UTC).strftime("%Y-%m-%d %H:%M UTC")
 
@@ -50,14 +50,14 @@ def _hour_words(seconds: float) -> str:
     return f"{minutes // 60:02d}:{minutes % 60:02d} UTC"
 
 
-def _moments(log: MachineLog, count: int = MOMENTS) -> list[float]:
+def _moments(log: MachineLog, count: int = MAX_MOMENTS) -> list[float]:
     """Moments inside the record, evenly over what it ran (at rest hardly anything begins to show), none at its ends."""
     ran = np.cumsum(log.dt * (log.running if log.running.any() else 1.0))
     shares = (np.arange(count) + 1.0) / (count + 1)
     return [float(time) for time in np.interp(shares * ran[-1], ran, log.time)]
 
 
-def _heat_only(heat: Callable[[Params, RecordView], Array]) -> RecordedLaw:
+def _heat_law(heat: Callable[[Params, RecordView], Array]) -> RecordedLaw:
     def law(effect: Effect, view: RecordView) -> tuple[Array, Array]:
         gained = heat(effect.params, view)
         return gained, np.zeros_like(gained)
@@ -75,7 +75,7 @@ def _step_words(p: Params) -> str:
     return f"heat that follows each step of the load and fades over {p['lag'] / 60.0:.0f} min"
 
 
-def _unmeasured(p: Params, view: RecordView) -> Array:
+def _no_heat(p: Params, view: RecordView) -> Array:
     """Nothing that the record foresees: what comes and goes by itself is noise, and a fit has it there."""
     return np.zeros_like(view.time)
 
@@ -119,26 +119,26 @@ def _weekend_words(p: Params) -> str:
     return f"heat that comes with the weekday, more {'at weekends' if p['gain'] > 0 else 'on working days'}"
 
 
-AGAIN = "again"
+SECOND_MOMENT = "again"
 """The parameter that is the moment at which what fades comes a second time."""
 
 
-def _fading(p: Params, view: RecordView) -> Array:
+def _fading_heat(p: Params, view: RecordView) -> Array:
     """gain exp(-u / tau) while the machine runs, u its running seconds since `at`; that of `again` too, if there is."""
     heat = np.zeros_like(view.time)
-    for at in (p[name] for name in ("at", AGAIN) if name in p):
+    for at in (p[name] for name in ("at", SECOND_MOMENT) if name in p):
         run = np.maximum(view.run_since(at), 0.0)
         heat += np.where(view.time >= at, np.exp(-run / p["tau"]), 0.0)
     return np.asarray(p["gain"] * heat * view.running)
 
 
 def _fading_words(p: Params) -> str:
-    first, *further = sorted(p[name] for name in ("at", AGAIN) if name in p)
+    first, *further = sorted(p[name] for name in ("at", SECOND_MOMENT) if name in p)
     events = f"an event at {moment_words(first)}" + "".join(f" and again at {moment_words(each)}" for each in further)
     return f"heat after {events}, fading over {p['tau'] / HOUR:.1f} running hours"
 
 
-def _since(p: Params, view: RecordView) -> Array:
+def _lasting_heat(p: Params, view: RecordView) -> Array:
     """gain from `at` on, all the time or while the machine runs."""
     return np.asarray(p["gain"] * (view.time >= p["at"]) * (view.running if p["turning"] else 1.0))
 
@@ -178,14 +178,14 @@ def _cooling_words(p: Params) -> str:
     return f"{way} cooling {while_}{'more and more ' if p['over'] > 0 else ''}since {moment_words(p['at'])}"
 
 
-CLOCK_DAYS = 2.0
+MAX_CLOCK_DAYS = 2.0
 """Days beyond which a record shows what comes with the time of day: an hour that came once is a moment."""
-UNMEASURED = "unmeasured-neighbour"
+UNMEASURED_NEIGHBOUR = "unmeasured-neighbour"
 """The rival that has no course along a record: a heat that wanders, which a fit has in its noise."""
 
 
 def _has_days(log: MachineLog) -> bool:
-    return float(log.time[-1] - log.time[0]) > CLOCK_DAYS * DAY
+    return float(log.time[-1] - log.time[0]) > MAX_CLOCK_DAYS * DAY
 
 
 SECONDS = Parameter(unit="s", positive=True, rescaled="stays")
@@ -196,7 +196,7 @@ PARAMETERS: Mapping[str, Parameter] = {
     "sigma": Parameter(unit="degC/s", positive=True, rescaled="scaled"),
     "loss": Parameter(unit="1/s", low=0.0, rescaled="stays"),
     "sink": Parameter(unit="degC", rescaled="mapped"),
-    **dict.fromkeys(("at", AGAIN), Parameter(unit=ABSOLUTE_SECONDS, rescaled="stays")),
+    **dict.fromkeys(("at", SECOND_MOMENT), Parameter(unit=ABSOLUTE_SECONDS, rescaled="stays")),
     "over": Parameter(unit="s", low=0.0, rescaled="stays"),
     **dict.fromkeys(("lag", "period", "length", "tau", "memory"), SECONDS),
     **dict.fromkeys(("both", "turning"), CHOICE),
@@ -221,7 +221,7 @@ def _rival(
     roles: Roles | None = None,
     refine: Mapping[str, tuple[float, float]] | None = None,
     widths: Mapping[str, float] | None = None,
-    burden: float = BURDEN,
+    burden: float = SEARCH_COST_NATS,
     special: tuple[str, ...] = (),
 ) -> EffectKind:
     """A row of the table; the first of its parameters is the strength."""
@@ -232,8 +232,8 @@ def _rival(
         roles=roles or Roles(),
         acts=acts,
         law=law,
-        bound=REFUSED,
-        uppaal=REFUSED,
+        bound=NO_NAME,
+        uppaal=NO_NAME,
         candidate=EffectCandidate(
             strength=parameters[0],
             sign=sign,
@@ -280,13 +280,13 @@ def _event(
     return _rival(
         name,
         meaning,
-        _heat_only(_fading),
+        _heat_law(_fading_heat),
         _fading_words,
         parameters=("gain", "tau", *moments),
         shapes=shapes,
         refine={"tau": (0.5 * HOUR, 60 * HOUR), **dict.fromkeys(moments, IN_RECORD)},
         widths=dict.fromkeys(moments, 4 * HOUR),
-        burden=len(moments) * BURDEN,
+        burden=len(moments) * SEARCH_COST_NATS,
         special=special,
         experiment="do again what was done then, and watch the same load for as many hours",
         look="what was done to the machine then: greasing, a new part, a cleaning",
@@ -297,7 +297,7 @@ RIVAL_KINDS = (
     _rival(
         "heat-after-load-steps",
         "heat that follows each step of the load and fades",
-        _heat_only(_after_steps),
+        _heat_law(_after_steps),
         _step_words,
         parameters=("gain", "lag", "both"),
         roles=Roles(needed=(CURRENT,)),
@@ -312,7 +312,7 @@ RIVAL_KINDS = (
     _rival(
         "heat-by-the-clock",
         "heat that comes with the time of day",
-        _heat_only(_daily),
+        _heat_law(_daily),
         _daily_words,
         parameters=("gain", "at", "period"),
         sign=0.0,
@@ -330,7 +330,7 @@ RIVAL_KINDS = (
     _rival(
         "heat-in-a-shift",
         "heat that comes with a shift",
-        _heat_only(_in_shift),
+        _heat_law(_in_shift),
         _shift_words,
         parameters=("gain", "at", "length", "turning"),
         sign=0.0,
@@ -349,7 +349,7 @@ RIVAL_KINDS = (
     _rival(
         "heat-at-weekends",
         "heat that comes with the weekday",
-        _heat_only(_on_weekends),
+        _heat_law(_on_weekends),
         _weekend_words,
         parameters=("gain",),
         sign=0.0,
@@ -366,16 +366,17 @@ RIVAL_KINDS = (
     _event(
         "heat-after-two-events",
         "heat after an event that came twice, fading over running hours",
-        ("at", AGAIN),
+        ("at", SECOND_MOMENT),
         lambda log: [
-            {"at": first, AGAIN: second, "tau": 4.0 * HOUR} for first, second in combinations(_moments(log, TWICE), 2)
+            {"at": first, SECOND_MOMENT: second, "tau": 4.0 * HOUR}
+            for first, second in combinations(_moments(log, MAX_PAIR_MOMENTS), 2)
         ],
         special=("heat-after-an-event",),
     ),
     _rival(
         "heat-since-a-moment",
         "heat that begins or ends at some moment",
-        _heat_only(_since),
+        _heat_law(_lasting_heat),
         _since_words,
         parameters=("gain", "at", "turning"),
         sign=0.0,
@@ -389,7 +390,7 @@ RIVAL_KINDS = (
     _rival(
         "other-surroundings",
         "surroundings that are warmer or cooler from some moment on",
-        _heat_only(_surroundings),
+        _heat_law(_surroundings),
         _surroundings_words,
         parameters=("rise", "at"),
         sign=0.0,
@@ -412,9 +413,9 @@ RIVAL_KINDS = (
         lambda log: [{"at": at, "over": float(log.time[-1]) - at} for at in [log.time[0], *_moments(log)[::2]]],
     ),
     _rival(
-        UNMEASURED,
+        UNMEASURED_NEIGHBOUR,
         "heat from something that is not measured",
-        _heat_only(_unmeasured),
+        _heat_law(_no_heat),
         _unmeasured_words,
         parameters=("sigma", "memory"),
         acts="anywhere",

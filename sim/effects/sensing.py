@@ -9,7 +9,7 @@ from sim.effects.kind import ABSOLUTE_SECONDS, EffectCandidate, EffectKind, Para
 from sim.phrase import Phrase
 from sim.sha import Array
 
-BLURRED = 2
+BLUR_LAGS = 2
 """First-order lags that a blurred delay is followed by."""
 JUMPS, JUMP_APART = 16, 5
 """Moments at which an offset is looked for besides the regular ones, and windows between them."""
@@ -18,7 +18,7 @@ JUMPS, JUMP_APART = 16, 5
 def _blur(shape: Params) -> tuple[str, Mapping[str, float]] | None:
     """What flows through mixed vessels comes late and blurred: the blur is a lag in the automaton."""
     tau = shape.get("blur", 0.0) * shape["delay"]
-    return ("sensor-lag", {"tau": tau, "order": float(BLURRED)}) if tau > 0 else None
+    return ("sensor-lag", {"tau": tau, "order": float(BLUR_LAGS)}) if tau > 0 else None
 
 
 def _jumps(times: Array, score: Array) -> Sequence[Params]:

@@ -18,14 +18,14 @@ from sim.effects.kind import (
 from sim.phrase import Phrase
 from sim.sha import Array, Effect
 
-_EXPONENTS = np.array(
+_CUT_EXPONENTS = np.array(
     [0.05, 0.15, 0.3, 0.5, 0.75, 1, 1.3, 1.7, 2.1, 2.6, 3.2, 3.9, 4.7, 5.7, 7, 8.5, 10.5, 13, 16.5, 21]
 )
 """Where start-up heat is cut, by its exponent: close where the decay bends, and the rest after the last is below 1e-9
 of its start."""
 
 
-def _churning(effect: Effect, _time: Array, since: Array) -> Array:
+def _churning_heat(effect: Effect, _time: Array, since: Array) -> Array:
     """gain exp(-(u / tau)^shape), u the seconds since the event."""
     p = effect.params
     return np.asarray(p["gain"] * np.exp(-((np.maximum(since, 0.0) / p["tau"]) ** p["shape"])))
@@ -36,7 +36,7 @@ def _churning_knots(effect: Effect, starts: Array) -> Array:
         return starts
     # The law is a function of its exponent alone, so knots at fixed exponents fit every tau and shape. What lies beyond
     # the next start is of no use: there the clock begins anew.
-    after = effect.params["tau"] * _EXPONENTS ** (1.0 / effect.params["shape"])
+    after = effect.params["tau"] * _CUT_EXPONENTS ** (1.0 / effect.params["shape"])
     following = np.append(starts[1:], np.inf)
     times = starts[:, None] + after
     return np.asarray(times[times < following[:, None]])
@@ -74,7 +74,7 @@ VARYING = (
         roles=Roles(),
         acts="running",
         law=VaryingLaw(
-            heat=_churning,
+            heat=_churning_heat,
             knots=_churning_knots,
             speed=lambda effect: 1.0 / effect.params["tau"],
             from_event=True,

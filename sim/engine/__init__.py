@@ -7,23 +7,33 @@ from sim.engine.belief import (
     machine_offset,
     observe,
     on_event,
-    restarted,
+    restart,
     start,
     with_inputs,
     with_machine_offset,
 )
-from sim.engine.belief_state import Belief, Hidden, belief_of
+from sim.engine.belief_state import Belief, Hidden, restore_belief
 from sim.engine.cuts import fastest, longest
 from sim.engine.kernel import move
 from sim.engine.moment_equations import Prediction, mean_outputs, mean_readings, moments, stay_draws
 from sim.engine.moments_augmented import drawn_start
-from sim.engine.open_loop_run import Score, Start, errors, measured, open_loop, open_loop_schedule, score, start_law
-from sim.engine.particles import BLOCK_ROWS, Layout, PathRuns, draw_belief, draw_states, joined, lay_out, run, survival
+from sim.engine.open_loop_run import Score, Start, errors, open_loop, open_loop_schedule, readings, score, start_law
+from sim.engine.particles import (
+    BLOCK_ROWS,
+    Layout,
+    PathRuns,
+    draw_belief,
+    draw_layout,
+    draw_states,
+    joined,
+    run,
+    survival,
+)
 from sim.engine.particles_augmented import acting_paths, acting_stays, augmented_path_runs, real_age
 from sim.engine.plant import Plant, compile_plant
 from sim.engine.recursion import linear_recursion
 from sim.engine.schedules import Policy, Schedule, resync_targets, schedule, step_coefficients
 from sim.engine.simulation import SimulatedRuns, simulate
 from sim.engine.simulation_augmented import SamplingPlan, augmented_plan
-from sim.engine.terms import held
-from sim.engine.tracker import Tracker, compile_model, compiled, next_location, repeat_factor
+from sim.engine.terms import held_terms
+from sim.engine.tracker import Tracker, compile_model, compile_tracker, next_location, repeat_factor

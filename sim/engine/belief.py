@@ -25,7 +25,7 @@ import numpy as np
 from sim.effects import dead_time
 from sim.engine import state_estimate
 from sim.engine.belief_state import Belief, Delayed, Hidden, Innovation
-from sim.engine.tracker import Tracker, compiled, next_location, repeat_factor
+from sim.engine.tracker import Tracker, compile_tracker, next_location, repeat_factor
 from sim.scores import surprise
 from sim.sha import UNKNOWN, Array, Event, Model, Trace, distributions
 
@@ -44,7 +44,7 @@ def start(
     Without it X follows that law, or the location's own (resample), or lies anywhere in low..high. A `temperature`
     that is no number counts as none. Raises ValueError when `time` is no number.
     """
-    tracker = compiled(model)
+    tracker = compile_tracker(model)
     if not isfinite(time):
         raise ValueError(f"a belief cannot start at {time} s")
     mode = tracker.modes[tracker.model.sha.initial]
@@ -105,7 +105,7 @@ def advance(model: Model | Tracker, belief: Belief, time: float) -> Belief:
     """
     if not belief.time <= time < inf:
         raise ValueError(f"a belief at {belief.time} s cannot be advanced to {time} s: time only goes forward")
-    tracker = compiled(model)
+    tracker = compile_tracker(model)
     if tracker.plant is None:
         x, xx, xm, clamped = _prior(tracker, belief, time)
         return replace(belief, time=time, x=x, xx=xx, xm=xm, clamps=belief.clamps + clamped)
@@ -114,15 +114,15 @@ def advance(model: Model | Tracker, belief: Belief, time: float) -> Belief:
     while belief.hidden is not None and belief.hidden.pending and belief.hidden.pending[0].due <= time:
         first, *rest = belief.hidden.pending
         # What waits heats until it is due.
-        belief = state_estimate.predicted(tracker.plant, belief, max(first.due, belief.time))
+        belief = state_estimate.predict(tracker.plant, belief, max(first.due, belief.time))
         belief = replace(belief, hidden=replace(belief.hidden or Hidden((), ()), pending=tuple(rest)))
         if first.symbol:
-            belief = _entered(tracker, belief, first.symbol)
+            belief = _take_event(tracker, belief, first.symbol)
         elif first.signals:
-            belief = _held(tracker, belief, first.signals)
+            belief = _take_signals(tracker, belief, first.signals)
         else:
             belief = state_estimate.begun_to_fade(belief, first.jumps)
-    return state_estimate.predicted(tracker.plant, belief, time)
+    return state_estimate.predict(tracker.plant, belief, time)
 
 
 def observe(model: Model | Tracker, belief: Belief, time: float, temperature: float) -> Belief:
@@ -131,7 +131,7 @@ def observe(model: Model | Tracker, belief: Belief, time: float, temperature: fl
     The first reading of all fixes X (see `start`) and is no innovation. A reading that comes with a time before the
     belief's (or none) is counted in `late` and otherwise ignored; one that is no number only advances the belief.
     """
-    tracker = compiled(model)
+    tracker = compile_tracker(model)
     if not belief.time <= time < inf:
         return replace(belief, late=belief.late + 1)
     if not isfinite(temperature):
@@ -174,7 +174,7 @@ def observe(model: Model | Tracker, belief: Belief, time: float, temperature: fl
         clamps=belief.clamps + clamped,
         read_at=time,
     )
-    return posterior if tracker.plant is None else state_estimate.corrected(tracker.plant, posterior, value, variance)
+    return posterior if tracker.plant is None else state_estimate.update(tracker.plant, posterior, value, variance)
 
 
 def on_event(model: Model | Tracker, belief: Belief, event: Event) -> Belief:
@@ -184,17 +184,17 @@ def on_event(model: Model | Tracker, belief: Belief, event: Event) -> Belief:
     edge follows the tracker's policy and is counted in `unmatched`; one older than the belief takes effect at the
     belief's time and is counted in `late`. A dead time holds the event back.
     """
-    tracker = compiled(model)
+    tracker = compile_tracker(model)
     late = not belief.time <= event.time < inf
     moved = belief if late else advance(tracker, belief, event.time)
     delay = 0.0 if tracker.plant is None else dead_time(tracker.plant.sha)
     if delay:
         due = (event.time if isfinite(event.time) else belief.time) + delay
-        return _delayed(replace(moved, late=belief.late + late), Delayed(max(due, belief.time), event.symbol))
-    return _entered(tracker, moved, event.symbol, late=late)
+        return _take_delay(replace(moved, late=belief.late + late), Delayed(max(due, belief.time), event.symbol))
+    return _take_event(tracker, moved, event.symbol, late=late)
 
 
-def _entered(tracker: Tracker, belief: Belief, symbol: str, *, late: bool = False) -> Belief:
+def _take_event(tracker: Tracker, belief: Belief, symbol: str, *, late: bool = False) -> Belief:
     """The belief after an event that takes effect at the belief's time."""
     hidden = belief.hidden if tracker.plant is None else state_estimate.since_event(tracker.plant, belief, symbol)
     location, matched = next_location(tracker, belief.location, symbol)
@@ -218,7 +218,7 @@ def _entered(tracker: Tracker, belief: Belief, symbol: str, *, late: bool = Fals
         late=lates,
         hidden=hidden,
     )
-    return moved if tracker.plant is None else state_estimate.entered(tracker.plant, moved, mode)
+    return moved if tracker.plant is None else state_estimate.enter_stay(tracker.plant, moved, mode)
 
 
 def with_inputs(model: Model | Tracker, belief: Belief, time: float, signals: Mapping[str, float]) -> Belief:
@@ -227,7 +227,7 @@ def with_inputs(model: Model | Tracker, belief: Belief, time: float, signals: Ma
     Signals that neither a flow nor an effect reads are dropped, values that are no numbers are no news. A `time`
     before the belief's takes effect at the belief's time. A dead time holds the values back.
     """
-    tracker = compiled(model)
+    tracker = compile_tracker(model)
     # News is what differs from the last value that was read, whether that acts already or is still held back.
     known = belief.signals
     for delayed in belief.hidden.pending if belief.hidden is not None else ():
@@ -243,49 +243,49 @@ def with_inputs(model: Model | Tracker, belief: Belief, time: float, signals: Ma
     delay = 0.0 if tracker.plant is None else dead_time(tracker.plant.sha)
     if delay:
         due = (time if isfinite(time) else moved.time) + delay
-        return _delayed(moved, Delayed(max(due, moved.time), "", news))
-    return _held(tracker, moved, news)
+        return _take_delay(moved, Delayed(max(due, moved.time), "", news))
+    return _take_signals(tracker, moved, news)
 
 
-def _held(tracker: Tracker, belief: Belief, news: Mapping[str, float]) -> Belief:
+def _take_signals(tracker: Tracker, belief: Belief, news: Mapping[str, float]) -> Belief:
     held = {**belief.signals, **news}
     moved = replace(belief, signals=held, offset=tracker.modes[belief.location].offset(held))
     if tracker.plant is None or not tracker.plant.late:
         return moved
-    hidden, waiting = state_estimate.holding(tracker.plant, belief, held)
+    hidden, waiting = state_estimate.hidden_states(tracker.plant, belief, held)
     moved = replace(moved, hidden=hidden)
     for each in waiting:
-        moved = _delayed(moved, each)
+        moved = _take_delay(moved, each)
     return moved
 
 
-def _delayed(belief: Belief, delayed: Delayed) -> Belief:
+def _take_delay(belief: Belief, delayed: Delayed) -> Belief:
     """The belief with what a dead time holds back; at one instant events act before signals, as along a schedule."""
     hidden = belief.hidden or Hidden((), ())
     pending = sorted((*hidden.pending, delayed), key=lambda each: (each.due, not each.symbol))
     return replace(belief, hidden=replace(hidden, pending=tuple(pending)))
 
 
-def restarted(model: Model | Tracker, belief: Belief, temperature: float) -> Belief:
+def restart(model: Model | Tracker, belief: Belief, temperature: float) -> Belief:
     """The belief begun anew at a reading (degC) that is trusted to within the sensor; location, m and inputs stay.
 
     Of hidden states the housing's temperature stays as it is, and lags and X move with the reading.
     """
-    tracker = compiled(model)
+    tracker = compile_tracker(model)
     reading = replace(belief, x=temperature, xx=tracker.sensor, xm=0.0, seen=True, clamps=0, read_at=belief.time)
-    return reading if tracker.plant is None else state_estimate.moved_to(tracker.plant, belief, reading)
+    return reading if tracker.plant is None else state_estimate.move_states(tracker.plant, belief, reading)
 
 
 def machine_offset(model: Model | Tracker, belief: Belief) -> tuple[float, float] | None:
     """(mean, standard deviation), degC, of what this machine's targets lie above the model's; None if not asked."""
-    plant = compiled(model).plant
+    plant = compile_tracker(model).plant
     known = None if plant is None else state_estimate.machine_offset(plant, belief)
     return None if known is None else (known[0], sqrt(max(known[1], 0.0)))
 
 
 def with_machine_offset(model: Model | Tracker, belief: Belief, mean: float, sigma: float) -> Belief:
     """The belief with what was learned of this machine before it was begun (`machine_offset`); else as it is."""
-    plant = compiled(model).plant
+    plant = compile_tracker(model).plant
     if plant is None or plant.machine is None:
         return belief
     return state_estimate.with_machine_offset(plant, belief, mean, sigma * sigma)
@@ -327,7 +327,7 @@ def filter_trace(model: Model | Tracker, trace: Trace) -> Filtered:
 
     Raises ValueError when the trace has no rows or lacks the model's temperature signal.
     """
-    tracker = compiled(model)
+    tracker = compile_tracker(model)
     name = tracker.model.temperature
     if not trace.times.size or name not in trace.signals:
         missing = f"signal {name!r}" if trace.times.size else "row"

@@ -97,7 +97,7 @@ class Belief:
         return sqrt(self.xx)
 
 
-def belief_of(saved: Mapping[str, Any]) -> Belief:
+def restore_belief(saved: Mapping[str, Any]) -> Belief:
     """The belief that `dataclasses.asdict` and JSON have taken apart. Raises KeyError or TypeError."""
     last = Innovation(**saved["last"]) if saved["last"] else None
     hidden = saved.get("hidden")

@@ -11,9 +11,9 @@ from math import exp
 
 import numpy as np
 
-from sim.effects import ABSOLUTE_ZERO, SETTLED, VaryingLaw, kind_of, lag_of, parameter, unknown
+from sim.effects import ABSOLUTE_ZERO, SETTLED_LAGS, VaryingLaw, effect_kind, heat_lag, parameter, unknown
 from sim.engine.plant import Acting, Indices, Plant
-from sim.engine.terms import held
+from sim.engine.terms import held_terms
 from sim.sha import Array, Effect, flows
 
 _FALL, _FALLS = 1.25, 160
@@ -24,19 +24,19 @@ _LATE, _SLOWER = 0.25, 3.0
 their error goes with the third power of their length."""
 _SWITCHED, _RADIATING = 0.2, 0.1
 """Parts of X's fastest time constant that a segment is long at most, under a thermostat and under radiation."""
-_WARM = 100.0 - ABSOLUTE_ZERO
+_WARM_K = 100.0 - ABSOLUTE_ZERO
 """The temperature (K) at which radiation's speed is taken."""
 
 
-def _faded() -> Array:
+def _fade_cuts() -> Array:
     ages, age = [0.0], _LATE
-    while age < SETTLED:
+    while age < SETTLED_LAGS:
         ages.append(age)
         age += _LATE * exp(age / _SLOWER)
     return np.array(ages)
 
 
-_FADED = _faded()
+_FADE_LAGS = _fade_cuts()
 """The ages, in lags, at which what comes late is cut from where it begins to fade."""
 
 
@@ -60,13 +60,13 @@ def cuts(plant: Plant, stays: Stays) -> Array:
     """The times (s) inside the stays at which a segment must end; in no order, some perhaps twice."""
     times = [np.empty(0)]
     for acting, starts in zip(plant.startups, stays.starts, strict=True):
-        times.append(_within(_knots(acting.effect, starts), stays, acting))
+        times.append(_acting_times(_knots(acting.effect, starts), stays, acting))
     for acting in plant.wears:
-        times.append(_within(_knots(acting.effect, np.empty(0)), stays, acting))
+        times.append(_acting_times(_knots(acting.effect, np.empty(0)), stays, acting))
     for effect, changed in zip(plant.late, stays.changed, strict=True):
-        ages = lag_of(effect) * _FADED
+        ages = heat_lag(effect) * _FADE_LAGS
         # From one change to the next: what was before it has been cut so finely already, and is in D with it.
-        row, cut = _counted(
+        row, cut = _expand_ranges(
             np.zeros(changed.size, dtype=np.intp),
             np.searchsorted(ages, np.diff(changed, append=stays.ends[-1:]), side="left"),
         )
@@ -76,35 +76,35 @@ def cuts(plant: Plant, stays: Stays) -> Array:
         rows = np.flatnonzero((stays.location == index) & (stays.ends > stays.begins))
         # The ages of the cuts are the same for all stays in a location, so that equal segments recur and are worked out
         # once.
-        ages = flows.fading(flow, _FALL ** -np.arange(1.0, _FALLS))
+        ages = flows.fade_ages(flow, _FALL ** -np.arange(1.0, _FALLS))
         first = np.searchsorted(ages, stays.begins[rows] - stays.entered[rows], side="right")
         last = np.searchsorted(ages, stays.ends[rows] - stays.entered[rows], side="left")
-        stay, cut = _counted(first, last)
+        stay, cut = _expand_ranges(first, last)
         times.append(stays.entered[rows][stay] + ages[cut])
     if not plant.linear:
         # Multiples of the longest segment from each stay's begin on.
         length = longest(plant)[stays.location]
         count = np.ceil((stays.ends - stays.begins) / length).astype(int)
-        stay, multiple = _counted(np.ones_like(count), count)
+        stay, multiple = _expand_ranges(np.ones_like(count), count)
         times.append(stays.begins[stay] + multiple * length[stay])
     return np.concatenate(times)
 
 
 def _knots(effect: Effect, starts: Array) -> Array:
-    law = kind_of(effect).law
+    law = effect_kind(effect).law
     if not isinstance(law, VaryingLaw):
         raise unknown("the cutting of stays", effect.kind, law)
     return law.knots(effect, starts)
 
 
-def _within(times: Array, stays: Stays, acting: Acting) -> Array:
+def _acting_times(times: Array, stays: Stays, acting: Acting) -> Array:
     """Those inside a stay in which the effect acts."""
     place = np.searchsorted(stays.begins, times, side="right") - 1
     inside = (place >= 0) & (times > stays.begins[place]) & (times < stays.ends[place])
     return times[inside & acting.mask[stays.location[place]]]
 
 
-def _counted(first: Indices, last: Indices) -> tuple[Indices, Indices]:
+def _expand_ranges(first: Indices, last: Indices) -> tuple[Indices, Indices]:
     """For each row i the numbers first[i] <= number < last[i]: (row, number) one after the other."""
     counts = np.maximum(last - first, 0)
     row = np.repeat(np.arange(counts.size), counts)
@@ -128,12 +128,12 @@ def fastest(plant: Plant) -> Array:
     speed = plant.rate + plant.couplings[:, 0]
     for acting in plant.steady:
         # A pump's signal is 0 to 1: at 1 its loss is the parameter itself.
-        _, loss = held(acting.effect, {name: np.ones(1) for name in acting.effect.signals.values()})
+        _, loss = held_terms(acting.effect, {name: np.ones(1) for name in acting.effect.signals.values()})
         speed = speed + acting.mask * loss
     if plant.thermostat is not None:
         speed = speed + plant.thermostat.mask * plant.thermostat.effect.params["loss"]
     if plant.radiation is not None:
         effect = plant.radiation.effect
-        warm = _WARM * parameter(effect, "scale")
+        warm = _WARM_K * parameter(effect, "scale")
         speed = speed + plant.radiation.mask * 4.0 * effect.params["gain"] * warm**3
     return speed

@@ -11,20 +11,20 @@ import numpy as np
 
 from sim.effects import parameter
 from sim.engine.plant import Indices, Plant
-from sim.engine.response import carried
+from sim.engine.response import step_answer
 from sim.engine.tables import Half, Tables
 from sim.sha import Array, Mask
 
 Rows = int | slice
 
-_SECANTS = 4
+_SECANT_STEPS = 4
 """Steps of the secant search for a crossing. Inside a segment, at most a fifth of X's fastest time constant long
 (`cuts`), X is nearly a straight line, on which the first step is exact; the method's order is 1.6 from there."""
-_MOST_SWITCHES = 8
+_MAX_SWITCHES = 8
 """Switches of one run in one segment at most: a valve that hunts faster than that is finer than any record shows."""
 
 
-def switched(plant: Plant, x: Array, opened: Mask) -> Mask:
+def is_valve_open(plant: Plant, x: Array, opened: Mask) -> Mask:
     """(N,) whether the thermostat is open at the temperatures `x`, given whether it was."""
     if plant.thermostat is None:
         return opened
@@ -55,7 +55,7 @@ def move(
     """
     # In this order: the thermostat as the state says it, the linear step, the rate limit, the noise, and last the runs
     # whose end lies beyond a threshold, which are cut where they crossed it.
-    opened = switched(plant, s[:, 0], opened)  # a jump of X, or the range's clamp, may have passed a threshold
+    opened = is_valve_open(plant, s[:, 0], opened)  # a jump of X, or the range's clamp, may have passed a threshold
     # What radiation's tangent leaves out is a heat of second order in y, taken at the step's start: (a + y)^4 less its
     # tangent is what is left of the binomial.
     rest = None
@@ -81,7 +81,7 @@ def move(
             after = after.copy()
             after[:, 0] = s[:, 0] + np.clip(change, -rate * dt, rate * dt)
     after = after + noise
-    now = switched(plant, after[:, 0], opened)
+    now = is_valve_open(plant, after[:, 0], opened)
     at = np.flatnonzero(now != opened)
     # Most runs switch in few segments: only those that crossed are cut, the others have their whole step already.
     if steps.open is None or not at.size:
@@ -99,7 +99,7 @@ def move(
         share=np.zeros(at.size),
     )
     share = opened.astype(float)
-    after[at], opened = _switching(plant, steps, run, after[at]), opened.copy()
+    after[at], opened = _switch_ends(plant, steps, run, after[at]), opened.copy()
     opened[at], share[at] = run.opened, run.share
     return Moved(after, opened, met, share)
 
@@ -132,18 +132,18 @@ class _CrossingRuns:
     share: Array
 
 
-def _switching(plant: Plant, steps: Tables, run: _CrossingRuns, end: Array) -> Array:
+def _switch_ends(plant: Plant, steps: Tables, run: _CrossingRuns, end: Array) -> Array:
     """(n, d) the ends of runs that would come to `end` if none switched: to the threshold, and from there switched.
 
     The thermostat of `run` is moved on. A run may switch several times in a step.
     """
     begin, end = np.zeros(len(end)), end.copy()
-    for _ in range(_MOST_SWITCHES):
-        now = switched(plant, end[:, 0], run.opened)
+    for _ in range(_MAX_SWITCHES):
+        now = is_valve_open(plant, end[:, 0], run.opened)
         crossed = now != run.opened
         if not crossed.any():
             break
-        part, at_crossing = _crossing(plant, steps, run, begin, end)
+        part, at_crossing = _find_crossing(plant, steps, run, begin, end)
         # From its crossing on a run is in the other mode, over what is left of the step, where it may cross again.
         run.s = np.where(crossed[:, None], at_crossing, run.s)
         run.share += np.where(crossed & run.opened, part - begin, 0.0)
@@ -155,7 +155,7 @@ def _switching(plant: Plant, steps: Tables, run: _CrossingRuns, end: Array) -> A
     return end
 
 
-def _crossing(plant: Plant, steps: Tables, run: _CrossingRuns, begin: Array, end: Array) -> tuple[Array, Array]:
+def _find_crossing(plant: Plant, steps: Tables, run: _CrossingRuns, begin: Array, end: Array) -> tuple[Array, Array]:
     """(part of the step, state) at which each run meets its threshold, by the secant method on its exact course.
 
     The secant method (Press et al., Numerical Recipes, 9.2) needs no derivative of the course, which with a housing, a
@@ -167,7 +167,7 @@ def _crossing(plant: Plant, steps: Tables, run: _CrossingRuns, begin: Array, end
     threshold = np.where(run.opened, p["closes"], p["opens"])
     old, part, s = begin, np.ones_like(begin), end
     old_error, error = run.s[:, 0] - threshold, end[:, 0] - threshold
-    for _ in range(_SECANTS):
+    for _ in range(_SECANT_STEPS):
         # Two equal errors (a run that stands at its threshold already) would divide by 0; any change will do, as the
         # error is 0 too.
         change = np.where(error == old_error, 1.0, error - old_error)
@@ -190,6 +190,6 @@ def _piece(plant: Plant, steps: Tables, run: _CrossingRuns, begin: Array, until:
         heat[:, 0] += (first + second * begin) * begin
         heat[:, 1], heat[:, 2] = (first + 2.0 * second * begin) * length, second * length * length
     # A table's row is made for the whole step; a piece has its own length, so its exponential is worked out afresh.
-    phi, poly = carried(plant, loss, steps.couplings[which], steps.dt[which] * length, closed.powers)
+    phi, poly = step_answer(plant, loss, steps.couplings[which], steps.dt[which] * length, closed.powers)
     after = np.einsum("nij,nj->ni", phi, run.s) + np.einsum("niq,nq->ni", poly, heat)
     return np.asarray(after + length[:, None] * run.noise)

@@ -9,11 +9,11 @@ import numpy as np
 from sim.effects import check_sha, sensor_offset, sensor_offsets
 from sim.engine.moments_augmented import DrawnMoments, MeanCourse, covariance, mean_course, start_state
 from sim.engine.plant import Plant, compile_plant
-from sim.engine.recursion import SHORT, linear_recursion
+from sim.engine.recursion import MAX_LOOP_STEPS, linear_recursion
 from sim.engine.schedules import Schedule, step_coefficients
 from sim.engine.tables import Tables
 from sim.engine.terms import Segments
-from sim.sha import Array, Indices, distributions, drawn_temperature, flows, mode_parameter
+from sim.sha import Array, Indices, distributions, draw_temperature, flows, mode_parameter
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,7 +110,7 @@ def mean_readings(steps: Schedule, x0: float, drawn: DrawnMoments) -> Array:
     """(n,) the mean of what the sensor reads after each step, from the reading `x0` (degC), when stays draw `drawn`."""
     if steps.segments is None:
         affine = replace(affine_steps(steps), drawn=drawn)
-        return _mean(steps, affine, x0, loop=steps.dt.size <= SHORT)[0]
+        return _mean(steps, affine, x0, loop=steps.dt.size <= MAX_LOOP_STEPS)[0]
     plant, _, course = augmented_course(steps, x0, drawn)
     return _readings(steps, steps.segments, plant, course)
 
@@ -138,7 +138,7 @@ def stay_draws(steps: Schedule) -> DrawnMoments:
     """What the stays of a schedule draw by their locations' laws, step by step."""
     rows = []
     for place in steps.sha.locations:
-        law = drawn_temperature(place)  # None where X goes on: NaN in the table
+        law = draw_temperature(place)  # None where X goes on: NaN in the table
         renewal = (nan, 0.0) if law is None else (distributions.mean(law), distributions.variance(law))
         rows.append((*mode_parameter(place), *renewal))
     mode, spread, fresh, scatter = np.array(rows).T[:, steps.location]
@@ -175,7 +175,7 @@ def _readings(steps: Schedule, segments: Segments, plant: Plant, course: MeanCou
     offset = sensor_offsets(steps.sha, segments.time + steps.dt)
     # At the outputs' own times: begin + length may miss the very moment of a sensor step by a rounding.
     offset[steps.output >= 0] = sensor_offsets(steps.sha, steps.times)
-    return np.asarray(course.s[:, plant.sensed] + offset)
+    return np.asarray(course.s[:, plant.sensor_state] + offset)
 
 
 def free_mean(steps: Schedule, affine: AffineSteps, x0: float) -> Array:
@@ -242,7 +242,7 @@ def _increments(steps: Schedule, free: Array, target: Array) -> tuple[Array, int
     added, met, rate = free.copy(), 0, steps.sha.max_rate
     for index in np.unique(steps.location).tolist() if isfinite(rate) else ():
         flow = steps.sha.locations[index].flow
-        if flow.kind in flows.RELAXING:
+        if flow.kind in flows.RELAXING_FLOWS:
             continue
         rows = np.flatnonzero((steps.location == index) & (steps.dt > 0))
         added[rows] = flows.mean_step(flow, 0.0, target[rows], age=steps.age[rows], dt=steps.dt[rows], max_rate=rate)

@@ -11,19 +11,19 @@ from math import inf
 
 import numpy as np
 
-from sim.engine.kernel import move, switched
+from sim.engine.kernel import is_valve_open, move
 from sim.engine.plant import Plant
 from sim.engine.recursion import matrix_recursion
-from sim.engine.tables import Half, Tables, chosen, tables
+from sim.engine.tables import Half, Tables, blend_steps, tables
 from sim.engine.terms import Segments
-from sim.engine.valve import Valve, follow, rows_of
+from sim.engine.valve import Valve, follow, iterate_rows
 from sim.sha import Array, Mask
 
-AGREED = 1e-5
+COURSE_TOLERANCE_DEGC = 1e-5
 """degC by which the course about which radiation is linearised may differ from the course that follows."""
 
-_ROUNDS = 10
-_FEWEST = 8
+_MAX_ROUNDS = 10
+_MIN_BATCH = 8
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -105,13 +105,13 @@ def mean_course(
     if plant.radiation is None:
         return _march(plant, tables(plant, segments) if known is None else known, drawn, start, valve)
     about = np.full(segments.dt.size, float(start[0]))
-    for _ in range(_ROUNDS):
+    for _ in range(_MAX_ROUNDS):
         course = _march(plant, tables(plant, segments, about), drawn, start, valve)
         # The tangent lies at the middle of the segment as it runs: where X is drawn anew, from its new mean on.
         before = np.where(drawn.resampled, drawn.fresh, np.concatenate([start[:1], course.s[:-1, 0]]))
         middle = 0.5 * (before + course.s[:, 0])
         moved, about = float(np.abs(middle - about).max()), middle
-        if moved < AGREED:
+        if moved < COURSE_TOLERANCE_DEGC:
             break
     return course
 
@@ -126,7 +126,7 @@ def _march(plant: Plant, steps: Tables, drawn: DrawnMoments, start: Array, first
     fresh = np.where(drawn.resampled, drawn.fresh, np.nan)
     if plant.thermostat is not None and plant.size == 1 and steps.closed.terms.powers == 1:
         valve_state = Valve(float(start[0]), first)
-        rows_of_floats = rows_of(steps, drawn.mode, fresh, drawn.checked)
+        rows_of_floats = iterate_rows(steps, drawn.mode, fresh, drawn.checked)
         x, parts = follow(sha, plant.thermostat.effect, rows_of_floats, valve_state, fresh.size)
         return MeanCourse(
             s=x[:, None],
@@ -145,7 +145,7 @@ def _march(plant: Plant, steps: Tables, drawn: DrawnMoments, start: Array, first
     while row < n:
         rows = slice(row, min(row + piece, n))
         half = steps.open if valve[0] and steps.open is not None else steps.closed
-        phi, added = _renewed(half, drawn, rows)
+        phi, added = _redraw_steps(half, drawn, rows)
         run = matrix_recursion(phi, added + half.pull[rows] * drawn.mode[rows, None], state)
         before = np.where(drawn.resampled[rows], drawn.fresh[rows], np.concatenate([state[:1], run[:-1, 0]]))
         after = run[:, 0]
@@ -153,11 +153,11 @@ def _march(plant: Plant, steps: Tables, drawn: DrawnMoments, start: Array, first
         if sha.max_rate < inf:
             odd |= np.abs(after - before) > sha.max_rate * steps.dt[rows] * (1.0 + 1e-12)
         if plant.thermostat is not None:
-            odd |= (switched(plant, before, valve) != valve) | (switched(plant, after, valve) != valve)
+            odd |= (is_valve_open(plant, before, valve) != valve) | (is_valve_open(plant, after, valve) != valve)
         good = int(np.argmax(odd)) if odd.any() else len(run)
         s[row : row + good], opened[row : row + good] = run[:good], valve[0]
         row, state = row + good, run[good - 1] if good else state
-        piece = min(2 * piece, n) if good == len(run) else _FEWEST
+        piece = min(2 * piece, n) if good == len(run) else _MIN_BATCH
         if good == len(run):
             continue
         # The odd row by the kernel, with everything in it, and from its end the recursion again.
@@ -173,7 +173,7 @@ def _march(plant: Plant, steps: Tables, drawn: DrawnMoments, start: Array, first
     return MeanCourse(s=s, steps=steps, opened=opened, clamps=int(clamps), limited=limited, valve=bool(valve[0]))
 
 
-def _renewed(half: Half, drawn: DrawnMoments, rows: slice) -> tuple[Array, Array]:
+def _redraw_steps(half: Half, drawn: DrawnMoments, rows: slice) -> tuple[Array, Array]:
     """(phi, added) in which steps before which X is drawn anew forget the old X and begin with the mean of the new."""
     phi, added, new = half.phi[rows], half.added[rows], drawn.resampled[rows]
     if not new.any():
@@ -189,9 +189,9 @@ def covariance(plant: Plant, course: MeanCourse, drawn: DrawnMoments, variance0:
 
     The thermostat switches as it does for the mean, and limits are not seen.
     """
-    half = chosen(course.steps, course.opened)
+    half = blend_steps(course.steps, course.opened)
     n, d = half.pull.shape
-    phi, _ = _renewed(half, drawn, slice(0, n))
+    phi, _ = _redraw_steps(half, drawn, slice(0, n))
     # First the covariance of the states with m, which starts at 0 in each stay; what a step adds to P needs the one
     # before the step.
     kept = np.where(drawn.entry[:, None, None], 0.0, phi)
@@ -203,20 +203,22 @@ def covariance(plant: Plant, course: MeanCourse, drawn: DrawnMoments, variance0:
     added = crossed + crossed.transpose(0, 2, 1) + half.noise
     added += drawn.spread[:, None, None] * np.einsum("ni,nj->nij", half.pull, half.pull)
     added += fresh * np.einsum("ni,nj->nij", first, first)
-    return _squared(phi, added, start_covariance(plant, variance0).ravel())[:, plant.sensed * (d + 1)]
+    return _propagate_covariance(phi, added, start_covariance(plant, variance0).ravel())[
+        :, plant.sensor_state * (d + 1)
+    ]
 
 
-_CHUNK = 4096
+_CHUNK_STEPS = 4096
 
 
-def _squared(phi: Array, added: Array, start: Array) -> Array:
+def _propagate_covariance(phi: Array, added: Array, start: Array) -> Array:
     """(n, d * d) the covariances P' = phi P phi^T + added, from `start` (d * d,), in pieces for their memory."""
     n, d, _ = phi.shape
     out = np.empty((n, d * d))
     # Row by row, vec(phi P phi^T) = (phi x phi) vec(P) with the Kronecker product: the covariance is a linear recursion
     # too, of d^2 numbers, and one banded solve takes all steps at once.
-    for first in range(0, n, _CHUNK):
-        rows = slice(first, min(first + _CHUNK, n))
+    for first in range(0, n, _CHUNK_STEPS):
+        rows = slice(first, min(first + _CHUNK_STEPS, n))
         twice = np.einsum("nij,nkl->nikjl", phi[rows], phi[rows]).reshape(-1, d * d, d * d)
         out[rows] = matrix_recursion(twice, added[rows].reshape(-1, d * d), start)
         start = out[rows][-1]

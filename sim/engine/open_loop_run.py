@@ -42,7 +42,7 @@ class Errors:
     final_percent: float
 
 
-def measured(trace: Trace, signal: str) -> tuple[Array, Array]:
+def readings(trace: Trace, signal: str) -> tuple[Array, Array]:
     """Times and values (degC) of the readings of `signal`. Raises ValueError when there is none."""
     if signal not in trace.signals:
         raise ValueError(f"trace {trace.name!r} has no signal {signal!r}; it has {', '.join(trace.signals) or 'none'}")
@@ -54,7 +54,7 @@ def measured(trace: Trace, signal: str) -> tuple[Array, Array]:
 
 def open_loop_schedule(model: Model, trace: Trace, policy: Policy = "reject") -> Schedule:
     """The steps from the first reading of the temperature to the last, with an output at each reading and event."""
-    times, _ = measured(trace, model.temperature)
+    times, _ = readings(trace, model.temperature)
     events = np.array([event.time for event in trace.events], dtype=float)
     events = events[(events >= times[0]) & (events <= times[-1])]
     outputs = np.union1d(times, events)
@@ -67,7 +67,7 @@ def start_law(model: Model, trace: Trace, start: Start = "measured") -> Distribu
         if model.initial is None:
             raise ValueError(f"model {model.sha.name!r} has no initial law; start at the measured temperature")
         return model.initial
-    return Distribution("normal", {"mu": float(measured(trace, model.temperature)[1][0]), "sigma": 0.0})
+    return Distribution("normal", {"mu": float(readings(trace, model.temperature)[1][0]), "sigma": 0.0})
 
 
 def open_loop(model: Model, trace: Trace, policy: Policy = "reject", start: Start = "measured") -> Prediction:
@@ -86,18 +86,18 @@ def errors(prediction: Prediction, trace: Trace, signal: str) -> Errors:
 
     Raises ValueError when the prediction has no value at a reading within its time span.
     """
-    times, values = measured(trace, signal)
+    times, values = readings(trace, signal)
     inside = (times >= prediction.times[0]) & (times <= prediction.times[-1])
     times, values = times[inside], values[inside]
     if times.size == 0:
         raise ValueError(f"trace {trace.name!r} has no reading of {signal!r} within the prediction's time span")
-    predicted = _at(prediction, times)
+    predicted = _predicted_mean(prediction, times)
     events = np.array([event.time for event in trace.events], dtype=float)
     events = events[(events >= times[0]) & (events <= prediction.times[-1])]
     held = values[np.searchsorted(times, events, side="right") - 1]
     final = float(predicted[-1] - values[-1])
     return Errors(
-        at_events=score(_at(prediction, events) - held),
+        at_events=score(_predicted_mean(prediction, events) - held),
         at_samples=score(predicted - values),
         final=final,
         final_percent=100.0 * abs(final) / abs(float(values[-1])) if values[-1] else nan,
@@ -116,7 +116,7 @@ def score(residual: Array) -> Score:
     )
 
 
-def _at(prediction: Prediction, times: Array) -> Array:
+def _predicted_mean(prediction: Prediction, times: Array) -> Array:
     """The predicted mean at `times`, each of which must be an output time; the last of equal ones counts."""
     row = np.searchsorted(prediction.times, times, side="right") - 1
     matches = (row >= 0) & (prediction.times[row] == times)

@@ -32,7 +32,7 @@ from sim.engine.belief_state import Belief, Hidden
 from sim.engine.tracker import Tracker
 from sim.sha import Array, Effect, Indices, Mask, Paths, flows
 
-_LEAST_DECAY = exp(-1.0)
+_MIN_DECAY = exp(-1.0)
 
 
 BLOCK_ROWS = 16
@@ -131,7 +131,7 @@ class Layout:
         p, plant = heat.effect.params, self.tracker.plant
         rate = np.zeros(location.shape) if plant is None else plant.rate[location]
         step = disturbance_step(p["memory"], rate, dt)
-        into, fresh = step.into, p["sigma"] * np.sqrt(step.dd) * heat.white[rows]
+        into, fresh = step.coupling, p["sigma"] * np.sqrt(step.dd) * heat.white[rows]
         # What of the disturbance's doing in X its own news do not tell is drawn with the white noise.
         noise = np.sqrt(variance + p["sigma"] ** 2 * step.own) * self.white[rows]
         for row in range(len(noise)):
@@ -177,7 +177,7 @@ class PathRuns:
     clamps: int
 
 
-def lay_out(
+def draw_layout(
     tracker: Tracker, belief: Belief, paths: Paths, *, grid: Array, inputs: Array, rng: np.random.Generator
 ) -> Layout:
     """The steps along `paths` with all that is random in them drawn.
@@ -313,7 +313,7 @@ def run(layout: Layout) -> PathRuns:
         shift += steps.noise
         for place, row in enumerate(range(rows.start, rows.start + len(shift))):
             if steps.drawn is not None:
-                start[row] = _entered(x0 if row == 0 else end[row - 1], steps.drawn[place])
+                start[row] = _enter_location(x0 if row == 0 else end[row - 1], steps.drawn[place])
             np.multiply(steps.decay[place], start[row], out=end[row])
             end[row] += shift[place]
         bridge[rows] = bridges(steps.decay, steps.variance)
@@ -324,7 +324,7 @@ def run(layout: Layout) -> PathRuns:
     met |= (np.minimum(start, end) < sha.low).any(axis=0) | (np.maximum(start, end) > sha.high).any(axis=0)
     clamps, again = 0, np.flatnonzero(met)
     if again.size:
-        limited = _limited(layout.of(again))
+        limited = _run_with_limits(layout.of(again))
         start[:, again], end[:, again], bridge[:, again] = limited.start, limited.end, limited.bridge
         clamps = limited.clamps
     return PathRuns(layout.ends, start, end, bridge, marks=layout.marks, clamps=clamps)
@@ -337,11 +337,11 @@ def _both_ends(layout: Layout, x0: Array) -> tuple[Array, Array]:
     return path[:-1] if layout.drawn is None else np.empty(layout.ends.shape), path[1:]
 
 
-def _entered(x: Array, drawn: Array) -> Array:
+def _enter_location(x: Array, drawn: Array) -> Array:
     return np.where(np.isnan(drawn), x, drawn)
 
 
-def _limited(layout: Layout) -> PathRuns:
+def _run_with_limits(layout: Layout) -> PathRuns:
     """The runs held to the range and to the greatest rate, row by row."""
     tracker, x0 = layout.tracker, layout.x0
     sha = tracker.model.sha
@@ -351,7 +351,7 @@ def _limited(layout: Layout) -> PathRuns:
     bridge = np.empty(end.shape)
     for rows, steps in layout.blocks():
         for place, row in enumerate(range(rows.start, rows.start + len(steps.dt))):
-            begins = x if steps.drawn is None else np.clip(_entered(x, steps.drawn[place]), sha.low, sha.high)
+            begins = x if steps.drawn is None else np.clip(_enter_location(x, steps.drawn[place]), sha.low, sha.high)
             start[row] = begins
             if isfinite(sha.max_rate):
                 mean = flows.mean_along(
@@ -374,7 +374,7 @@ def _limited(layout: Layout) -> PathRuns:
 
 def bridges(decay: Array, variance: Array) -> Array:
     """V of each step (degC^2), by which the chance is taken of a touch between its two ends (see above)."""
-    return np.asarray(variance / np.maximum(decay, _LEAST_DECAY))
+    return np.asarray(variance / np.maximum(decay, _MIN_DECAY))
 
 
 def survival(

@@ -13,7 +13,7 @@ from math import inf
 
 import numpy as np
 
-from sim.effects import dead_time, delay_of, late_jumps, late_kept, late_source, sensor_offsets
+from sim.effects import dead_time, delay_of, late_jumps, late_source, remaining_share, sensor_offsets
 from sim.engine.belief_state import Belief, Hidden
 from sim.engine.kernel import move
 from sim.engine.particles import PathRuns, bridges, draw_states, drawn_temperatures, merge
@@ -62,7 +62,7 @@ def acting_paths(plant: Plant, belief: Belief, known: Sequence[tuple[float, int]
 def augmented_path_runs(
     tracker: Tracker, plant: Plant, belief: Belief, paths: Paths, *, grid: Array, rng: np.random.Generator
 ) -> PathRuns:
-    """The runs along `paths`, of what the sensor reads; `grid` (G,) as in `particles.lay_out`.
+    """The runs along `paths`, of what the sensor reads; `grid` (G,) as in `particles.draw_layout`.
 
     The random numbers come in this order: states and m of the belief, m of the stays, signals by name, X where it is
     drawn, then each row's noise. A seed's forecast depends on it.
@@ -122,7 +122,7 @@ def augmented_path_runs(
         rows = slice(row * shape[1], (row + 1) * shape[1])
         if drawn is not None:
             s[:, 0] = np.where(np.isnan(drawn[row]), s[:, 0], drawn[row])
-        start[row] = s[:, plant.sensed] + before[row]
+        start[row] = s[:, plant.sensor_state] + before[row]
         roots = np.where(opened[:, None, None], other[rows], closed[rows])
         noise = (roots @ rng.standard_normal((shape[1], plant.size, 1)))[:, :, 0]
         moved = move(plant, table, rows, s=s, mode=mode[row], opened=opened, noise=noise)
@@ -130,10 +130,12 @@ def augmented_path_runs(
         held = np.clip(s[:, 0], sha.low, sha.high)
         clamps += int((held != s[:, 0]).sum())
         s[:, 0] = held
-        end[row] = s[:, plant.sensed] + after[row]
+        end[row] = s[:, plant.sensor_state] + after[row]
 
     # Behind a lag the path is smooth: nothing happens between the ends of a step that the ends do not show.
-    variance = np.zeros(shape) if plant.lags else table.closed.noise[:, plant.sensed, plant.sensed].reshape(shape)
+    variance = (
+        np.zeros(shape) if plant.lags else table.closed.noise[:, plant.sensor_state, plant.sensor_state].reshape(shape)
+    )
     bridge = bridges(table.closed.phi[:, 0, 0].reshape(shape), variance)
     return PathRuns(ends, start, end, bridge, marks=marks, clamps=clamps)
 
@@ -172,7 +174,7 @@ def _late(
     columns, waiting = list[Array](), np.zeros(dt.shape)
     for number, (effect, deviation) in enumerate(zip(plant.late, hidden.late, strict=True)):
         now = {name: np.array(belief.signals.get(name, np.nan)) for name in effect.signals.values()}
-        source, kept, delay = late_source(effect, signals), late_kept(effect, dt), delay_of(effect)
+        source, kept, delay = late_source(effect, signals), remaining_share(effect, dt), delay_of(effect)
         jumps = late_jumps(
             np.vstack([np.broadcast_to(late_source(effect, now), source[:1].shape), source[:-1]]), source
         )

@@ -24,12 +24,12 @@ from sim.effects import (
     HeldLaw,
     Structural,
     VaryingLaw,
-    acts_in,
-    kind_of,
-    lag_of,
+    affects_location,
+    effect_kind,
+    heat_lag,
     unknown,
 )
-from sim.sha import FLOWS, RELAXING, SHA, Array, Effect, Mask
+from sim.sha import FLOWS, RELAXING_FLOWS, SHA, Array, Effect, Mask
 
 Indices = NDArray[np.intp]
 
@@ -74,7 +74,7 @@ class Plant:
     memo: dict[tuple[int, float, float], Any] = field(default_factory=dict, compare=False, repr=False)
 
     @property
-    def random_only(self) -> bool:
+    def is_random(self) -> bool:
         """Whether all that acts is random: a disturbance, the machine's offset."""
         return len(self.sha.effects) == (self.disturbance is not None) + (self.machine is not None)
 
@@ -111,7 +111,7 @@ class Plant:
         return self.thermostat is None and self.radiation is None
 
     @property
-    def sensed(self) -> int:
+    def sensor_state(self) -> int:
         """The state that the sensor reads: the last lag, or X."""
         return self.size - 1 if self.lags else 0
 
@@ -127,8 +127,8 @@ def compile_plant(sha: SHA) -> Plant:
     wears: list[Acting] = []
     features: dict[Feature, Acting] = {}
     for effect in sha.effects:
-        acting = Acting(effect, np.array([acts_in(effect, location.name) for location in sha.locations]))
-        match kind_of(effect).law:
+        acting = Acting(effect, np.array([affects_location(effect, location.name) for location in sha.locations]))
+        match effect_kind(effect).law:
             case HeldLaw():
                 held.append(acting)
             case VaryingLaw(from_event=from_event):
@@ -140,14 +140,16 @@ def compile_plant(sha: SHA) -> Plant:
     housing, lag = features.get("housing"), features.get("sensor lag")
     disturbance, machine = features.get("disturbance"), features.get("machine offset")
     order = int(lag.effect.params["order"]) if lag is not None else 0
-    rate = np.array([flow.params["k"] if flow.kind in RELAXING else 0.0 for flow in flows])
+    rate = np.array([flow.params["k"] if flow.kind in RELAXING_FLOWS else 0.0 for flow in flows])
     coupling = np.where(housing.mask, housing.effect.params["coupling"], 0.0) if housing else np.zeros(len(flows))
     return Plant(
         sha=sha,
         rate=rate,
         noise=np.array([flow.params["noise"] for flow in flows]),
         # The constant that multiplies m in the drift; one that falls with the age is not here (`fading`).
-        drive=np.array([flow.params["k"] if flow.kind in RELAXING else float(flow.kind == "linear") for flow in flows]),
+        drive=np.array(
+            [flow.params["k"] if flow.kind in RELAXING_FLOWS else float(flow.kind == "linear") for flow in flows]
+        ),
         fading=tuple(row for row, flow in enumerate(flows) if FLOWS[flow.kind].fading is not None),
         couplings=np.column_stack([coupling, rate if machine else np.zeros(len(flows))]),
         housing_tau=inf if housing is None else housing.effect.params["tau"],
@@ -156,7 +158,7 @@ def compile_plant(sha: SHA) -> Plant:
         steady=tuple(held),
         startups=tuple(startups),
         wears=tuple(wears),
-        late=tuple(acting.effect for acting in held if lag_of(acting.effect) > 0),
+        late=tuple(acting.effect for acting in held if heat_lag(acting.effect) > 0),
         thermostat=features.get("thermostat"),
         radiation=features.get("radiation"),
         disturbance=disturbance.effect if disturbance else None,

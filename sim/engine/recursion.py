@@ -41,7 +41,7 @@ def matrix_recursion(phi: Array, b: Array, x0: Array) -> Array:
     """
     n, d = b.shape
     x = np.empty((n, d))
-    if n <= SHORT:
+    if n <= MAX_LOOP_STEPS:
         for row in range(n):
             x[row] = x0 = phi[row] @ x0 + b[row]
         return x
@@ -49,7 +49,7 @@ def matrix_recursion(phi: Array, b: Array, x0: Array) -> Array:
         return linear_recursion(phi[:, 0, 0], b[:, 0], float(x0[0]))[:, None]
     from scipy.linalg.lapack import dtbtrs
 
-    piece = max(_PIECE // (2 * d * d), 1)
+    piece = max(_PIECE_STEPS // (2 * d * d), 1)
     for first in range(0, n, piece):
         factors, right = phi[first : first + piece], b[first : first + piece].copy()
         count = len(right)
@@ -67,8 +67,8 @@ def matrix_recursion(phi: Array, b: Array, x0: Array) -> Array:
     return x
 
 
-_PIECE = 1 << 18
-SHORT = 256
+_PIECE_STEPS = 1 << 18
+MAX_LOOP_STEPS = 256
 """Steps of a recursion that is a loop where a running gateway asks for it: in the check of a model at its start, and in
 beliefs under effects. So it does without scipy, whose linear algebra is loaded for longer ones."""
 

@@ -12,10 +12,10 @@ import numpy as np
 from sim.engine.plant import Indices, Plant
 from sim.sha import Array, Effect
 
-_TERMS = 14
+_TAYLOR_TERMS = 14
 """Terms of the Taylor series, of matrices whose norm is at most 1/2: the remainder is below 1e-16."""
 
-DIGITS = 6
+LENGTH_DIGITS = 6
 """Decimals of a length (s) by which segments count as alike where there are several states: clocks in absolute seconds
 have no more, and equal segments are worked out once."""
 
@@ -37,11 +37,11 @@ class SegmentResponse:
 
 def respond(plant: Plant, loss: Array, couplings: Array, dt: Array, powers: int) -> SegmentResponse:
     """The answers of segments with dX/dt = -`loss` X + (its `couplings` (n, 2)) + heat over `dt` seconds, each (n,)."""
-    phi, poly = carried(plant, loss, couplings, dt, powers)
+    phi, poly = step_answer(plant, loss, couplings, dt, powers)
     if plant.size == 1:
         noise = dt * weights(2.0 * loss * dt, 1)[:, 0]
         return SegmentResponse(phi, poly, noise[:, None, None])
-    keys, back = _alike(loss, couplings, dt)
+    keys, back = _unique_segments(loss, couplings, dt)
     noise = _noise(plant, keys, 0, 1.0)[back]
     if plant.disturbance is None:
         return SegmentResponse(phi, poly, noise)
@@ -55,19 +55,19 @@ def fresh_intensity(disturbance: Effect) -> float:
     return float(2.0 * p["sigma"] ** 2 / p["memory"])
 
 
-def carried(plant: Plant, loss: Array, couplings: Array, dt: Array, powers: int) -> tuple[Array, Array]:
+def step_answer(plant: Plant, loss: Array, couplings: Array, dt: Array, powers: int) -> tuple[Array, Array]:
     """(phi, poly) of the answers alone: a piece of a step needs no noise, and that is the dearer half."""
     if plant.size == 1:
         z = loss * dt
         return np.exp(-z)[:, None, None], (dt[:, None] * weights(z, powers))[:, None, :]
-    keys, back = _alike(loss, couplings, dt)
+    keys, back = _unique_segments(loss, couplings, dt)
     phi, poly = _transition(plant, keys, powers)
     return phi[back], poly[back]
 
 
-def _alike(loss: Array, couplings: Array, dt: Array) -> tuple[Array, Indices]:
+def _unique_segments(loss: Array, couplings: Array, dt: Array) -> tuple[Array, Indices]:
     """The different segments (loss, couplings, dt), each once, and which of them each segment is."""
-    same = np.column_stack([loss, couplings, np.round(dt, DIGITS)])
+    same = np.column_stack([loss, couplings, np.round(dt, LENGTH_DIGITS)])
     if len(same) == 1:  # pieces of a single run's step come one by one, and sorting them would cost more than they do
         return same, np.zeros(1, dtype=np.intp)
     keys, back = np.unique(same, axis=0, return_inverse=True)
@@ -93,13 +93,13 @@ def weights(z: Array, powers: int) -> Array:
 
 
 _COEFFICIENTS = np.array(
-    [[(-1.0) ** i * factorial(j) / factorial(j + 1 + i) for j in range(3)] for i in range(_TERMS + 1)]
+    [[(-1.0) ** i * factorial(j) / factorial(j + 1 + i) for j in range(3)] for i in range(_TAYLOR_TERMS + 1)]
 )
 
 
 def _series(z: Array, powers: int) -> Array:
     """The sums over i of (-z)^i j! / (j + 1 + i)!, for z < 1/2."""
-    return np.asarray(np.vander(z, _TERMS + 1, increasing=True) @ _COEFFICIENTS[:, :powers])
+    return np.asarray(np.vander(z, _TAYLOR_TERMS + 1, increasing=True) @ _COEFFICIENTS[:, :powers])
 
 
 def drift_matrix(plant: Plant, loss: Array, couplings: Array) -> Array:
@@ -139,7 +139,7 @@ def _transition(plant: Plant, keys: Array, powers: int) -> tuple[Array, Array]:
     halvings = _halvings(a)
     a *= np.exp2(-halvings)[:, None, None]
     total = term = np.broadcast_to(np.eye(d + powers), a.shape)
-    for i in range(1, _TERMS + 1):
+    for i in range(1, _TAYLOR_TERMS + 1):
         term = a @ term / i
         total = total + term
     for i in range(int(halvings.max(initial=0))):
@@ -163,7 +163,7 @@ def _noise(plant: Plant, keys: Array, state: int, intensity: float) -> Array:
     term = np.zeros_like(a)
     term[:, state, state] = intensity * dt * scale
     total, phi, power = term.copy(), np.broadcast_to(np.eye(plant.size), a.shape), np.eye(plant.size)
-    for i in range(1, 2 * _TERMS + 1):
+    for i in range(1, 2 * _TAYLOR_TERMS + 1):
         drifted = a @ term
         term = (drifted + drifted.transpose(0, 2, 1)) / (i + 1)
         total += term

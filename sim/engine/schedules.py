@@ -12,16 +12,16 @@ from sim.effects import (
     check_effects,
     dead_time,
     delay_of,
+    effect_signals,
     in_sensor_scale,
     late_jumps,
-    late_kept,
     late_source,
     refuse,
-    signals_of,
+    remaining_share,
 )
 from sim.engine.cuts import Stays, cuts
 from sim.engine.plant import compile_plant
-from sim.engine.recursion import SHORT, linear_recursion
+from sim.engine.recursion import MAX_LOOP_STEPS, linear_recursion
 from sim.engine.terms import Segments
 from sim.sha import (
     SHA,
@@ -138,7 +138,7 @@ def schedule(
         for startup in plant.startups
     )
     held = _readings(sha, walk.location, later)
-    late = tuple(_Late.of(effect, later.times, held) for effect in plant.late)
+    late = tuple(_Late.along_readings(effect, later.times, held) for effect in plant.late)
     changed = tuple(each.due for each in late)
     stays = Stays(
         walk.begins, np.append(walk.begins[1:], end), walk.entered, walk.location, starts=starts, changed=changed
@@ -168,21 +168,21 @@ class _Late:
     deviation: Array
 
     @classmethod
-    def of(cls, effect: Effect, clock: Array, held: dict[str, Array]) -> "_Late":
+    def along_readings(cls, effect: Effect, clock: Array, held: dict[str, Array]) -> "_Late":
         """Along the readings `held` from the times `clock` on."""
         source = late_source(effect, held)
         jumps = late_jumps(source[:-1], source[1:])
         rows = np.flatnonzero(jumps)
         changed = clock[1:][rows]
-        kept = late_kept(effect, np.diff(changed, prepend=changed[:1]))
-        deviation = linear_recursion(kept, jumps[rows], 0.0, loop=rows.size <= SHORT)
+        kept = remaining_share(effect, np.diff(changed, prepend=changed[:1]))
+        deviation = linear_recursion(kept, jumps[rows], 0.0, loop=rows.size <= MAX_LOOP_STEPS)
         jumped = np.append(0.0, np.cumsum(jumps[rows]))
         return cls(effect, changed, changed + delay_of(effect), jumped, np.append(0.0, deviation))
 
     def fading_at(self, times: Array) -> Array:
         """What fades at each of the times, after the readings of that instant."""
         row = np.searchsorted(self.due, times, side="right")
-        return self.deviation[row] * late_kept(self.effect, times - np.append(-np.inf, self.due)[row])
+        return self.deviation[row] * remaining_share(self.effect, times - np.append(-np.inf, self.due)[row])
 
     def waiting_at(self, times: Array) -> Array:
         """What has jumped and does not fade yet at each of the times."""
@@ -318,7 +318,7 @@ def _walk(sha: SHA, events: Sequence[Event], start: float, end: float, policy: P
 
 def _readings(sha: SHA, location: Indices, inputs: Trace) -> dict[str, Array]:
     """The signals that the visited flows name, each reading held until the next; NaN before the first."""
-    wanted = {name: sha.locations[index].name for index, names in _listening(sha, location) for name in names}
+    wanted = {name: sha.locations[index].name for index, names in _reading_locations(sha, location) for name in names}
     for signal, name in wanted.items():
         if signal not in inputs.signals:
             raise ValueError(f"location {name!r} is driven by the signal {signal!r}, which the inputs do not have")
@@ -343,7 +343,7 @@ def _input_cuts(sha: SHA, walk: _Walk, clock: Array, held: dict[str, Array], out
         changed[signal] = (before != column) & ~np.isnan(column)
     within = (clock > walk.begins[0]) & (clock < outputs[-1])
     times_of_change = [np.empty(0)]
-    for index, names in _listening(sha, walk.location):
+    for index, names in _reading_locations(sha, walk.location):
         times = clock[within & np.any([changed[name] for name in names], axis=0)]
         times_of_change.append(times[walk.location[np.searchsorted(walk.begins, times, side="right") - 1] == index])
     wanted = np.unique(np.concatenate(times_of_change))
@@ -365,13 +365,13 @@ def _offsets(sha: SHA, location: Indices, begins: Array, clock: Array, held: dic
     return total
 
 
-def _listening(sha: SHA, location: Indices) -> list[tuple[int, tuple[str, ...]]]:
+def _reading_locations(sha: SHA, location: Indices) -> list[tuple[int, tuple[str, ...]]]:
     """The visited locations in which something reads signals, and which."""
     read = {}
     for index in np.unique(location).tolist():
         place = sha.locations[index]
         names = dict.fromkeys(driving.signal for driving in place.flow.inputs)
-        read[index] = tuple(names | dict.fromkeys(signals_of(sha, place.name)))
+        read[index] = tuple(names | dict.fromkeys(effect_signals(sha, place.name)))
     return [(index, names) for index, names in read.items() if names]
 
 

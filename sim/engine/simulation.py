@@ -21,9 +21,9 @@ from sim.engine.moment_equations import AffineSteps, affine_steps, free_mean, ru
 from sim.engine.recursion import linear_recursion
 from sim.engine.schedules import Schedule
 from sim.engine.simulation_augmented import augmented_plan, augmented_runs
-from sim.sha import Array, Distribution, Flow, Indices, distributions, drawn_parameter, drawn_temperature, flows
+from sim.sha import Array, Distribution, Flow, Indices, distributions, draw_parameter, draw_temperature, flows
 
-CHUNK = 8192
+CHUNK_RUNS = 8192
 """Runs that go through the steps together: few enough that their working rows stay in the cache."""
 
 
@@ -88,8 +88,8 @@ def simulate(
         start = distributions.mean(law)
         go = partial(_free_runs, _free_plan(steps, affine_steps(steps), start), start)
     clamps, limited = np.zeros(runs, dtype=np.intp), np.zeros(runs, dtype=np.intp)
-    for first in range(0, runs, CHUNK):
-        part = slice(first, min(first + CHUNK, runs))
+    for first in range(0, runs, CHUNK_RUNS):
+        part = slice(first, min(first + CHUNK_RUNS, runs))
         begins = distributions.draw(law, part.stop - part.start, rng)
         go(begins, rng, rows[:, part], clamps[part], limited[part])
     return SimulatedRuns(
@@ -190,7 +190,7 @@ def _free_plan(steps: Schedule, affine: AffineSteps, x0: float) -> list[_Free]:
 def _laws(steps: Schedule) -> tuple[list[Distribution | None], list[Distribution | None]]:
     """For each location the laws from which X and m are drawn on entry."""
     locations = steps.sha.locations
-    return [drawn_temperature(each) for each in locations], [drawn_parameter(each) for each in locations]
+    return [draw_temperature(each) for each in locations], [draw_parameter(each) for each in locations]
 
 
 def _free_runs(
@@ -202,8 +202,8 @@ def _free_runs(
     clamps: Indices,
     _limited: Indices,
 ) -> None:
-    # In place, on rows that fit the cache (CHUNK): this loop is where a simulation spends its time. The extremes are
-    # looked at first because a mask of the runs outside is nearly always empty.
+    # In place, on rows that fit the cache (CHUNK_RUNS): this loop is where a simulation spends its time. The extremes
+    # are looked at first because a mask of the runs outside is nearly always empty.
     y = x - x0
     noise, pushed, mode = np.empty_like(y), np.empty_like(y), np.zeros_like(y)
     for step in plan:

@@ -16,7 +16,7 @@ from sim.engine.moments_augmented import drawn_start
 from sim.engine.plant import Indices, Plant
 from sim.engine.schedules import Schedule
 from sim.engine.tables import Half, Tables
-from sim.sha import Array, Distribution, Mask, distributions, drawn_parameter, drawn_temperature
+from sim.sha import Array, Distribution, Mask, distributions, draw_parameter, draw_temperature
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,8 +48,8 @@ def augmented_plan(steps: Schedule, x0: float) -> SamplingPlan:
         open=closed if course.steps.open is None else root(course.steps.open),
         mode=drawn.mode,
         resampled=drawn.resampled,
-        temperature_laws=[drawn_temperature(place) for place in steps.sha.locations],
-        mode_laws=[drawn_parameter(place) for place in steps.sha.locations],
+        temperature_laws=[draw_temperature(place) for place in steps.sha.locations],
+        mode_laws=[draw_parameter(place) for place in steps.sha.locations],
         read_offset=sensor_offsets(steps.sha, steps.times),
         first_offset=sensor_offset(steps.sha, steps.start),
     )
@@ -93,4 +93,4 @@ def augmented_runs(
             clamps += (s[:, 0] < low) | (s[:, 0] > high)
             s[:, 0] = np.clip(s[:, 0], low, high)
         if schedule.output[row] >= 0:
-            np.add(s[:, plant.sensed], plan.read_offset[schedule.output[row]], out=out[schedule.output[row]])
+            np.add(s[:, plant.sensor_state], plan.read_offset[schedule.output[row]], out=out[schedule.output[row]])

@@ -11,21 +11,21 @@ from math import floor, inf, log2
 
 import numpy as np
 
-from sim.effects import delay_of, late_jumps, late_kept, late_source, sensor_offset, signals_of
+from sim.effects import delay_of, effect_signals, late_jumps, late_source, remaining_share, sensor_offset
 from sim.engine.belief_state import Belief, Delayed, Hidden
 from sim.engine.cuts import Stays, cuts
 from sim.engine.moments_augmented import DrawnMoments, mean_course, start_covariance, start_state
 from sim.engine.plant import Plant
 from sim.engine.response import drift_matrix, fresh_intensity, respond
-from sim.engine.tables import chosen
-from sim.engine.terms import Segments, held
+from sim.engine.tables import blend_steps
+from sim.engine.terms import Segments, held_terms
 from sim.engine.tracker import Mode
 from sim.sha import Array
 
-MOST_STEPS = 512
+MAX_CACHED_STEPS = 512
 """Different steps that are kept; where signals change at every scan, none recurs and they are not worth more."""
 
-_ORDERS = np.arange(12)
+_SERIES_ORDERS = np.arange(12)
 """The powers of the series of a steady step: see `_node_spacing`."""
 
 
@@ -61,7 +61,7 @@ def with_machine_offset(plant: Plant, belief: Belief, mean: float, variance: flo
     return _with_states(plant, belief, states, covariance, hidden)
 
 
-def moved_to(plant: Plant, before: Belief, reading: Belief) -> Belief:
+def move_states(plant: Plant, before: Belief, reading: Belief) -> Belief:
     """`reading`, which has the new temperature, with X and the lags of `before` moved along."""
     hidden, mean, covariance = _states(before)
     moved = np.zeros(plant.size + 1, dtype=np.bool_)
@@ -73,7 +73,7 @@ def moved_to(plant: Plant, before: Belief, reading: Belief) -> Belief:
     return _with_states(plant, reading, mean, covariance, hidden)
 
 
-def predicted(plant: Plant, belief: Belief, time: float) -> Belief:
+def predict(plant: Plant, belief: Belief, time: float) -> Belief:
     """The belief at a later `time` with no event, input or reading in between."""
     if time == belief.time:
         return belief
@@ -100,10 +100,10 @@ def predicted(plant: Plant, belief: Belief, time: float) -> Belief:
         age=begins - belief.entered,
         dt=np.diff(marks),
         offset=np.full(n, belief.offset),
-        signals={name: np.full(n, belief.signals.get(name, np.nan)) for name in signals_of(plant.sha)},
+        signals={name: np.full(n, belief.signals.get(name, np.nan)) for name in effect_signals(plant.sha)},
         since=tuple(begins - (-inf if since is None else since) for since in hidden.since),
         late=tuple(
-            deviation * late_kept(effect, begins - belief.time)
+            deviation * remaining_share(effect, begins - belief.time)
             for effect, deviation in zip(plant.late, hidden.late, strict=True)
         ),
         waiting=np.full(n, sum(jump for each in hidden.pending for jump in each.jumps)),
@@ -122,7 +122,7 @@ def predicted(plant: Plant, belief: Belief, time: float) -> Belief:
     )
     course = mean_course(plant, segments, drawn, mean[:d], valve=hidden.opened)
     # The covariance along that course, m as one more state that does not move.
-    steps = chosen(course.steps, course.opened)
+    steps = blend_steps(course.steps, course.opened)
     for row in range(course.opened.size):
         transition = np.eye(d + 1)
         transition[:d, :d], transition[:d, d] = steps.phi[row], steps.pull[row]
@@ -133,7 +133,7 @@ def predicted(plant: Plant, belief: Belief, time: float) -> Belief:
     # Rounding makes the product slightly unsymmetric, and that grows from step to step.
     covariance = (covariance + covariance.T) / 2.0
     left = tuple(
-        deviation * float(late_kept(effect, np.asarray(time - belief.time)))
+        deviation * float(remaining_share(effect, np.asarray(time - belief.time)))
         for effect, deviation in zip(plant.late, hidden.late, strict=True)
     )
     return _with_states(plant, later, mean, covariance, replace(hidden, opened=course.valve, late=left))
@@ -151,9 +151,9 @@ class _SteadySteps:
     terms: Array
     size: int
 
-    def at(self, dt: float) -> tuple[Array, Array, Array]:
+    def step_matrices(self, dt: float) -> tuple[Array, Array, Array]:
         """(transition, noise, unit) of the step of `dt` seconds."""
-        flat, n = (dt - self.length) ** _ORDERS @ self.terms, self.size
+        flat, n = (dt - self.length) ** _SERIES_ORDERS @ self.terms, self.size
         return flat[: n * n].reshape(n, n), flat[n * n : 2 * n * n].reshape(n, n), flat[2 * n * n :]
 
 
@@ -177,7 +177,7 @@ def _steady_steps(plant: Plant, place: int, loss: float, length: float) -> _Stea
         white[plant.heat_state, plant.heat_state] += fresh_intensity(plant.disturbance)
     heat = np.eye(d + 1)[0]
     rows = []
-    for k in range(1, _ORDERS.size + 1):
+    for k in range(1, _SERIES_ORDERS.size + 1):
         rows.append(np.concatenate([transition.ravel(), noise.ravel(), unit]))
         transition, drifted, unit = b @ transition / k, b @ noise, (b @ unit + heat) / k
         noise = (drifted + drifted.T + white) / k
@@ -188,7 +188,8 @@ def _steady_steps(plant: Plant, place: int, loss: float, length: float) -> _Stea
 def _node_spacing(plant: Plant, place: int, loss: float) -> float:
     """How far apart (s, a power of two) the lengths may lie that the others are reached from.
 
-    So near that the largest of the matrices, times the distance, is at most 1/8: the remainder of _ORDERS is 1e-16.
+    So near that the largest of the matrices, times the distance, is at most 1/8: the remainder of _SERIES_ORDERS is
+    1e-16.
     """
     a = drift_matrix(plant, np.array([loss]), plant.couplings[[place]])
     norm = float(np.abs(a).sum(axis=2).max()) + abs(float(plant.drive[place]))
@@ -207,11 +208,11 @@ def _steady_step(
     for acting in plant.steady:
         if acting.mask[place]:
             signals = {name: np.array(belief.signals.get(name, np.nan)) for name in acting.effect.signals.values()}
-            gained, lost = held(acting.effect, signals)
+            gained, lost = held_terms(acting.effect, signals)
             if np.isfinite(gained) and np.isfinite(lost):
                 loss, heat = loss + float(lost), heat + float(gained)
     dt = time - belief.time
-    if len(plant.memo) >= MOST_STEPS:
+    if len(plant.memo) >= MAX_CACHED_STEPS:
         plant.memo.clear()
     spacing = plant.memo.get((place, loss, inf))
     if spacing is None:
@@ -220,7 +221,7 @@ def _steady_step(
     steps = plant.memo.get(key)
     if steps is None:
         steps = plant.memo[key] = _steady_steps(plant, *key)
-    transition, noise, unit = steps.at(dt)
+    transition, noise, unit = steps.step_matrices(dt)
     after = transition @ mean + unit * heat
     sha, x = plant.sha, float(after[0])
     if abs(x - float(mean[0])) > sha.max_rate * dt or not sha.low <= x <= sha.high:
@@ -230,15 +231,15 @@ def _steady_step(
     return after, (carried + carried.T) / 2.0
 
 
-def corrected(plant: Plant, belief: Belief, error: float, variance: float) -> Belief:
+def update(plant: Plant, belief: Belief, error: float, variance: float) -> Belief:
     """The belief after a reading that was `error` above its prediction, whose variance (sensor included) is given."""
     hidden, mean, covariance = _states(belief)
-    shared = covariance[:, plant.sensed].copy()
+    shared = covariance[:, plant.sensor_state].copy()
     covariance -= shared[:, None] * shared / variance
     return _with_states(plant, belief, mean + shared / variance * error, covariance, hidden)
 
 
-def entered(plant: Plant, belief: Belief, mode: Mode) -> Belief:
+def enter_stay(plant: Plant, belief: Belief, mode: Mode) -> Belief:
     """The belief in a stay that begins: m is drawn anew, and X where the location draws it; the other states go on."""
     hidden, mean, covariance = _states(belief)
     drawn = {plant.size: mode.parameter} | ({} if mode.temperature is None else {0: mode.temperature})
@@ -256,7 +257,7 @@ def since_event(plant: Plant, belief: Belief, symbol: str) -> Hidden:
     return replace(hidden, since=since)
 
 
-def holding(plant: Plant, belief: Belief, signals: Mapping[str, float]) -> tuple[Hidden, tuple[Delayed, ...]]:
+def hidden_states(plant: Plant, belief: Belief, signals: Mapping[str, float]) -> tuple[Hidden, tuple[Delayed, ...]]:
     """The hidden states when `signals` hold from now on, and what waits: what comes late jumps with its source."""
     hidden, _, _ = _states(belief)
     names = dict.fromkeys(name for effect in plant.late for name in effect.signals.values())
@@ -289,7 +290,7 @@ def _with_states(
     plant: Plant, belief: Belief, mean: Array, covariance: Array, hidden: Hidden, time: float | None = None
 ) -> Belief:
     """The belief with these states, at `time` if it is given; its temperature is what the sensor would read."""
-    d, read = plant.size, plant.sensed
+    d, read = plant.size, plant.sensor_state
     time = belief.time if time is None else time
     means, rows = mean.tolist(), covariance.tolist()
     states = Hidden(

@@ -91,7 +91,7 @@ def _half(plant: Plant, segments: Segments, sums: Terms) -> Half:
     )
 
 
-def chosen(steps: Tables, opened: Array) -> Half:
+def blend_steps(steps: Tables, opened: Array) -> Half:
     """Each step with the thermostat open for the part `opened` (n,) of it; without the terms of the open ones.
 
     A step in which it switches is taken between its two halves, which is right to first order in its length.

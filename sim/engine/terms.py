@@ -10,14 +10,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sim.effects import HeldLaw, VaryingLaw, kind_of, late_kept, unknown
+from sim.effects import HeldLaw, VaryingLaw, effect_kind, remaining_share, unknown
 from sim.engine.plant import Indices, Plant
 from sim.sha import Array, Effect, Mask, flows
 
-GAUSS = 0.5 + np.array([-1.0, 0.0, 1.0]) * np.sqrt(0.15)
+GAUSS_POINTS = 0.5 + np.array([-1.0, 0.0, 1.0]) * np.sqrt(0.15)
 """The three Gauss points of a segment, as parts of its length."""
 
-_TO_POWERS = np.linalg.inv(np.vander(GAUSS, increasing=True)).T
+_TO_POWERS = np.linalg.inv(np.vander(GAUSS_POINTS, increasing=True)).T
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +80,7 @@ def terms(plant: Plant, segments: Segments) -> Terms:
     for acting in plant.steady:
         if not acting.mask[place].any():
             continue  # its signals were perhaps not asked for
-        gained, lost = held(acting.effect, segments.signals)
+        gained, lost = held_terms(acting.effect, segments.signals)
         active = acting.mask[place] & np.isfinite(gained) & np.isfinite(lost)
         loss = loss + np.where(active, lost, 0.0)
         heat = heat + np.where(active, gained, 0.0)
@@ -88,15 +88,15 @@ def terms(plant: Plant, segments: Segments) -> Terms:
     if not (plant.fading or plant.startups or plant.wears or plant.late):
         return Terms(loss, heat[:, None], plant.drive[place][:, None])
     # Each column is a Gauss point; the parabola through the three is found by one small inverse, made once.
-    v = segments.dt[:, None] * GAUSS
+    v = segments.dt[:, None] * GAUSS_POINTS
     time = segments.time[:, None] + v
     heats = np.repeat(heat[:, None], 3, axis=1)
     for acting, since in zip(plant.startups, segments.since, strict=True):
-        heats += acting.mask[place][:, None] * varying(acting.effect, time, since[:, None] + v)
+        heats += acting.mask[place][:, None] * varying_heat(acting.effect, time, since[:, None] + v)
     for acting in plant.wears:
-        heats += acting.mask[place][:, None] * varying(acting.effect, time, time)
+        heats += acting.mask[place][:, None] * varying_heat(acting.effect, time, time)
     for effect, deviation in zip(plant.late, segments.late, strict=True):
-        heats += deviation[:, None] * late_kept(effect, v)
+        heats += deviation[:, None] * remaining_share(effect, v)
     drives = np.repeat(plant.drive[place][:, None], 3, axis=1)
     for index in plant.fading:
         rows = place == index
@@ -105,17 +105,17 @@ def terms(plant: Plant, segments: Segments) -> Terms:
     return Terms(loss, heats @ _TO_POWERS, drives @ _TO_POWERS)
 
 
-def held(effect: Effect, signals: Mapping[str, Array]) -> tuple[Array, Array]:
+def held_terms(effect: Effect, signals: Mapping[str, Array]) -> tuple[Array, Array]:
     """(heat, loss) of an effect that stays while its signals do: dX/dt = heat - loss X; NaN where one is not read."""
-    law = kind_of(effect).law
+    law = effect_kind(effect).law
     if not isinstance(law, HeldLaw):
         raise unknown("a step of held signals", effect.kind, law)
     return law.heat_and_loss(effect, signals)
 
 
-def varying(effect: Effect, time: Array, since: Array) -> Array:
+def varying_heat(effect: Effect, time: Array, since: Array) -> Array:
     """The heat of an effect that varies by itself at absolute times (s), `since` its event (s)."""
-    law = kind_of(effect).law
+    law = effect_kind(effect).law
     if not isinstance(law, VaryingLaw):
         raise unknown("a step of varying heat", effect.kind, law)
     return law.heat(effect, time, since)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from math import exp, expm1, isfinite, log1p, tanh
 from typing import Literal
 
-from sim.effects import check_sha, in_sensor_scale, signals_of
+from sim.effects import check_sha, effect_signals, in_sensor_scale
 from sim.engine.plant import Plant, compile_plant
 from sim.engine.schedules import resync_targets
 from sim.sha import (
@@ -21,7 +21,7 @@ from sim.sha import (
     by_kind,
     compile_chain,
     distributions,
-    drawn_temperature,
+    draw_temperature,
     mean_step,
     mode_parameter,
     transitions,
@@ -31,7 +31,7 @@ OnlinePolicy = Literal["ignore", "resync"]
 """What an event without an edge does, as in `sim.engine.schedules`;
 online nothing is refused, so there is no `reject`."""
 
-SENSOR_FLOOR = 1e-8
+MIN_SENSOR_VARIANCE = 1e-8
 """Least variance of a reading, degC^2: a tenth of a millikelvin, so that a perfect sensor and two readings at one
 instant leave the arithmetic well posed."""
 
@@ -128,7 +128,7 @@ def compile_model(model: Model, policy: OnlinePolicy = "resync", window: int = 3
     modes = {}
     for location in model.sha.locations:
         step, speed = _SCALAR[location.flow.kind](location.flow.params)
-        law = drawn_temperature(location)
+        law = draw_temperature(location)
         drawn = None if law is None else (distributions.mean(law), distributions.variance(law))
         modes[location.name] = Mode(location, step, speed, mode_parameter(location), drawn)
     return Tracker(
@@ -137,10 +137,10 @@ def compile_model(model: Model, policy: OnlinePolicy = "resync", window: int = 3
         moves=transitions(model.sha),
         fallback=resync_targets(model.sha),
         inputs=frozenset(driving.signal for location in model.sha.locations for driving in location.flow.inputs)
-        | frozenset(signals_of(model.sha)),
+        | frozenset(effect_signals(model.sha)),
         policy=policy,
         window=window,
-        sensor=max(model.sensor_sigma * model.sensor_sigma, SENSOR_FLOOR),
+        sensor=max(model.sensor_sigma * model.sensor_sigma, MIN_SENSOR_VARIANCE),
         flows=by_kind([location.flow for location in model.sha.locations]),
         chain=compile_chain(model),
         plant=compile_plant(model.sha) if model.sha.effects else None,
@@ -148,7 +148,7 @@ def compile_model(model: Model, policy: OnlinePolicy = "resync", window: int = 3
     )
 
 
-def compiled(model: Model | Tracker) -> Tracker:
+def compile_tracker(model: Model | Tracker) -> Tracker:
     """The tracker itself, or the one of a model (which costs far more than a sample: compile once where it counts)."""
     return model if isinstance(model, Tracker) else compile_model(model)
 
@@ -178,7 +178,7 @@ def _linear(p: Mapping[str, float]) -> tuple[Step, Speed]:
     return lambda age, dt: (1.0, dt, density * dt), lambda x, target, age: abs(target)
 
 
-def _relaxing(p: Mapping[str, float]) -> tuple[Step, Speed]:
+def _relaxing_step(p: Mapping[str, float]) -> tuple[Step, Speed]:
     k, settled = p["k"], p["noise"] ** 2 / (2.0 * p["k"])
 
     def step(age: float, dt: float) -> tuple[float, float, float]:
@@ -210,8 +210,8 @@ def _transient(p: Mapping[str, float]) -> tuple[Step, Speed]:
 _SCALAR: dict[str, Callable[[Mapping[str, float]], tuple[Step, Speed]]] = {
     "constant": _constant,
     "linear": _linear,
-    "exponential": _relaxing,
-    "driven": _relaxing,
+    "exponential": _relaxing_step,
+    "driven": _relaxing_step,
     "logarithmic": _logarithmic,
     "transient": _transient,
 }

@@ -12,7 +12,7 @@ import numpy as np
 from sim.engine.tables import Half, Tables
 from sim.sha import SHA, Array, Effect, Mask
 
-_MOST_SWITCHES = 8
+_MAX_SWITCHES = 8
 
 
 @dataclass(slots=True)
@@ -29,7 +29,7 @@ Row = tuple[tuple[float, float, float, float], tuple[float, float, float, float]
 """(decay, gain, loss, heat) closed and open, length, X drawn anew (NaN: not), whether the range is looked at."""
 
 
-def rows_of(steps: Tables, mode: Array, fresh: Array, checked: Mask) -> Iterator[Row]:
+def iterate_rows(steps: Tables, mode: Array, fresh: Array, checked: Mask) -> Iterator[Row]:
     """The steps as floats; `fresh` (n,) is NaN where X goes on."""
     closed, other = _columns(steps.closed, mode), _columns(steps.open or steps.closed, mode)
     return zip(closed, other, steps.dt.tolist(), fresh.tolist(), checked.tolist(), strict=True)
@@ -53,7 +53,7 @@ def follow(sha: SHA, effect: Effect, steps: Iterator[Row], valve: Valve, n: int)
         end, share = decay * x + gain, float(valve.opened)
         # X is monotone between switches, so that it has passed its threshold if and only if its end lies beyond.
         if dt > 0 and ((end <= closes) if valve.opened else (end >= opens)):
-            end, share = _switching(valve, (closed, other), (opens, closes), x, dt)
+            end, share = _switch_valve(valve, (closed, other), (opens, closes), x, dt)
         if rate < inf and abs(end - x) > rate * dt * (1.0 + 1e-12):
             end = x + min(max(end - x, -rate * dt), rate * dt)
             valve.limited += 1
@@ -64,7 +64,7 @@ def follow(sha: SHA, effect: Effect, steps: Iterator[Row], valve: Valve, n: int)
     return ends, parts
 
 
-def _switching(
+def _switch_valve(
     valve: Valve,
     both: tuple[tuple[float, float, float, float], tuple[float, float, float, float]],
     limits: tuple[float, float],
@@ -75,19 +75,19 @@ def _switching(
     # From threshold to threshold, with the other mode's closed form each time, until the end of the step is reached
     # without another. The last round's end is kept even where it lies beyond: a valve that hunts so fast is cut off.
     left, opened, end = dt, 0.0, x
-    for _ in range(_MOST_SWITCHES):
+    for _ in range(_MAX_SWITCHES):
         wanted = limits[valve.opened]
-        passed = min(_until(wanted, x, *both[valve.opened][2:]), left)
+        passed = min(_settling_time(wanted, x, *both[valve.opened][2:]), left)
         opened += passed * valve.opened
         left -= passed
         x, valve.opened = wanted, not valve.opened
-        end = _after(left, x, *both[valve.opened][2:])
+        end = _relax(left, x, *both[valve.opened][2:])
         if (end > limits[1]) if valve.opened else (end < limits[0]):
             break
     return end, (opened + left * valve.opened) / dt
 
 
-def _until(wanted: float, x: float, loss: float, heat: float) -> float:
+def _settling_time(wanted: float, x: float, loss: float, heat: float) -> float:
     """Seconds until X is at `wanted`; inf where it settles there, and only rounding says that it has come."""
     settled = heat / loss if loss > 0 else inf
     # X(t) - settled decays as exp(-loss t); without a loss X moves in a straight line.
@@ -100,7 +100,7 @@ def _until(wanted: float, x: float, loss: float, heat: float) -> float:
     return log((x - settled) / (wanted - settled)) / loss
 
 
-def _after(seconds: float, x: float, loss: float, heat: float) -> float:
+def _relax(seconds: float, x: float, loss: float, heat: float) -> float:
     if loss <= 0:
         return x + heat * seconds
     return heat / loss + (x - heat / loss) * exp(-loss * seconds)

@@ -5,7 +5,7 @@ from sim.familiarity.error_classes import (
     YELLOW,
     ClassFigures,
     ErrorCurve,
-    class_of,
+    classify_error,
     error_curve,
     measured_classes,
     parse_curve,
@@ -13,7 +13,7 @@ from sim.familiarity.error_classes import (
 from sim.familiarity.features import (
     COLUMNS,
     FEATURES,
-    LONGEST,
+    MAX_CYCLE_S,
     CyclePoint,
     CyclePoints,
     GrowingCycle,
@@ -21,7 +21,7 @@ from sim.familiarity.features import (
     cycle_points,
 )
 from sim.familiarity.reference import (
-    LEAST_CYCLES,
+    MIN_CYCLES,
     ExcessSoFar,
     FamiliarityReference,
     Strangeness,

@@ -28,7 +28,7 @@ class ErrorCurve:
     error: Array
     cycles: int
 
-    def expected(self, strangeness: float) -> float:
+    def expected_error(self, strangeness: float) -> float:
         """The relative error to be expected; that of the strangest cycles beyond them."""
         return float(np.interp(strangeness, self.strangeness, self.error))
 
@@ -65,7 +65,7 @@ def error_curve(strangeness: Sequence[float], error: Sequence[float]) -> ErrorCu
     return ErrorCurve(strangeness=x, error=fitted, cycles=int(x.size))
 
 
-def class_of(error: float, yellow: float = YELLOW, red: float = RED) -> ErrorClass:
+def classify_error(error: float, yellow: float = YELLOW, red: float = RED) -> ErrorClass:
     """The class of an expected relative error."""
     return "green" if error < yellow else "yellow" if error < red else "red"
 
@@ -91,7 +91,7 @@ def measured_classes(
         others = [*cycles[:place], *cycles[place + 1 :]]
         if others:
             curve = error_curve([one for one, _ in others], [one for _, one in others])
-            found[class_of(curve.expected(strangeness), yellow, red)].append(error)
+            found[classify_error(curve.expected_error(strangeness), yellow, red)].append(error)
     return [
         ClassFigures(name, len(errors), float(np.mean(errors)) if errors else None) for name, errors in found.items()
     ]

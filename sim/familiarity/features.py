@@ -18,13 +18,13 @@ POINT_SECONDS = 300.0
 """Seconds between two points of a cycle; its end is a point as well."""
 RECENT, HOUR = 1800.0, 3600.0
 """Seconds that features look back over."""
-STEP = 10.0
+ROW_STEP_S = 10.0
 """Seconds of which the first row counts: heat is slow, and memory has to be bounded whatever the period of scans is."""
-COVERED = 0.9
+MIN_COVERED_SHARE = 0.9
 """The share of the hour that must have been read for a point to say anything."""
-LONGEST = 86_400.0
+MAX_CYCLE_S = 86_400.0
 """A machine that is never stopped has a cycle a day."""
-MOST_EVENTS = 10_000
+MAX_EVENTS = 10_000
 """Events of the last hour that are kept: more are a chattering signal, and strange enough."""
 
 
@@ -57,7 +57,7 @@ class CycleView:
         """The level over the last half hour while it ran."""
         return self.load[self.recent() & (self.running > 0.5)]
 
-    def faded(self, values: Array, memory: float) -> float:
+    def fading_mean(self, values: Array, memory: float) -> float:
         """The mean of values (n,) with weights that fade over `memory` (s)."""
         weight = self.seconds * np.exp(-self.ago / memory)
         return float(values @ weight / weight.sum()) if weight.sum() > 0 else nan
@@ -69,7 +69,7 @@ def _mean(view: CycleView) -> float:
     return float(view.load[where] @ stood / stood.sum()) if stood.sum() > 0 else 0.0
 
 
-def _warming(view: CycleView) -> float:
+def _warming_rate(view: CycleView) -> float:
     known = view.recent() & np.isfinite(view.temperature)
     readings = view.temperature[known]
     return float(readings[-1] - readings[0]) if readings.size else nan
@@ -116,26 +116,26 @@ FEATURES: Mapping[str, CycleFeature] = {
         value=lambda view: float(np.count_nonzero(view.events <= RECENT)) / (RECENT / 60.0), least=0.1, digits=2
     ),
     "temperature": CycleFeature(value=lambda view: _newest(view.temperature), least=2.0, digits=1),
-    "warming": CycleFeature(value=_warming, least=1.0, digits=1),
+    "warming": CycleFeature(value=_warming_rate, least=1.0, digits=1),
     "feed": CycleFeature(value=lambda view: _newest(view.others.get("feed", np.empty(0))), least=2.0, digits=1),
     "ambient": CycleFeature(value=lambda view: _newest(view.others.get("ambient", np.empty(0))), least=2.0, digits=1),
 }
 """What is rated, each for itself and together."""
 
-MEMORIES = (900.0, 2400.0)
+MEMORIES_S = (900.0, 2400.0)
 """Seconds over which a bearing forgets what it was heated by: its time constants lie about them."""
 
 
-def _faded(power: int, memory: float) -> Callable[[CycleView], float]:
-    return lambda view: view.faded(view.running * (view.load / 100.0) ** power, memory)
+def _fading_feature(power: int, memory: float) -> Callable[[CycleView], float]:
+    return lambda view: view.fading_mean(view.running * (view.load / 100.0) ** power, memory)
 
 
 HISTORY: Mapping[str, Callable[[CycleView], float]] = {
-    f"{name} {memory:g} s": _faded(power, memory)
-    for memory in MEMORIES
+    f"{name} {memory:g} s": _fading_feature(power, memory)
+    for memory in MEMORIES_S
     for power, name in enumerate(("running", "load", "load squared", "load cubed"))
 } | {
-    "running an hour": lambda view: view.faded(view.running, np.inf),
+    "running an hour": lambda view: view.fading_mean(view.running, np.inf),
     "temperature before": lambda view: _newest(view.temperature[:60][::-1]),
     "age": lambda view: view.age,
 }
@@ -162,7 +162,7 @@ class PointSource:
     others: Mapping[str, str]
 
     @classmethod
-    def of(cls, alphabet: Alphabet, temperature: str) -> "PointSource":
+    def for_alphabet(cls, alphabet: Alphabet, temperature: str) -> "PointSource":
         """That of a model of the `temperature`: feed and hall by the names that the plant has for them."""
         return cls(alphabet, temperature, {role: ROLES[role] for role in ("feed", "ambient")})
 
@@ -184,8 +184,8 @@ class PointSource:
         """
         times = rows[:, 0]
         # A row stands until the next one, but not over a gap, of which nobody knows.
-        seconds = np.minimum(np.diff(times, append=moment), max(self.alphabet.gap, STEP))
-        if not times.size or seconds.sum() < COVERED * HOUR:
+        seconds = np.minimum(np.diff(times, append=moment), max(self.alphabet.gap, ROW_STEP_S))
+        if not times.size or seconds.sum() < MIN_COVERED_SHARE * HOUR:
             return None
         bins = self.bins
         view = CycleView(
@@ -211,18 +211,18 @@ def cycle_points(trace: Trace, source: PointSource, *, begin: float, end: float)
     times, switch, bins = trace.times, source.switch, source.bins
     blank = np.full(times.shape, nan)
 
-    def held(name: str | None, otherwise: float) -> Array:
+    def hold_column(name: str | None, otherwise: float) -> Array:
         values = trace.signals.get(name, blank) if name is not None else blank
         known = np.maximum.accumulate(np.where(np.isfinite(values), np.arange(times.size), -1))
         return np.where(known < 0, otherwise, values[known])
 
     columns = [
         times,
-        held(None if switch is None else switch.signal, 1.0),
-        held(None if bins is None else bins.signal, 0.0),
+        hold_column(None if switch is None else switch.signal, 1.0),
+        hold_column(None if bins is None else bins.signal, 0.0),
         *(trace.signals.get(name, blank) for name in (source.temperature, *source.others.values())),
     ]
-    kept = np.unique(np.floor(times / STEP), return_index=True)[1]
+    kept = np.unique(np.floor(times / ROW_STEP_S), return_index=True)[1]
     rows = np.column_stack(columns)[kept]
     starts = np.array([e.time for e in trace.events if switch is not None and e.symbol == switch.rising])
     events = np.array([event.time for event in trace.events])
@@ -250,7 +250,8 @@ class CyclePoint:
 class GrowingCycle:
     """The present cycle as it grows: rows in, a point out every POINT_SECONDS of it, the same that `cycle_points` has.
 
-    It keeps a row for each STEP of the last hour and no more. `begin` is the cycle's start (None: none was seen yet).
+    It keeps a row for each ROW_STEP_S of the last hour and no more. `begin` is the cycle's start (None: none was seen
+    yet).
     """
 
     def __init__(self, source: PointSource) -> None:
@@ -264,9 +265,9 @@ class GrowingCycle:
 
     def _forget(self) -> None:
         self.begin: float | None = None
-        self._rows: deque[tuple[float, ...]] = deque(maxlen=int(HOUR / STEP) + 3)
-        self._starts: deque[float] = deque(maxlen=MOST_EVENTS)
-        self._events: deque[float] = deque(maxlen=MOST_EVENTS)
+        self._rows: deque[tuple[float, ...]] = deque(maxlen=int(HOUR / ROW_STEP_S) + 3)
+        self._starts: deque[float] = deque(maxlen=MAX_EVENTS)
+        self._events: deque[float] = deque(maxlen=MAX_EVENTS)
         self._running, self._load = 1.0, 0.0
         self._last: float | None = None
         self._symbol = ""
@@ -297,7 +298,7 @@ class GrowingCycle:
         return point
 
     @property
-    def rows_kept(self) -> int:
+    def row_count(self) -> int:
         """How many rows are in memory."""
         return len(self._rows)
 
@@ -314,7 +315,7 @@ class GrowingCycle:
         # Held between readings: a switch that is only sent when it changes must not be missed between kept rows.
         self._running = self._running if running is None or not isfinite(running) else running
         self._load = self._load if load is None or not isfinite(load) else load
-        if self._rows and floor(time / STEP) == floor(self._rows[-1][0] / STEP):
+        if self._rows and floor(time / ROW_STEP_S) == floor(self._rows[-1][0] / ROW_STEP_S):
             return
         others = (readings(name) for name in self._signals)
         self._rows.append((time, self._running, self._load, *(nan if x is None else x for x in others)))
@@ -325,7 +326,7 @@ class GrowingCycle:
             return None
         self._place = int(np.ceil((time - self.begin) / POINT_SECONDS)) - 1
         begin, moment = self.begin, self.begin + self._place * POINT_SECONDS
-        if moment - begin >= LONGEST:
+        if moment - begin >= MAX_CYCLE_S:
             self._begin(moment)
         return self._point(moment, begin)
 

@@ -21,23 +21,23 @@ from numpy.typing import NDArray
 from sim.familiarity.features import COLUMNS, FEATURES, HISTORY
 from sim.sha import Array
 
-LEAST_CYCLES = 8
+MIN_CYCLES = 8
 """Cycles below which nothing can be said of what is usual."""
 FOLDS = 10
-CENTRES = 400
+MAX_CENTRES = 400
 """Points that the density is made of: evenly from all, more would only cost time."""
-ALIKE = 0.5
+SIMILAR_DISTANCE = 0.5
 """Root mean square over the whitened features, in standard deviations, within which two cycles are alike."""
-USUAL = 0.95
+USUAL_SHARE = 0.95
 """The share of the training's cycles that are not strange."""
-COMMON = 0.8
+COMMON_SHARE = 0.8
 """The share of cycles within the scale of one distance at one age. It only weighs them up: the limit itself is set on
 the greatest of all, and sixteen scales from so far out in the tail would fit the very cycles that set it."""
-AGES = (1800.0, 3600.0, 7200.0)
+AGE_LIMITS_S = (1800.0, 3600.0, 7200.0)
 """Seconds of a cycle's age at which another scale of the distances begins."""
-NOTHING = (0.1, 0.1, 1.0, 0.5)
+MIN_SCALES = (0.1, 0.1, 1.0, 0.5)
 """The least scale of each distance: a degree more than expected is not strange, however exact the training was."""
-SLOW = 12
+MEAN_PRIOR_POINTS = 12
 """Points (an hour) that a cycle's mean excess is weighed down by: the first ones alone shall not make it."""
 RIDGE = 1e-3
 
@@ -106,15 +106,16 @@ class _PointLaw:
         log(peak / density)), both without unit; the excess and its mean over the cycle so far (degC)."""
         white = (self.own(points) - self.mean) / self.scale @ self.whitening
         rare = np.sqrt(2.0 * np.maximum(self.peak - _log_density(white, self.centres), 0.0))
-        excess, lasting = self._lasting(points, before)
+        excess, lasting = self._mean_excess(points, before)
         return np.column_stack([np.sqrt(np.sum(white**2, axis=1)), rare, np.abs(excess), np.abs(lasting)])
 
-    def _lasting(self, points: Array, before: ExcessSoFar) -> tuple[Array, Array]:
-        """(P,) the excess, 0 where it is not known, and its mean over the cycle so far, weighed down by SLOW points."""
+    def _mean_excess(self, points: Array, before: ExcessSoFar) -> tuple[Array, Array]:
+        """(P,) the excess, 0 where it is not known, and its mean over the cycle so far, weighed down by
+        MEAN_PRIOR_POINTS points."""
         excess = self.excess(points)
         known = np.isfinite(excess)
         excess = np.where(known, excess, 0.0)
-        return excess, (before.total + np.cumsum(excess)) / (SLOW + before.points + np.cumsum(known))
+        return excess, (before.total + np.cumsum(excess)) / (MEAN_PRIOR_POINTS + before.points + np.cumsum(known))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -140,31 +141,31 @@ class FamiliarityReference(_PointLaw):
             return Strangeness(0.0, 1.0, nan, StrangeThing())
         distances = self.distances(points) / self.scales[_ages(points)]
         worst = int(np.argmax(distances.max(axis=1)))
-        _, lasting = self._lasting(points, ExcessSoFar())
-        return self._rated(points[worst], float(times[worst]), distances[worst], float(lasting[worst]))
+        _, lasting = self._mean_excess(points, ExcessSoFar())
+        return self._rate_point(points[worst], float(times[worst]), distances[worst], float(lasting[worst]))
 
     def follow(self, point: Array, time: float, before: ExcessSoFar) -> tuple[Strangeness, ExcessSoFar]:
         """That of one more point (C,) of a growing cycle, and what the next one follows on."""
         points = point[None, :]
         distances = self.distances(points, before) / self.scales[_ages(points)]
-        excess, lasting = self._lasting(points, before)
+        excess, lasting = self._mean_excess(points, before)
         known = int(np.isfinite(self.excess(points))[0])
         after = ExcessSoFar(before.points + known, before.total + float(excess[0]))
-        return self._rated(point, time, distances[0], float(lasting[0])), after
+        return self._rate_point(point, time, distances[0], float(lasting[0])), after
 
-    def _rated(self, point: Array, time: float, distances: Array, lasting: float) -> Strangeness:
+    def _rate_point(self, point: Array, time: float, distances: Array, lasting: float) -> Strangeness:
         value = float(distances.max())
         p = (1 + np.count_nonzero(self.held_out >= value)) / (self.held_out.size + 1)
         which = int(np.argmax(distances))
         excess = lasting if which == 3 else float(self.excess(point[None, :])[0])
         return Strangeness(value, float(p), time, self._warmth(excess) if which >= 2 else self._thing(point))
 
-    def alike(self, points: Array, others: Array) -> bool:
-        """Whether two cycles (P, C) and (Q, C) are: their mean points lie within ALIKE of one another."""
+    def are_similar(self, points: Array, others: Array) -> bool:
+        """Whether two cycles (P, C) and (Q, C) are: their mean points lie within SIMILAR_DISTANCE of one another."""
         if not len(points) or not len(others):
             return False
         apart = self.own(points).mean(axis=0) - self.own(others).mean(axis=0)
-        return bool(np.mean((apart / self.scale @ self.whitening) ** 2) < ALIKE**2)
+        return bool(np.mean((apart / self.scale @ self.whitening) ** 2) < SIMILAR_DISTANCE**2)
 
     @staticmethod
     def _warmth(excess: float) -> StrangeThing:
@@ -206,11 +207,11 @@ def parse_reference(plain: Mapping[str, Any]) -> FamiliarityReference:
     arrays: dict[str, Array] = {name: np.array(plain[name], dtype=float) for name in _ARRAYS}
     size = len(features)
     shapes = {"mean": (size,), "scale": (size,), "whitening": (size, size), "low": (size,), "high": (size,)}
-    shapes |= {"scales": (len(AGES) + 1, len(NOTHING))}
+    shapes |= {"scales": (len(AGE_LIMITS_S) + 1, len(MIN_SCALES))}
     if any(arrays[name].shape != shape for name, shape in shapes.items()) or arrays["centres"].shape[1:] != (size,):
         raise ValueError("its arrays do not have one place a feature")
-    if arrays["expectation"].shape not in ((0,), (_REGRESSORS,)):
-        raise ValueError(f"what a temperature is expected by has not {_REGRESSORS} coefficients")
+    if arrays["expectation"].shape not in ((0,), (_REGRESSOR_COUNT,)):
+        raise ValueError(f"what a temperature is expected by has not {_REGRESSOR_COUNT} coefficients")
     if not (arrays["scales"] > 0).all() or not (arrays["scale"] > 0).all():
         raise ValueError("its scales are not above 0")
     return FamiliarityReference(features=features, **arrays, peak=float(plain["peak"]))
@@ -221,12 +222,12 @@ def fit_reference(cycles: Sequence[Array], groups: Sequence[str] | None = None) 
 
     `groups` are their machines: with three at least each is held out in turn, else tenths of the cycles are, each in
     one piece: cycles of one day share its weather, and one judged by its neighbours would look too usual. Cycles
-    without a point do not count. Raises ValueError with fewer than LEAST_CYCLES, or where they have no feature in
+    without a point do not count. Raises ValueError with fewer than MIN_CYCLES, or where they have no feature in
     common.
     """
     pairs = [(each, "" if groups is None else groups[place]) for place, each in enumerate(cycles) if len(each)]
-    if len(pairs) < LEAST_CYCLES:
-        raise ValueError(f"{len(pairs)} cycles do not tell what is usual; it takes {LEAST_CYCLES}")
+    if len(pairs) < MIN_CYCLES:
+        raise ValueError(f"{len(pairs)} cycles do not tell what is usual; it takes {MIN_CYCLES}")
     own = [each for each, _ in pairs]
     known = np.asarray(np.isfinite(np.vstack(own)).all(axis=0))
     features = tuple(name for name in FEATURES if known[COLUMNS.index(name)])
@@ -238,62 +239,62 @@ def fit_reference(cycles: Sequence[Array], groups: Sequence[str] | None = None) 
         fold = np.array([machines.index(name) for _, name in pairs])
     else:
         fold = np.arange(len(own)) * min(FOLDS, len(own)) // len(own)
-    distances: list[Array] = [np.empty((0, len(NOTHING)))] * len(own)
+    distances: list[Array] = [np.empty((0, len(MIN_SCALES)))] * len(own)
     for held in range(int(fold.max()) + 1):
-        rest = _fitted(features, [each for each, number in zip(own, fold, strict=True) if number != held], expected)
+        rest = _fit_law(features, [each for each, number in zip(own, fold, strict=True) if number != held], expected)
         for place in np.flatnonzero(fold == held).tolist():
             distances[place] = rest.distances(own[place])
-    scales, held_out = _calibrated(distances, [_ages(each) for each in own])
-    law = _fitted(features, own, expected)
+    scales, held_out = _calibrate(distances, [_ages(each) for each in own])
+    law = _fit_law(features, own, expected)
     return FamiliarityReference(
         **{name: getattr(law, name) for name in _PointLaw.__slots__}, scales=scales, held_out=np.sort(held_out)
     )
 
 
-def _calibrated(distances: Sequence[Array], ages: Sequence[Places]) -> tuple[Array, Array]:
+def _calibrate(distances: Sequence[Array], ages: Sequence[Places]) -> tuple[Array, Array]:
     """((ages, 4) scales, (n,) strangeness of the cycles): each age's own quantile, then the limit of the greatest.
 
     Several distances at several ages are each beyond their own limit in a twentieth of the cycles, and one of them in
-    more: so the limit is one of the greatest, the value that a further cycle exceeds with a chance of 1 - USUAL at most
-    (a conformal quantile).
+    more: so the limit is one of the greatest, the value that a further cycle exceeds with a chance of 1 - USUAL_SHARE
+    at most (a conformal quantile).
     """
-    scales = np.tile(_common(distances), (len(AGES) + 1, 1))
-    for age in range(len(AGES) + 1):
+    scales = np.tile(_common(distances), (len(AGE_LIMITS_S) + 1, 1))
+    for age in range(len(AGE_LIMITS_S) + 1):
         parts = [each[np.flatnonzero(own == age)] for each, own in zip(distances, ages, strict=True)]
         of_age = [part for part in parts if len(part)]
-        if len(of_age) >= LEAST_CYCLES:
+        if len(of_age) >= MIN_CYCLES:
             scales[age] = _common(of_age)
     # Half of nothing, as the limit lies beyond the scales by about as much.
-    scales = np.maximum(scales, 0.5 * np.array(NOTHING))
+    scales = np.maximum(scales, 0.5 * np.array(MIN_SCALES))
     worst = np.sort([float((each / scales[own]).max()) for each, own in zip(distances, ages, strict=True)])
-    limit = max(float(worst[min(ceil(USUAL * (worst.size + 1)), worst.size) - 1]), 1e-6)
+    limit = max(float(worst[min(ceil(USUAL_SHARE * (worst.size + 1)), worst.size) - 1]), 1e-6)
     # What was weighed up against nothing stays there: a training without any scatter makes no degree strange.
-    final = np.maximum(scales * limit, NOTHING)
+    final = np.maximum(scales * limit, MIN_SCALES)
     return final, np.array([(each / final[own]).max() for each, own in zip(distances, ages, strict=True)])
 
 
 def _common(cycles: Sequence[Array]) -> Array:
-    """(4,) what COMMON of cycles, each (P, 4), do not exceed at any point."""
-    return np.asarray(np.quantile([each.max(axis=0) for each in cycles], COMMON, axis=0))
+    """(4,) what COMMON_SHARE of cycles, each (P, 4), do not exceed at any point."""
+    return np.asarray(np.quantile([each.max(axis=0) for each in cycles], COMMON_SHARE, axis=0))
 
 
 def _ages(points: Array) -> Places:
-    """(P,) the number of each point's age, in the order of AGES."""
-    return np.asarray(np.searchsorted(AGES, points[:, COLUMNS.index("age")], side="right"))
+    """(P,) the number of each point's age, in the order of AGE_LIMITS_S."""
+    return np.asarray(np.searchsorted(AGE_LIMITS_S, points[:, COLUMNS.index("age")], side="right"))
 
 
-_EXPECTING = [COLUMNS.index(name) for name in HISTORY if name != "age"]
-_REGRESSORS = len(_EXPECTING) + 2
+_HISTORY_COLUMNS = [COLUMNS.index(name) for name in HISTORY if name != "age"]
+_REGRESSOR_COUNT = len(_HISTORY_COLUMNS) + 2
 
 
 def _regressors(points: Array) -> Array:
     """(P, R) what the temperature is expected by: a bearing that rests forgets more slowly than one that runs."""
-    table = points[:, _EXPECTING]
+    table = points[:, _HISTORY_COLUMNS]
     before = points[:, COLUMNS.index("temperature before")] * points[:, COLUMNS.index("running an hour")]
     return np.column_stack([table, before, np.ones(len(points))])
 
 
-def _fitted(features: tuple[str, ...], cycles: Sequence[Array], expected: bool) -> _PointLaw:
+def _fit_law(features: tuple[str, ...], cycles: Sequence[Array], expected: bool) -> _PointLaw:
     """The law of the points, not calibrated yet."""
     points = np.vstack(cycles)
     own = points[:, [COLUMNS.index(name) for name in features]]
@@ -305,7 +306,7 @@ def _fitted(features: tuple[str, ...], cycles: Sequence[Array], expected: bool) 
     values, vectors = np.linalg.eigh(shrunk_covariance(z))
     whitening = vectors / np.sqrt(np.maximum(values, 0.05))
     white = z @ whitening
-    centres = white[np.unique(np.linspace(0, len(white) - 1, CENTRES).astype(int))]
+    centres = white[np.unique(np.linspace(0, len(white) - 1, MAX_CENTRES).astype(int))]
     expectation = np.empty(0)
     if expected:
         x = _regressors(points)

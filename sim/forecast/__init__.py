@@ -1,6 +1,6 @@
 """What the temperature may do next, and what keeps that honest."""
 
-from sim.forecast.band_widening import factors_at
+from sim.forecast.band_widening import widening_factors
 from sim.forecast.calibration import (
     Z90,
     Calibration,
@@ -13,16 +13,16 @@ from sim.forecast.calibration import (
     settle,
 )
 from sim.forecast.ensemble import (
-    DENSE,
+    DENSE_LEVELS,
     Losses,
     Pool,
     PoolEvidence,
     issue_pool,
+    member_weights,
     mixture,
     settle_pool,
-    thinned,
-    weighted,
+    thin_levels,
     weights_by_horizon,
 )
-from sim.forecast.fan import LEVELS, Forecast, fans, forecast
-from sim.forecast.review import FORECASTS, ONE_STEP, Review, beyond, follow, follow_forecasts, share, standardised
+from sim.forecast.fan import FAN_LEVELS, Forecast, fans, forecast
+from sim.forecast.review import FORECASTS, ONE_STEP, Review, follow, follow_forecasts, review_errors, share, standardise

@@ -12,7 +12,7 @@ import numpy as np
 from sim.sha import Array
 
 
-def factors_at(calibration: Mapping[float, float], horizons: Array) -> Array:
+def widening_factors(calibration: Mapping[float, float], horizons: Array) -> Array:
     """(H,) the factors at the horizons (s): linear between those given, constant outside, 1 without any.
 
     Raises ValueError for factors that are not positive and finite.

@@ -23,21 +23,21 @@ from typing import Any
 
 import numpy as np
 
-from sim.forecast.fan import LEVELS, Forecast
+from sim.forecast.fan import FAN_LEVELS, Forecast
 
-MISS = 0.1
+MISS_SHARE = 0.1
 """The share of outcomes that a 90 % band leaves out."""
-GAIN = 0.15
+WIDENING_GAIN = 0.15
 """By how much a missed band widens the next ones, on the scale of logarithms, for each independent forecast."""
-MOST_SHIFT = 1.5
+MAX_LOG_SHIFT = 1.5
 """Bound of the integral part, on the scale of logarithms: a factor of 4.5."""
 LEAST_FACTOR, MOST_FACTOR = 0.2, 10.0
 """Bounds of a factor: beyond them the model is wrong, and no widening makes it right."""
 
 Z90 = 1.6448536269514722
 """Half the width of a 90 % band in standard deviations."""
-_EDGES = np.geomspace(0.01, 100.0, 65)
-_BINS = len(_EDGES) + 1
+_HISTOGRAM_EDGES = np.geomspace(0.01, 100.0, 65)
+_BIN_COUNT = len(_HISTOGRAM_EDGES) + 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +54,7 @@ class PendingForecast:
     factor: float = 1.0
 
 
-_OF_PENDING = tuple(field.name for field in fields(PendingForecast))
+_PENDING_FIELDS = tuple(field.name for field in fields(PendingForecast))
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,12 +62,12 @@ class Horizon:
     """What one horizon has learned: forgetting counts of z by bins, the independent forecasts that they are worth.
 
     `prior` is the model's own factor, `last` the due time of the newest matured forecast (-inf before any), `missed`
-    counts the forecasts whose reading never came, `matured` the others. `shift` is the integral part of the factor (its
-    logarithm), `held` the fading evidence of published bands that held, out of `worth`.
+    counts the forecasts whose reading never came, `due_forecasts` the others. `shift` is the integral part of the
+    factor (its logarithm), `held` the fading evidence of published bands that held, out of `worth`.
     """
 
     prior: float
-    counts: tuple[float, ...] = (0.0,) * _BINS
+    counts: tuple[float, ...] = (0.0,) * _BIN_COUNT
     worth: float = 0.0
     last: float = -inf
     pending: tuple[PendingForecast, ...] = ()
@@ -78,7 +78,7 @@ class Horizon:
 
     def plain(self) -> dict[str, Any]:
         """The state as JSON can carry it; `asdict` would copy each number of each waiting forecast by itself."""
-        pending = [{key: getattr(waiting, key) for key in _OF_PENDING} for waiting in self.pending]
+        pending = [{key: getattr(waiting, key) for key in _PENDING_FIELDS} for waiting in self.pending]
         return {field.name: getattr(self, field.name) for field in fields(self)} | {"pending": pending}
 
 
@@ -107,10 +107,10 @@ def calibrate(
         raise ValueError(f"factors, memory and tolerance must be positive: {dict(horizons)}, {memory}, {tolerance}")
     if not weight >= 0:
         raise ValueError(f"the weight of the model's own factor must be at least 0, got {weight}")
-    return Calibration({h: Horizon(_bounded(f)) for h, f in sorted(horizons.items())}, memory, weight, tolerance)
+    return Calibration({h: Horizon(_clip_factor(f)) for h, f in sorted(horizons.items())}, memory, weight, tolerance)
 
 
-def _bounded(factor: float) -> float:
+def _clip_factor(factor: float) -> float:
     return min(max(factor, LEAST_FACTOR), MOST_FACTOR)
 
 
@@ -120,7 +120,7 @@ def issue(state: Calibration, forecast: Forecast) -> Calibration:
     Forecasts come in the order of their times; what is overdue by then is dropped, so what waits is bounded.
     """
     state = settle(state, forecast.time, nan)
-    low, median, high = (forecast.quantiles[LEVELS.index(level)] for level in (0.05, 0.5, 0.95))
+    low, median, high = (forecast.quantiles[FAN_LEVELS.index(level)] for level in (0.05, 0.5, 0.95))
     horizons = dict(state.horizons)
     for column, horizon in enumerate(forecast.horizons.tolist()):
         if horizon in horizons:
@@ -154,10 +154,10 @@ def settle(state: Calibration, time: float, temperature: float) -> Calibration:
             fade = exp(-gained / state.memory)
             faded = [count * fade for count in counts]
             z = deviation(waiting, temperature)
-            faded[int(np.searchsorted(_EDGES, z))] += gained
+            faded[int(np.searchsorted(_HISTOGRAM_EDGES, z))] += gained
             inside = z <= Z90 * waiting.factor
-            shift += GAIN * gained * ((0.0 if inside else 1.0) - MISS)
-            shift, held = min(max(shift, -MOST_SHIFT), MOST_SHIFT), held * fade + gained * inside
+            shift += WIDENING_GAIN * gained * ((0.0 if inside else 1.0) - MISS_SHARE)
+            shift, held = min(max(shift, -MAX_LOG_SHIFT), MAX_LOG_SHIFT), held * fade + gained * inside
             counts, worth, last = tuple(faded), worth * fade + gained, max(last, waiting.due)
         horizons[ahead] = replace(
             horizon,
@@ -177,7 +177,7 @@ def _due(waiting: PendingForecast) -> float:
     return waiting.due
 
 
-def matured(horizon: Horizon, time: float, tolerance: float) -> tuple[PendingForecast, ...]:
+def due_forecasts(horizon: Horizon, time: float, tolerance: float) -> tuple[PendingForecast, ...]:
     """The forecasts that a reading at `time` settles: due by now, and not longer ago than `tolerance` seconds."""
     if not horizon.pending or horizon.pending[0].due > time:
         return ()
@@ -217,9 +217,9 @@ def factors(state: Calibration, *, integral: bool = True) -> dict[float, float]:
         level = log(learned.prior) + lent
         if learned.worth > 0:
             share = learned.worth / (learned.worth + state.weight)
-            level = share * log(_bounded(_quantile(learned) / Z90)) + (1.0 - share) * level
+            level = share * log(_clip_factor(_quantile(learned) / Z90)) + (1.0 - share) * level
         lent = level - log(learned.prior)
-        made[horizon] = _bounded(exp(level + (learned.shift if integral and learned.worth > 0 else 0.0)))
+        made[horizon] = _clip_factor(exp(level + (learned.shift if integral and learned.worth > 0 else 0.0)))
     return made
 
 
@@ -229,7 +229,7 @@ def _quantile(horizon: Horizon) -> float:
     total = np.cumsum(counts)
     wanted = 0.9 * total[-1]
     row = int(np.searchsorted(total, wanted))
-    if row == 0 or row >= len(_EDGES):
-        return float(_EDGES[0] if row == 0 else _EDGES[-1])
+    if row == 0 or row >= len(_HISTOGRAM_EDGES):
+        return float(_HISTOGRAM_EDGES[0] if row == 0 else _HISTOGRAM_EDGES[-1])
     part = (wanted - (total[row] - counts[row])) / counts[row]
-    return float(_EDGES[row - 1] * (_EDGES[row] / _EDGES[row - 1]) ** part)
+    return float(_HISTOGRAM_EDGES[row - 1] * (_HISTOGRAM_EDGES[row] / _HISTOGRAM_EDGES[row - 1]) ** part)

@@ -15,22 +15,22 @@ from math import inf, isfinite, isnan
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sim.forecast.fan import LEVELS, Forecast
+from sim.forecast.fan import FAN_LEVELS, Forecast
 from sim.scores import Estimate, crps_quantiles
 from sim.sha import Array
 
-DENSE = tuple(round(0.01 * percent, 2) for percent in range(1, 100))
+DENSE_LEVELS = tuple(round(0.01 * percent, 2) for percent in range(1, 100))
 """Levels of a member's fan in a mixture: a band of 90 % of the whole may lie in one member's tail."""
 
-HALF_LIFE = 8.0
+HALF_LIFE_FORECASTS = 8.0
 """Independent forecasts (time over horizon) after which a loss counts half: 8 minutes at 60 s ahead."""
-FLOOR = 0.02
-STRENGTH = 4.0
+MIN_WEIGHT = 0.02
+PRIOR_FORECASTS = 4.0
 """Independent forecasts that the overall losses count for in a context, and those of a shorter horizon in the next."""
-RATE = 1.0
+LEARNING_RATE = 1.0
 """The learning rate: a member that is worse by the best one's whole loss falls behind by e for each independent
 forecast."""
-LEAST_WIDTH = 1e-3
+MIN_QUANTILE_GAP_DEGC = 1e-3
 """degC: no two neighbouring quantiles are taken to be closer, so that none is a point; a loss below it is none."""
 
 
@@ -57,9 +57,9 @@ class Pool:
     """
 
     members: int
-    half_life: float = HALF_LIFE
-    floor: float = FLOOR
-    strength: float = STRENGTH
+    half_life: float = HALF_LIFE_FORECASTS
+    floor: float = MIN_WEIGHT
+    strength: float = PRIOR_FORECASTS
     prior: tuple[float, ...] | None = None
     fixed: tuple[float, ...] | None = None
     overall: Losses | None = None
@@ -107,7 +107,7 @@ def weights_by_horizon(pools: Sequence[Pool], context: str = "") -> list[tuple[f
             lent = min(pool.strength, evidence)
             own, counted = seen or (losses, 0.0)
             seen = (counted * own + lent * losses) / (counted + lent), counted + lent
-        plain = prior if seen is None else weighted(prior, *seen)
+        plain = prior if seen is None else member_weights(prior, *seen)
         made.append(tuple((pool.floor + (1.0 - pool.floor * pool.members) * plain).tolist()))
         before = seen
     return made
@@ -124,12 +124,12 @@ def _relative(pool: Pool, context: str) -> tuple[Array, float] | None:
         borrowed = min(pool.strength, evidence)
         mean = (np.array(own.total) + borrowed * mean) / (own.evidence + borrowed)
         evidence = own.evidence + borrowed
-    return mean / max(float(mean.min()), LEAST_WIDTH), evidence
+    return mean / max(float(mean.min()), MIN_QUANTILE_GAP_DEGC), evidence
 
 
-def weighted(prior: Array, losses: Array, evidence: float) -> Array:
+def member_weights(prior: Array, losses: Array, evidence: float) -> Array:
     """(members,) weights from prior ones and mean `losses`, in units of the best member's, over so much `evidence`."""
-    raw = prior * np.exp(-RATE * evidence * (losses - losses.min()))
+    raw = prior * np.exp(-LEARNING_RATE * evidence * (losses - losses.min()))
     return np.asarray(raw / raw.sum())
 
 
@@ -147,18 +147,18 @@ def learn(pool: Pool, context: str, losses: Sequence[float | None], worth: float
     now = np.array(weights(pool, context))
     share = now[present].sum()
     mean = sum(now[place] * (known[place] or 0.0) for place in present) / share
-    unit = max(sum(known[place] or 0.0 for place in present) / len(present), LEAST_WIDTH)
+    unit = max(sum(known[place] or 0.0 for place in present) / len(present), MIN_QUANTILE_GAP_DEGC)
     lost = [(mean if loss is None else loss) / unit for loss in known]
     fade = 0.5 ** (worth / pool.half_life)
 
-    def faded(before: Losses | None) -> Losses:
+    def fade_losses(before: Losses | None) -> Losses:
         total = (0.0,) * pool.members if before is None else before.total
         evidence = 0.0 if before is None else before.evidence
         sums = tuple(float(fade * old + worth * new) for old, new in zip(total, lost, strict=True))
         return Losses(sums, fade * evidence + worth)
 
-    contexts = {**pool.contexts, context: faded(pool.contexts.get(context))}
-    return replace(pool, overall=faded(pool.overall), contexts=contexts)
+    contexts = {**pool.contexts, context: fade_losses(pool.contexts.get(context))}
+    return replace(pool, overall=fade_losses(pool.overall), contexts=contexts)
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,7 +188,7 @@ def issue_pool(
         return evidence
     column = present[0].horizons.tolist().index(horizon)
     fans = tuple(
-        None if forecast is None else tuple(thinned(forecast, LEVELS).quantiles[:, column].tolist())
+        None if forecast is None else tuple(thin_levels(forecast, FAN_LEVELS).quantiles[:, column].tolist())
         for forecast in forecasts
     )
     waiting = Awaited(present[0].time + horizon, context, fans)
@@ -210,12 +210,14 @@ def settle_pool(
     for awaited in waiting:
         if known and awaited.due <= time:
             worth = min(max(awaited.due - last, 0.0) / horizon, 1.0)
-            losses = [None if fan is None else float(crps_quantiles(LEVELS, fan, temperature)) for fan in awaited.fans]
+            losses = [
+                None if fan is None else float(crps_quantiles(FAN_LEVELS, fan, temperature)) for fan in awaited.fans
+            ]
             pool, last = learn(pool, awaited.context, losses, worth), max(last, awaited.due)
     return PoolEvidence(pool, last, tuple(awaited for awaited in waiting if awaited.due > time or not known))
 
 
-def thinned(forecast: Forecast, levels: tuple[float, ...]) -> Forecast:
+def thin_levels(forecast: Forecast, levels: tuple[float, ...]) -> Forecast:
     """The forecast with only some of its levels. Raises ValueError for one that it lacks."""
     rows = [forecast.levels.index(level) for level in levels]
     return replace(forecast, levels=levels, quantiles=forecast.quantiles[rows])
@@ -292,7 +294,10 @@ def _mixed_quantiles(fans: Sequence[tuple[tuple[float, ...], Array]], w: Array, 
 
 def _with_ends(levels: tuple[float, ...], quantiles: Array) -> tuple[Array, Array]:
     """A fan closed at 0 and 1 by straight lines that go on as between its two outermost quantiles; values ascend."""
-    alpha, values = np.asarray(levels), np.maximum.accumulate(quantiles + LEAST_WIDTH * 1e-6 * np.arange(len(levels)))
+    alpha, values = (
+        np.asarray(levels),
+        np.maximum.accumulate(quantiles + MIN_QUANTILE_GAP_DEGC * 1e-6 * np.arange(len(levels))),
+    )
     low = values[0] - (values[1] - values[0]) * alpha[0] / (alpha[1] - alpha[0])
     high = values[-1] + (values[-1] - values[-2]) * (1.0 - alpha[-1]) / (alpha[-1] - alpha[-2])
     return np.concatenate([[0.0], alpha, [1.0]]), np.concatenate([[low], values, [high]])
@@ -318,10 +323,10 @@ def _minutes(forecasts: Sequence[Forecast], w: Array) -> tuple[float, float, flo
     for member, (times, chances) in enumerate(points):
         total += np.interp(clock, horizons, w[:, member]) * np.interp(clock, times, chances)
     total = np.maximum.accumulate(total)
-    return _until(clock, total, 0.05), _until(clock, total, 0.5), _until(clock, total, 0.95)
+    return _quantile_time(clock, total, 0.05), _quantile_time(clock, total, 0.5), _quantile_time(clock, total, 0.95)
 
 
-def _until(clock: Array, total: Array, share: float) -> float:
+def _quantile_time(clock: Array, total: Array, share: float) -> float:
     """When the distribution function `total` over `clock` passes `share`; inf where it never does."""
     if total[-1] < share:
         return inf

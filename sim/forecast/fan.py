@@ -13,7 +13,7 @@ from statistics import NormalDist
 
 import numpy as np
 
-from sim.effects import VaryingLaw, kind_of, lag_of
+from sim.effects import VaryingLaw, effect_kind, heat_lag
 from sim.engine import (
     BLOCK_ROWS,
     Belief,
@@ -24,9 +24,9 @@ from sim.engine import (
     acting_stays,
     advance,
     augmented_path_runs,
-    compiled,
+    compile_tracker,
+    draw_layout,
     joined,
-    lay_out,
     next_location,
     on_event,
     real_age,
@@ -34,10 +34,10 @@ from sim.engine import (
     survival,
 )
 from sim.engine import fastest as relaxation
-from sim.forecast.band_widening import factors_at, widened_fan, widened_runs
+from sim.forecast.band_widening import widened_fan, widened_runs, widening_factors
 from sim.scores import Estimate, clopper_pearson
 from sim.sha import (
-    RELAXING,
+    RELAXING_FLOWS,
     Array,
     Event,
     Model,
@@ -47,7 +47,7 @@ from sim.sha import (
     known_paths,
 )
 
-LEVELS = (0.05, 0.25, 0.5, 0.75, 0.95)
+FAN_LEVELS = (0.05, 0.25, 0.5, 0.75, 0.95)
 """The levels of a fan's quantiles: median, 50 % and 90 % band."""
 
 JOINED = 8
@@ -70,7 +70,7 @@ class Forecast:
 
     `factors` (H,) are those by which the fan was widened. `borrowed` is for each horizon the probability of a location
     that no data have shown (`Model.borrowed`). `clamps` counts the times that a run left the automaton's
-    range, `cut` the runs that jumped more often than `semi_markov.MOST_STAYS`: above 0, doubt the model.
+    range, `cut` the runs that jumped more often than `semi_markov.MAX_STAYS`: above 0, doubt the model.
     """
 
     time: float
@@ -98,7 +98,7 @@ def forecast(
     runs: int = 256,
     events: Sequence[Event] | None = None,
     calibration: Mapping[float, float] | None = None,
-    levels: tuple[float, ...] = LEVELS,
+    levels: tuple[float, ...] = FAN_LEVELS,
 ) -> Forecast:
     """The forecast from `belief` at `horizons` (s, positive, ascending), by `runs` runs.
 
@@ -113,7 +113,7 @@ def forecast(
     Raises ValueError on horizons that are not positive and ascending, levels that do not ascend inside (0, 1) or lack
     the median, runs below 2, and a model that cannot be run.
     """
-    tracker = compiled(model)
+    tracker = compile_tracker(model)
     ahead = np.asarray(horizons, dtype=float)
     if ahead.ndim != 1 or not ahead.size or not np.all(np.diff(ahead, prepend=0.0) > 0) or not isfinite(ahead[-1]):
         raise ValueError(f"horizons must be positive seconds in ascending order, got {list(horizons)}")
@@ -124,9 +124,9 @@ def forecast(
     last, exact = float(ahead[-1]), None
     grid = _grid(tracker, ahead)
     at = np.searchsorted(grid, ahead)
-    factors = factors_at(tracker.model.calibration if calibration is None else calibration, ahead)
+    factors = widening_factors(tracker.model.calibration if calibration is None else calibration, ahead)
     names = [location.name for location in tracker.model.sha.locations]
-    if tracker.plant is not None and (events or not tracker.plant.random_only):
+    if tracker.plant is not None and (events or not tracker.plant.is_random):
         known = [(begin, names.index(name)) for begin, name in acting_stays(tracker, belief, events or ())]
         if events is None:
             # Under a dead time the plant is already where it acts only later: paths are drawn from there.
@@ -143,7 +143,7 @@ def forecast(
             inputs = input_moments(tracker.model, belief.signals)
             stays, exact = _known_future(tracker, belief, events, horizons=ahead, levels=levels, inputs=inputs)
             paths = known_paths(stays, belief.age, runs)
-            layout = lay_out(tracker, belief, paths, grid=grid, inputs=inputs, rng=rng)
+            layout = draw_layout(tracker, belief, paths, grid=grid, inputs=inputs, rng=rng)
         done, paths = run(layout), layout.paths
         del layout  # half of what a forecast holds, which the chance of the limit does not ask for
 
@@ -157,7 +157,7 @@ def forecast(
     locations = tuple(
         {name: float(count) / runs for name, count in zip(names, row, strict=True) if count} for row in counts
     )
-    reached = _reached(belief, done, limit=limit, grid=grid, horizons=ahead, factors=factors)
+    reached = _reach_chances(belief, done, limit=limit, grid=grid, horizons=ahead, factors=factors)
     return Forecast(
         time=belief.time,
         horizons=ahead,
@@ -194,14 +194,14 @@ def fans(
         rows = done.marks[np.searchsorted(grids[horizons], ahead)]
         end = done.end[rows, np.arange(rows.shape[1])].reshape(ahead.size, len(numbers), runs)
         quantiles, factors = (
-            _quantiles(end, np.stack(noise, axis=1), LEVELS),
-            factors_at(tracker.model.calibration, ahead),
+            _quantiles(end, np.stack(noise, axis=1), FAN_LEVELS),
+            widening_factors(tracker.model.calibration, ahead),
         )
         for place, number in enumerate(numbers):
-            found[number] = widened_fan(quantiles[:, :, place], factors, LEVELS.index(0.5))
+            found[number] = widened_fan(quantiles[:, :, place], factors, FAN_LEVELS.index(0.5))
 
     for number, (belief, horizons) in enumerate(origins):
-        if tracker.plant is not None and not tracker.plant.random_only:
+        if tracker.plant is not None and not tracker.plant.is_random:
             found[number] = forecast(tracker, belief, horizons, rng, runs=runs).quantiles
             continue
         layout = _unknown_future(tracker, belief, grid=grids[horizons], runs=runs, rng=rng)
@@ -219,7 +219,7 @@ def _unknown_future(tracker: Tracker, belief: Belief, *, grid: Array, runs: int,
     place, last = tracker.chain.names.index(belief.location), float(grid[-1])
     paths = draw_paths(tracker.chain, place, age=belief.age, horizon=last, runs=runs, rng=rng)
     inputs = input_moments(tracker.model, belief.signals)
-    return lay_out(tracker, belief, paths, grid=grid, inputs=inputs, rng=rng)
+    return draw_layout(tracker, belief, paths, grid=grid, inputs=inputs, rng=rng)
 
 
 def _reading_noise(tracker: Tracker, shape: tuple[int, ...], rng: np.random.Generator) -> Array:
@@ -243,22 +243,24 @@ def _points(tracker: Tracker, horizon: float) -> int:
     fastest = 0.0
     for location in tracker.model.sha.locations:
         params = location.flow.params
-        if location.flow.kind in RELAXING:
+        if location.flow.kind in RELAXING_FLOWS:
             fastest = max(fastest, params["k"])
         else:
-            fastest = max(fastest, 1.0 / float(flows.fading(location.flow, 0.5)))
+            fastest = max(fastest, 1.0 / float(flows.fade_ages(location.flow, 0.5)))
     if tracker.plant is not None:
         starts = [
             law.speed(acting.effect)
             for acting in tracker.plant.startups
-            if isinstance(law := kind_of(acting.effect).law, VaryingLaw)
+            if isinstance(law := effect_kind(acting.effect).law, VaryingLaw)
         ]
-        fades = [1.0 / lag_of(effect) for effect in tracker.plant.late]
+        fades = [1.0 / heat_lag(effect) for effect in tracker.plant.late]
         fastest = max(fastest, float(relaxation(tracker.plant).max()), *starts, *fades)
     return int(min(max(ceil(horizon * fastest / 0.1), LEAST_GRID), MOST_GRID))
 
 
-def _reached(belief: Belief, done: PathRuns, *, limit: float, grid: Array, horizons: Array, factors: Array) -> Array:
+def _reach_chances(
+    belief: Belief, done: PathRuns, *, limit: float, grid: Array, horizons: Array, factors: Array
+) -> Array:
     """(G + 1,) the chance of having reached the limit by now and by each of the grid's points.
 
     Runs are widened about their median as the fan is: their distance from it, at each of their steps' ends, is
@@ -298,7 +300,7 @@ def _reached(belief: Belief, done: PathRuns, *, limit: float, grid: Array, horiz
 def _minutes(clock: Array, reached: Array) -> tuple[float, float, float]:
     """The 5, 50 and 95 % quantiles of the time to the limit, in minutes; inf where that share is never reached."""
 
-    def until(share: float) -> float:
+    def minutes_to_share(share: float) -> float:
         if reached[-1] < share:
             return inf
         row = int(np.searchsorted(reached, share))
@@ -307,7 +309,7 @@ def _minutes(clock: Array, reached: Array) -> tuple[float, float, float]:
         part = (share - reached[row - 1]) / (reached[row] - reached[row - 1])
         return float(clock[row - 1] + part * (clock[row] - clock[row - 1])) / 60.0
 
-    return until(0.05), until(0.5), until(0.95)
+    return minutes_to_share(0.05), minutes_to_share(0.5), minutes_to_share(0.95)
 
 
 def _known_future(

@@ -1,8 +1,8 @@
 """The 3-sigma review: how often, and how long in a row, readings lie beyond three standard deviations of a prediction.
 
 Three views, never mixed: one-step innovations and matured forecasts while a gateway runs (`follow`, with a memory that
-fades and a flag with hysteresis), and an open-loop run over a whole trace (`beyond`). Under a right model a Gaussian
-reading is beyond 3 sigma once in 370.
+fades and a flag with hysteresis), and an open-loop run over a whole trace (`review_errors`). Under a right model a
+Gaussian reading is beyond 3 sigma once in 370.
 """
 
 from dataclasses import dataclass, replace
@@ -10,11 +10,11 @@ from math import exp, isfinite
 
 import numpy as np
 
-from sim.engine import Prediction, measured
-from sim.forecast.calibration import Calibration, deviation, matured
+from sim.engine import Prediction, readings
+from sim.forecast.calibration import Calibration, deviation, due_forecasts
 from sim.sha import Array, Model, Trace
 
-SIGMAS = 3.0
+REVIEW_SIGMAS = 3.0
 RAISE, CLEAR = 0.05, 0.01
 """Shares of readings beyond 3 sigma at which a flag is raised and cleared; 0.0027 of a Gaussian's are."""
 
@@ -45,8 +45,8 @@ class Review:
     """Readings against their predictions up to now; plain values, so that JSON can carry them.
 
     `counted` and `outside` are the fading numbers of independent readings and of those beyond 3 sigma, `run` how many
-    of them the newest ones are in a row, `longest` the longest such run. `readings` and `beyond` count all since the
-    beginning, overlapping ones too. `flagged` is the verdict, and `since` (s) when it was last changed.
+    of them the newest ones are in a row, `longest` the longest such run. `readings` and `review_errors` count all since
+    the beginning, overlapping ones too. `flagged` is the verdict, and `since` (s) when it was last changed.
     """
 
     counted: float = 0.0
@@ -73,7 +73,7 @@ def follow(rule: ReviewRule, review: Review, time: float, z: float, worth: float
     """
     if z != z:
         return review
-    out, fade = abs(z) > SIGMAS, exp(-worth / rule.memory)
+    out, fade = abs(z) > REVIEW_SIGMAS, exp(-worth / rule.memory)
     run = review.run + worth if out else 0.0
     after = Review(
         counted=review.counted * fade + worth,
@@ -103,7 +103,7 @@ def follow_forecasts(review: Review, state: Calibration, horizon: float, time: f
     if not isfinite(temperature):
         return review
     last = learned.last
-    for waiting in matured(learned, time, state.tolerance):
+    for waiting in due_forecasts(learned, time, state.tolerance):
         worth = min(max(waiting.due - last, 0.0) / horizon, 1.0)
         last = max(last, waiting.due)
         review = follow(FORECASTS, review, waiting.due, deviation(waiting, temperature) / learned.prior, worth)
@@ -125,22 +125,22 @@ class Beyond:
     review: bool
 
 
-def standardised(prediction: Prediction, trace: Trace, model: Model) -> tuple[Array, Array]:
+def standardise(prediction: Prediction, trace: Trace, model: Model) -> tuple[Array, Array]:
     """Times and errors (measured - predicted) of the readings, in standard deviations, the sensor's included.
 
     The prediction must have been made at every reading (`open_loop` does). NaN where the standard deviation is 0.
     """
-    times, values = measured(trace, model.temperature)
+    times, values = readings(trace, model.temperature)
     row = np.clip(np.searchsorted(prediction.times, times, side="right") - 1, 0, None)
     sigma = np.sqrt(prediction.variance[row] + model.sensor_sigma**2)
     with np.errstate(divide="ignore", invalid="ignore"):
         return times, np.where(sigma > 0, (values - prediction.mean[row]) / sigma, np.nan)
 
 
-def beyond(times: Array, z: Array) -> Beyond:
+def review_errors(times: Array, z: Array) -> Beyond:
     """The review of standardised errors (n,) at `times` (n,); the first reading, where a run starts, counts too."""
     known = np.isfinite(z)
-    times, out = times[known], np.abs(z[known]) > SIGMAS
+    times, out = times[known], np.abs(z[known]) > REVIEW_SIGMAS
     if not out.size:
         return Beyond(0, 0.0, 0, 0.0, review=False)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], out, [False]]).astype(np.int8)))

@@ -13,21 +13,21 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from drivers.named_files import writing
-from sim.sha import DEGREES, UNKNOWN, Array, Event, shown_unit
+from drivers.named_files import name_write_errors
+from sim.sha import DEFAULT_UNIT, UNKNOWN, Array, Event, display_unit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 
-ENDINGS = (".png", ".pdf", ".svg")
+PICTURE_SUFFIXES = (".png", ".pdf", ".svg")
 
 
 def check_picture(path: Path) -> None:
     """Raises ValueError for another ending than those of pictures."""
-    if path.suffix.lower() not in ENDINGS:
-        raise ValueError(f"{path}: cannot be a picture; give a name that ends in {', '.join(ENDINGS)}")
+    if path.suffix.lower() not in PICTURE_SUFFIXES:
+        raise ValueError(f"{path}: cannot be a picture; give a name that ends in {', '.join(PICTURE_SUFFIXES)}")
 
 
 def blank_figure(width: float, height: float) -> Figure:
@@ -57,7 +57,7 @@ def svg_text(figure: Figure) -> str:
 
 def save_picture(figure: Figure, target: Path | StringIO, form: str) -> None:
     """Write a figure in the form `png`, `pdf` or `svg`. Raises OSError."""
-    with writing(target if isinstance(target, Path) else "the picture"), warnings.catch_warnings():
+    with name_write_errors(target if isinstance(target, Path) else "the picture"), warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Glyph")  # a letter that the font lacks is shown as a box
         figure.savefig(target, format=form, dpi=110, metadata={"Date": None} if form == "svg" else None)
 
@@ -65,7 +65,7 @@ def save_picture(figure: Figure, target: Path | StringIO, form: str) -> None:
 MEASURED, PREDICTED, OPEN_LOOP, AHEAD, ALARM = "#555555", "#1f6fb4", "#c65d1e", "#2a8c6a", "#b3261e"
 EVENT_COLOURS = ("#1f6fb4", "#c65d1e", "#2a8c6a", "#8a5fb0", "#b08a2e", "#5f7f8f", "#b35a7a", "#6b6b6b")
 TIME_UNITS = (("minutes", 60.0), ("hours", 3600.0), ("days", 86_400.0))
-LONGEST_TITLE = 100
+MAX_TITLE_CHARS = 100
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +98,7 @@ class Picture:
     limit: float | None = None
     note: str = ""
     units: Mapping[str, str] = field(default_factory=dict)
-    unit: str = DEGREES
+    unit: str = DEFAULT_UNIT
 
 
 Clock = Callable[[Array], Array]
@@ -127,16 +127,16 @@ def draw(picture: Picture, path: Path, *also: Path) -> Path:
     _temperatures(axes[0], picture, clock)
     if picture.inputs:
         for curve, colour in zip(picture.inputs, cycle(EVENT_COLOURS), strict=False):
-            instants, values = _broken(curve.times, curve.values)
+            instants, values = _break_gaps(curve.times, curve.values)
             name = f"{curve.label} ({picture.units[curve.label]})" if picture.units.get(curve.label) else curve.label
             axes[1].plot(clock(instants), values, color=colour, linewidth=0.9, label=_literal(name))
         axes[1].grid(alpha=0.25)
         _legend(axes[1])
     _events(axes[-1], picture.events, clock)
     axes[-1].set_xlabel(f"{unit} since the first row")
-    figure.suptitle(_shortened(picture.title), fontsize=13, x=0.01, ha="left", parse_math=False)
+    figure.suptitle(_shorten_title(picture.title), fontsize=13, x=0.01, ha="left", parse_math=False)
     if picture.note:
-        note = _shortened(picture.note)
+        note = _shorten_title(picture.note)
         figure.supxlabel(note, fontsize=9, color=MEASURED, x=0.01, ha="left", parse_math=False)
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Glyph")  # a letter that the font lacks is shown as a box
@@ -155,18 +155,18 @@ def _save(figure: Figure, file: Path) -> None:
     file.parent.mkdir(parents=True, exist_ok=True)
     part = file.with_name(f".{file.name}.part")
     try:
-        with writing(file):
+        with name_write_errors(file):
             figure.savefig(part, dpi=110, format=file.suffix[1:].lower())
         part.replace(file)
     finally:
         part.unlink(missing_ok=True)
 
 
-def _shortened(text: str) -> str:
-    return shorten(text, LONGEST_TITLE, placeholder=" ...") if len(text) > LONGEST_TITLE else text
+def _shorten_title(text: str) -> str:
+    return shorten(text, MAX_TITLE_CHARS, placeholder=" ...") if len(text) > MAX_TITLE_CHARS else text
 
 
-def _broken(times: Array, values: Array) -> tuple[Array, Array]:
+def _break_gaps(times: Array, values: Array) -> tuple[Array, Array]:
     """The curve with a NaN in each hole longer than five median steps and 15 s: no line is drawn across a gap."""
     seconds, numbers = np.asarray(times, dtype=float), np.asarray(values, dtype=float)
     if seconds.size < 3:
@@ -177,10 +177,10 @@ def _broken(times: Array, values: Array) -> tuple[Array, Array]:
 
 
 def _line(axis: Axes, curve: Curve, clock: Clock, colour: str, width: float = 1.4, style: str = "-") -> None:
-    times, values = _broken(curve.times, curve.values)
+    times, values = _break_gaps(curve.times, curve.values)
     axis.plot(clock(times), values, style, color=colour, label=_literal(curve.label), linewidth=width)
     if curve.low is not None and curve.high is not None:
-        low, high = _broken(curve.times, curve.low)[1], _broken(curve.times, curve.high)[1]
+        low, high = _break_gaps(curve.times, curve.low)[1], _break_gaps(curve.times, curve.high)[1]
         axis.fill_between(clock(times), low, high, color=colour, alpha=0.18, linewidth=0)
 
 
@@ -199,7 +199,7 @@ def _temperatures(axis: Axes, picture: Picture, clock: Clock) -> None:
     if picture.limit is not None:
         # A line where it is near the curves; a word where it would press them flat.
         low, high = axis.get_ylim()
-        text = f"limit {picture.limit:g} {shown_unit(picture.unit)}"
+        text = f"limit {picture.limit:g} {display_unit(picture.unit)}"
         if low <= picture.limit <= high + 0.3 * (high - low):
             axis.axhline(picture.limit, color=ALARM, linewidth=1, linestyle=":", label=text)
         else:
@@ -207,8 +207,8 @@ def _temperatures(axis: Axes, picture: Picture, clock: Clock) -> None:
             words = f"{text}, {'above' if above else 'below'} this range"
             height, side = (0.97, "top") if above else (0.03, "bottom")
             axis.text(0.99, height, words, transform=axis.transAxes, ha="right", va=side, color=ALARM, fontsize=8)
-    quantity = "temperature" if picture.unit == DEGREES else "value"
-    axis.set_ylabel(f"{quantity} ({shown_unit(picture.unit)})")
+    quantity = "temperature" if picture.unit == DEFAULT_UNIT else "value"
+    axis.set_ylabel(f"{quantity} ({display_unit(picture.unit)})")
     axis.grid(alpha=0.25)
     _legend(axis)
 

@@ -16,12 +16,12 @@ from warnings import catch_warnings, simplefilter
 T = TypeVar("T")
 R = TypeVar("R")
 
-KILLED = "a worker process was killed, most often for want of memory; take fewer --jobs or --runs"
+KILLED_TEXT = "a worker process was killed, most often for want of memory; take fewer --jobs or --runs"
 ADDRESS = re.compile(r"(tcp|tls)://(\[[0-9a-fA-F:.%]+\]|[^\s:/\[\]]+):[0-9]{1,5}")
 """What a Dask scheduler's address looks like."""
-REACHABLE_WITHIN = 10.0
+REACH_TIMEOUT_S = 10.0
 """Seconds in which a cluster must answer and have a worker."""
-PATIENCE = 3
+PATIENCE_TIMEOUTS = 3
 """So many times that long a cluster may be without any worker while work waits for it: a nanny starts a new one."""
 
 
@@ -39,14 +39,14 @@ class Workers(Protocol):
 def processes(count: int) -> Workers:
     """Work in this process where `count` is 1, else in so many of their own."""
 
-    def run(
+    def run_items(
         function: Callable[[T], R], items: Sequence[T], lost: Callable[[T, str], R], *, ordered: bool = True
     ) -> Iterator[R]:
         if count == 1:
             return map(function, items)
-        return parallel(function, items, count, lambda item: lost(item, KILLED), ordered=ordered)
+        return parallel(function, items, count, lambda item: lost(item, KILLED_TEXT), ordered=ordered)
 
-    return run
+    return run_items
 
 
 def parallel(
@@ -69,7 +69,7 @@ def parallel(
         part = dict(list(left.items())[:1]) if alone else dict(left)
         work = Parallel(n_jobs=workers, return_as="generator" if ordered else "generator_unordered")
         try:
-            with _quietly_closed(work(delayed(_numbered)(function, *each) for each in part.items())) as results:
+            with _close_quietly(work(delayed(_call_item)(function, *each) for each in part.items())) as results:
                 for number, result in results:
                     yield result
                     del left[number]
@@ -77,18 +77,18 @@ def parallel(
         except BrokenProcessPool:
             if alone:
                 if lost is None:
-                    raise ValueError(KILLED) from None
+                    raise ValueError(KILLED_TEXT) from None
                 (number,) = part
                 yield lost(left.pop(number))
             alone = not alone
 
 
-def _numbered(function: Callable[[T], R], number: int, item: T) -> tuple[int, R]:
+def _call_item(function: Callable[[T], R], number: int, item: T) -> tuple[int, R]:
     return number, function(item)
 
 
 @contextmanager
-def _quietly_closed(results: Generator[R, None, None]) -> Iterator[Generator[R, None, None]]:
+def _close_quietly(results: Generator[R, None, None]) -> Iterator[Generator[R, None, None]]:
     """Where the caller stops early, joblib need not say what was left undone."""
     try:
         yield results
@@ -103,7 +103,7 @@ def cluster(address: str) -> Iterator[Workers]:
     """The workers of the Dask scheduler at `address` (tcp://host:port), which must have this package too.
 
     What a worker cannot do (it was killed, it lacks the package) is lost. Raises ValueError without the extra
-    `cluster`, where no scheduler answers within REACHABLE_WITHIN or it has no worker, and when the scheduler or all
+    `cluster`, where no scheduler answers within REACH_TIMEOUT_S or it has no worker, and when the scheduler or all
     workers go away for good.
     """
     try:
@@ -123,19 +123,19 @@ def cluster(address: str) -> Iterator[Workers]:
         )
     logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # what it would say becomes a sentence here
     try:
-        client = distributed.Client(address, timeout=REACHABLE_WITHIN, set_as_default=False)
+        client = distributed.Client(address, timeout=REACH_TIMEOUT_S, set_as_default=False)
     except (OSError, TimeoutError, ValueError) as error:
         raise ValueError(
             f"{address}: no Dask scheduler answers there ({_reason(error)}); give tcp://HOST:PORT"
         ) from None
 
-    def run(
+    def run_tasks(
         function: Callable[[T], R], items: Sequence[T], lost: Callable[[T, str], R], *, ordered: bool = True
     ) -> Iterator[R]:
         # Not pure: Dask takes a pure call with equal arguments for one that it has done already.
         items_of = {client.submit(function, item, pure=False): item for item in items}
         for future in items_of if ordered else _as_they_end(list(items_of), client):
-            error = waited_for(future, client, address)
+            error = await_future(future, client, address)
             if error is None:
                 yield future.result()
             else:
@@ -144,21 +144,21 @@ def cluster(address: str) -> Iterator[Workers]:
 
     with client:
         try:
-            client.wait_for_workers(1, timeout=REACHABLE_WITHIN)
+            client.wait_for_workers(1, timeout=REACH_TIMEOUT_S)
         except TimeoutError:
             raise ValueError(f"{address}: the Dask scheduler has no worker; start one: dask worker {address}") from None
-        yield run
+        yield run_tasks
 
 
 def _as_they_end(futures: Sequence[Any], client: Any) -> Iterator[Any]:
-    """The futures, those that are over first; where no worker is left, the next in turn for `waited_for` to judge."""
+    """The futures, those that are over first; where no worker is left, the next in turn for `await_future` to judge."""
     distributed, left = import_module("distributed"), dict.fromkeys(futures)
     while left:
         over = [future for future in left if future.done()]
         if not over:
             try:
                 with client.as_current():
-                    distributed.wait(list(left), timeout=REACHABLE_WITHIN, return_when="FIRST_COMPLETED")
+                    distributed.wait(list(left), timeout=REACH_TIMEOUT_S, return_when="FIRST_COMPLETED")
                 continue
             except TimeoutError:
                 if client.scheduler_info()["workers"]:
@@ -171,13 +171,13 @@ def _as_they_end(futures: Sequence[Any], client: Any) -> Iterator[Any]:
             yield future
 
 
-def waited_for(future: Any, client: Any, address: str) -> BaseException | None:
+def await_future(future: Any, client: Any, address: str) -> BaseException | None:
     """What went wrong with a future, once it is over. Raises ValueError when there is nobody left to do it."""
     without = 0
     try:
-        while without < PATIENCE:
+        while without < PATIENCE_TIMEOUTS:
             try:
-                error: BaseException | None = future.exception(timeout=REACHABLE_WITHIN)
+                error: BaseException | None = future.exception(timeout=REACH_TIMEOUT_S)
             except TimeoutError:
                 without = 0 if client.scheduler_info()["workers"] else without + 1
             else:

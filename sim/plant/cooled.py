@@ -13,9 +13,9 @@ import numpy as np
 
 from sim.sha import Array, Trace
 
-EPOCH = 1_738_540_800.0
+EPOCH_S = 1_738_540_800.0
 """2025-02-03 00:00:00 UTC, a Monday."""
-DAY = 86_400.0
+DAY_S = 86_400.0
 SIGNALS = (
     "MarciaDecanter",
     "MarciaPmpFango",
@@ -65,8 +65,8 @@ def cooled_days(
 ) -> list[Trace]:
     """A synthetic trace for each of `days` days of four cycles, one row every `period` seconds.
 
-    The first begins `first_day` days after EPOCH. The same arguments give the same traces. Raises ValueError without a
-    day or with a period that is not positive.
+    The first begins `first_day` days after EPOCH_S. The same arguments give the same traces. Raises ValueError without
+    a day or with a period that is not positive.
     """
     if days < 1 or not period > 0:
         raise ValueError("a plant needs at least one day and a positive period")
@@ -78,7 +78,7 @@ def cooled_days(
         traces.append(
             Trace(
                 name,
-                EPOCH + DAY * day + period * np.arange(rows.shape[0], dtype=np.float64),
+                EPOCH_S + DAY_S * day + period * np.arange(rows.shape[0], dtype=np.float64),
                 {signal: rows[:, column].copy() for column, signal in enumerate(SIGNALS)},
                 origin=f"simulated cooled bearing {name}, seed {seed}",
                 synthetic=True,
@@ -98,7 +98,7 @@ def _day(rng: np.random.Generator) -> list[_Stretch]:
                     _Stretch(float(rng.uniform(600, 1300)), running=True, load=load, pump=bool(rng.random() < 0.5))
                 )
         day.append(_Stretch(float(rng.uniform(3600, 5400)), running=False, load=0.0, pump=bool(rng.random() < 0.3)))
-    rest = max(DAY - sum(stretch.seconds for stretch in day), 600.0)
+    rest = max(DAY_S - sum(stretch.seconds for stretch in day), 600.0)
     day.append(_Stretch(rest, running=False, load=0.0, pump=False))
     return day
 
@@ -108,7 +108,7 @@ def _rows(
 ) -> tuple[Array, float]:
     """(n, signals) of one day, and the bearing's temperature at its end. Steps of `period`, exact in the losses."""
     # Every draw comes from one generator: the order of the lines is part of what a seed means.
-    count = int(DAY / period)
+    count = int(DAY_S / period)
     which = np.searchsorted(np.cumsum([each.seconds for each in day]), period * np.arange(count), side="right")
     running = np.array([each.running for each in day], dtype=float)[which]
     pump = np.array([each.pump for each in day], dtype=float)[which]

@@ -246,7 +246,7 @@ class LiveDecanter:
             feed_sensor=bearing - 0.3,
         )
 
-    def after(self, begin: float) -> "LiveDecanter":
+    def advance(self, begin: float) -> "LiveDecanter":
         """The machine moved on to `begin` (s since `start`) with a full feed; the rows before are left out."""
         while self.times[self._rows] < begin:
             self.row()

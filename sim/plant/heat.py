@@ -9,7 +9,7 @@ Such heats are in the history; the day that is shown is another one, with draws 
 import numpy as np
 
 from sim.plant.decanter import SIGNALS, DecanterPlant, LiveDecanter, Phase, Weather
-from sim.plant.scenarios import EPOCH
+from sim.plant.scenarios import EPOCH_S
 from sim.sha import Trace
 
 PLANT = DecanterPlant(heat_per_ampere=0.00046, feed_side_share=0.67)
@@ -56,7 +56,7 @@ def heat_history(seed: int, *, days: int = 3, limit: float = 80.0) -> list[Trace
             if rng.random() < 0.4:
                 phases.append(Phase(float(rng.uniform(900, 4800)), running=False, pump=False))
         phases.append(Phase(86400.0, running=False, pump=False))
-        start = EPOCH - EPOCH % 86400 + 86400.0 * day
+        start = EPOCH_S - EPOCH_S % 86400 + 86400.0 * day
         decanter = LiveDecanter(
             phases,
             times=np.arange(0.0, 86400.0, HISTORY_PERIOD_S),
@@ -92,7 +92,7 @@ def heat_day(seed: int, *, limit: float = 80.0) -> LiveDecanter:
     decanter = LiveDecanter(
         phases,
         times=np.concatenate([np.arange(0.0, begin, 10.0), begin + np.arange(0.0, SHOWN_S, PERIOD_S)]),
-        start=EPOCH + 86400.0 * 7,
+        start=EPOCH_S + 86400.0 * 7,
         bearing=WEATHER.ambient(0.0),
         weather=WEATHER,
         plant=PLANT,
@@ -100,10 +100,10 @@ def heat_day(seed: int, *, limit: float = 80.0) -> LiveDecanter:
         step=1.0,
         trip_at=limit,
     )
-    return decanter.after(begin)
+    return decanter.advance(begin)
 
 
-def heat_day_uncontrolled(seed: int, *, limit: float = 80.0) -> Trace:
+def uncontrolled_heat_day(seed: int, *, limit: float = 80.0) -> Trace:
     """The same day with nobody who feeds less: what the machine does on its own, until it trips."""
     return _trace(heat_day(seed, limit=limit), "heat_day", seed)
 

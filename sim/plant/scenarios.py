@@ -13,7 +13,7 @@ import numpy as np
 from sim.plant.decanter import DecanterPlant, Phase, Weather, simulate_decanter
 from sim.sha import Trace
 
-EPOCH = 1_736_499_600.0
+EPOCH_S = 1_736_499_600.0
 """2025-01-10 09:00:00 UTC: scenario cdN starts N hours later, so that no two overlap."""
 
 
@@ -102,7 +102,7 @@ def scenario(name: str, seed: int = 0) -> Trace:
         seed=1000 * seed + number,
         name=name,
         period=spec.period,
-        start=EPOCH + 3600.0 * number,
+        start=EPOCH_S + 3600.0 * number,
         bearing=spec.bearing,
         weather=spec.weather,
     )
@@ -141,7 +141,7 @@ def production(
     rng = np.random.default_rng([seed, days, cycles])
     phases = [phase for _ in range(days) for phase in _working_day(cycles, rng)]
     return simulate_decanter(
-        phases, seed=seed, name=name, period=period, jitter=0.02, start=EPOCH - EPOCH % 86400, plant=plant, step=2.0
+        phases, seed=seed, name=name, period=period, jitter=0.02, start=EPOCH_S - EPOCH_S % 86400, plant=plant, step=2.0
     )
 
 

@@ -90,7 +90,7 @@ def _explain(context: click.Context, _: click.Parameter, wanted: bool) -> None:
         context.exit()
 
 
-def _renamed(_: click.Context, __: click.Parameter, given: str | None) -> None:
+def _refuse_old_name(_: click.Context, __: click.Parameter, given: str | None) -> None:
     """Answer the option's name of the last release."""
     if given is not None:
         raise click.UsageError(f"--map is now --device: give --device {given}")
@@ -99,7 +99,7 @@ def _renamed(_: click.Context, __: click.Parameter, given: str | None) -> None:
 @with_faces
 @click.command(context_settings={"show_default": True, "help_option_names": ["-h", "--help"]})
 @click.option("--device", "map_path", type=click.Path(path_type=Path), help="Register map (TOML).  [required]")
-@click.option("--map", hidden=True, expose_value=False, callback=_renamed)
+@click.option("--map", hidden=True, expose_value=False, callback=_refuse_old_name)
 @click.option("--trace", type=click.Path(path_type=Path), help="Trace to replay (wide CSV, first column time).")
 @click.option("--plant", type=click.Choice(tuple(LIVE_PLANTS)), help="A live plant instead: it reacts to what is fed.")
 @click.option("--trip", type=float, default=80.0, help="Where the drum of --plant trips (degC).")
@@ -191,7 +191,7 @@ def run(machines: Sequence[EmulatorOptions]) -> int:
     built: list[EmulatedMachine] = []
     try:
         for own in machines:
-            built.append(_built(own, clock))
+            built.append(_build_machine(own, clock))
         return asyncio.run(_live(built))
     finally:
         for machine in built:
@@ -199,7 +199,7 @@ def run(machines: Sequence[EmulatorOptions]) -> int:
                 machine.recorder.close()
 
 
-def _built(options: EmulatorOptions, clock: EmulatorClock) -> EmulatedMachine:
+def _build_machine(options: EmulatorOptions, clock: EmulatorClock) -> EmulatedMachine:
     """One machine, not yet begun. Raises InputError."""
 
     def say_whose(sentence: str) -> None:
@@ -222,7 +222,7 @@ def _built(options: EmulatorOptions, clock: EmulatorClock) -> EmulatedMachine:
     if table is not None:
         now = clock.monotonic()
         replay = TraceReplay(table, now, rate=options.speed, held=True, loop=options.loop)
-        replay = replay.sought(now, options.offset)
+        replay = replay.seek(now, options.offset)
     faults = read_faults(options.faults) if options.faults else ()
     settings = PlcSettings(
         permit=options.permit,
@@ -329,7 +329,7 @@ async def _live(machines: Sequence[EmulatedMachine]) -> int:
             path = machine.options.map_path
             machine.complain(f"the trace's signals {', '.join(ignored)} have no register in {path} and are ignored")
         for face in machine.faces:
-            await face.apply(line.at(face.name))
+            await face.apply(line.face_faults(face.name))
     say(_ready(machines, control))
     if options.stdin:
         listen_to_stdin(programs, loop)
@@ -355,12 +355,12 @@ async def _cycle(machine: EmulatedMachine) -> None:
     now = plc.clock.monotonic()
     line = plc.cycle(now)
     for face in machine.faces:
-        await face.apply(line.at(face.name))
-    if plc.replay is not None and not plc.ended and not plc.replay.held and plc.replay.ended(now):
+        await face.apply(line.face_faults(face.name))
+    if plc.replay is not None and not plc.ended and not plc.replay.held and plc.replay.at_end(now):
         plc.ended = True
         plc.event("end of trace", now)
         whose = {"machine": machine.options.name} if machine.options.name else {}
-        place = {"position": plc.replay.at(now), "plant_time": plc.clock.at(now)}
+        place = {"position": plc.replay.row_position(now), "plant_time": plc.clock.plant_time(now)}
         say({"event": "end_of_trace", **place, **whose})
 
 
@@ -387,7 +387,7 @@ def _place(machine: EmulatedMachine) -> dict[str, object]:
     plc, faces = machine.plc, machine.faces
     replay: dict[str, object] | None = None
     if plc.replay is not None:
-        table, since = plc.replay.table, plc.clock.at(plc.replay.since)
+        table, since = plc.replay.table, plc.clock.plant_time(plc.replay.since)
         rows = {"rows": len(table.times), "duration": table.duration, "ignored": plc.ignored_signals()}
         replay = {**rows, "held": plc.replay.held, "position": plc.replay.position, "plant_time": since}
     record = None if machine.options.record is None else str(machine.options.record)

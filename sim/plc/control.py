@@ -25,15 +25,15 @@ from sim.plc.program import (
     Plc,
     TraceReplay,
     checked_arguments,
-    listed,
+    keyword_signature,
+    list_words,
     parse_fault,
     plant_status,
-    signature_of,
     unusable,
 )
 
 Outcome = dict[str, object]
-_LONGEST = 65536
+_MAX_LINE_BYTES = 65536
 _OF_A_REPLY = frozenset({"event", "id", "command"})
 
 
@@ -43,55 +43,60 @@ def _replay(plc: Plc) -> TraceReplay:
     return plc.replay
 
 
-def _where(plc: Plc, now: float) -> Outcome:
+def _report_position(plc: Plc, now: float) -> Outcome:
     replay = _replay(plc)
-    place = {"position": replay.at(now), "row": replay.row(now), "held": replay.held, "ended": replay.ended(now)}
+    place = {
+        "position": replay.row_position(now),
+        "row": replay.row(now),
+        "held": replay.held,
+        "ended": replay.at_end(now),
+    }
     ways = {"speed": replay.rate, "loop": replay.loop, "duration": replay.table.duration}
-    return {**place, **ways, "plant_time": plc.clock.at(now)}
+    return {**place, **ways, "plant_time": plc.clock.plant_time(now)}
 
 
 def _start(plc: Plc, now: float) -> Outcome:
     """Let a held replay run; the schedule of faults counts from the first start."""
     plc.start(now)
-    return _where(plc, now) if plc.replay else {}
+    return _report_position(plc, now) if plc.replay else {}
 
 
 def _pause(plc: Plc, now: float) -> Outcome:
     """Hold the replay at its position; the heartbeat goes on."""
-    plc.replay = _replay(plc).changed(now, held=True)
-    return _where(plc, now)
+    plc.replay = _replay(plc).change(now, held=True)
+    return _report_position(plc, now)
 
 
 def _resume(plc: Plc, now: float) -> Outcome:
     """Go on from where the replay was held."""
-    plc.replay = _replay(plc).changed(now, held=False)
-    return _where(plc, now)
+    plc.replay = _replay(plc).change(now, held=False)
+    return _report_position(plc, now)
 
 
 def _seek(plc: Plc, now: float, *, position: float) -> Outcome:
     """Go to a position, in seconds from the trace's first row; a live plant goes nowhere but on."""
     if plc.plant is not None:
         raise InputError("a live plant only goes on; start another one, or replay a trace")
-    plc.replay = _replay(plc).sought(now, position)
+    plc.replay = _replay(plc).seek(now, position)
     plc.ended = False
-    return _where(plc, now)
+    return _report_position(plc, now)
 
 
 def _speed(plc: Plc, now: float, *, speed: float) -> Outcome:
     """Replay so many trace seconds a second. Plant time keeps the speed of the ready line: others run on it."""
     if speed <= 0:
         raise InputError(f"key 'speed': {speed:g} is not positive; give trace seconds per second")
-    plc.replay = _replay(plc).changed(now, rate=speed)
-    return _where(plc, now)
+    plc.replay = _replay(plc).change(now, rate=speed)
+    return _report_position(plc, now)
 
 
 def _loop(plc: Plc, now: float, *, on: bool) -> Outcome:
     """Begin again at the end of the trace, or stay there."""
     if on and plc.plant is not None:
         raise InputError("a live plant does not begin again; start another one, or replay a trace")
-    plc.replay = _replay(plc).changed(now, loop=on)
+    plc.replay = _replay(plc).change(now, loop=on)
     plc.ended = False
-    return _where(plc, now)
+    return _report_position(plc, now)
 
 
 def _fault(plc: Plc, now: float, *, fault: dict[str, object]) -> Outcome:
@@ -117,7 +122,7 @@ def _acknowledge(plc: Plc, now: float, *, bits: int, block: str = "") -> Outcome
     if not 0 <= bits <= 0xFFFF:
         raise InputError(f"key 'bits': {bits} is no word; give 0 to 65535")
     if block not in plc.acknowledged:
-        raise InputError(f"key 'block': there is no block {block!r}; known are {listed(tuple(plc.acknowledged))}")
+        raise InputError(f"key 'block': there is no block {block!r}; known are {list_words(tuple(plc.acknowledged))}")
     plc.acknowledged[block] = bits
     return {"bits": bits}
 
@@ -163,7 +168,7 @@ def _status(plc: Plc, now: float) -> Outcome:
         "plant": plant_status(plc.plant),
     }
     return {
-        **(_where(plc, now) if plc.replay else {"plant_time": plc.clock.at(now)}),
+        **(_report_position(plc, now) if plc.replay else {"plant_time": plc.clock.plant_time(now)}),
         **own,
         **blocks[0],
         **verdict,
@@ -190,7 +195,7 @@ def _account(plc: Plc, now: float, layout: BlockLayout | None, intake: Intake, u
 
 def _values(plc: Plc, now: float) -> Outcome:
     """The true value of every tag, null where the PLC has none."""
-    return {"plant_time": plc.clock.at(now), "values": dict(plc.image.truth)}
+    return {"plant_time": plc.clock.plant_time(now), "values": dict(plc.image.truth)}
 
 
 def _stop(plc: Plc, now: float) -> Outcome:
@@ -222,7 +227,7 @@ COMMANDS: dict[str, Callable[..., Outcome]] = {
 def describe() -> str:
     """Every command with its keys and what it does, as the documentation prints them (Markdown)."""
     rows = [
-        f"| `{name}` | {listed(signature_of(function))} | {(function.__doc__ or '').splitlines()[0]} |"
+        f"| `{name}` | {list_words(keyword_signature(function))} | {(function.__doc__ or '').splitlines()[0]} |"
         for name, function in COMMANDS.items()
     ]
     return "\n".join(("| command | keys | what the PLC does |", "|---|---|---|", *rows))
@@ -232,11 +237,11 @@ def obey(plc: Plc, line: str | bytes, now: float) -> Outcome:
     """Do what a line says and give the reply; a line that makes no sense is answered, never raised."""
     number, name = None, None
     try:
-        order = json_lines.parsed(line)
+        order = json_lines.parse_object(line)
         number, name = order.pop("id", None), order.pop("command", None)
         function = COMMANDS.get(name) if isinstance(name, str) else None
         if function is None:
-            raise InputError(f"key 'command': there is no {name!r}; known are {listed(tuple(COMMANDS))}")
+            raise InputError(f"key 'command': there is no {name!r}; known are {list_words(tuple(COMMANDS))}")
         outcome = function(plc, now, **checked_arguments(function, order, f"command {name!r}"))
     except (NoObject, InputError) as error:
         return {"event": "reply", "id": number, "command": name, "ok": False, "error": str(error)}
@@ -246,31 +251,31 @@ def obey(plc: Plc, line: str | bytes, now: float) -> Outcome:
     return {"event": "reply", "id": number, "command": name, "ok": True, **outcome}
 
 
-def obey_for(machines: Mapping[str, Plc], line: str | bytes, now: float) -> Outcome:
+def obey_machine(machines: Mapping[str, Plc], line: str | bytes, now: float) -> Outcome:
     """As `obey`, for the machine that the line names, or for all of them. One without a name is obeyed as it is."""
     if "" in machines:
         return obey(machines[""], line, now)
     try:
-        order = json_lines.parsed(line)
+        order = json_lines.parse_object(line)
     except NoObject as error:
         return {"event": "reply", "id": None, "command": None, "ok": False, "error": str(error)}
     name = order.pop("machine", None)
     if name is None:
-        replies = {name: obey(plc, json_lines.packed(order), now) for name, plc in machines.items()}
+        replies = {name: obey(plc, json_lines.format_object(order), now) for name, plc in machines.items()}
         ok = all(reply["ok"] for reply in replies.values())
         own = {name: {key: reply[key] for key in reply if key not in _OF_A_REPLY} for name, reply in replies.items()}
         reply = {"event": "reply", "id": order.get("id"), "command": order.get("command"), "ok": ok, "machines": own}
         return reply if ok else {**reply, "error": next(str(r["error"]) for r in replies.values() if not r["ok"])}
     if not isinstance(name, str) or name not in machines:
-        unknown = f"key 'machine': there is no {name!r}; known are {listed(tuple(machines))}"
+        unknown = f"key 'machine': there is no {name!r}; known are {list_words(tuple(machines))}"
         return {"event": "reply", "id": order.get("id"), "command": order.get("command"), "ok": False, "error": unknown}
-    return {**obey(machines[name], json_lines.packed(order), now), "machine": name}
+    return {**obey(machines[name], json_lines.format_object(order), now), "machine": name}
 
 
 def say(message: Mapping[str, object]) -> None:
     """One line on stdout, unbuffered; silently nowhere when nobody reads it any more."""
     try:
-        os.write(1, json_lines.packed(message))
+        os.write(1, json_lines.format_object(message))
     except OSError:
         return
 
@@ -279,7 +284,7 @@ def listen_to_stdin(machines: Mapping[str, Plc], loop: asyncio.AbstractEventLoop
     """Obey the lines of stdin from a thread of its own; the end of stdin stops the PLC."""
 
     def obey_line(line: bytes) -> None:
-        say(obey_for(machines, line, next(iter(machines.values())).clock.monotonic()))
+        say(obey_machine(machines, line, next(iter(machines.values())).clock.monotonic()))
 
     def stop() -> None:
         for plc in machines.values():
@@ -287,12 +292,12 @@ def listen_to_stdin(machines: Mapping[str, Plc], loop: asyncio.AbstractEventLoop
 
     def listen() -> None:
         rest = b""
-        while data := os.read(0, _LONGEST):
+        while data := os.read(0, _MAX_LINE_BYTES):
             *lines, rest = (rest + data).split(b"\n")
             for line in lines:
                 if line.strip() and not loop.is_closed():
                     loop.call_soon_threadsafe(obey_line, line)
-            if len(rest) > _LONGEST:
+            if len(rest) > _MAX_LINE_BYTES:
                 break
         if not loop.is_closed():
             loop.call_soon_threadsafe(stop)
@@ -304,9 +309,9 @@ async def listen_on_loopback(machines: Mapping[str, Plc], port: int) -> asyncio.
     """Obey the lines of every connection to 127.0.0.1:port. Raises OSError."""
 
     async def answer(line: bytes) -> Outcome:
-        return obey_for(machines, line, next(iter(machines.values())).clock.monotonic())
+        return obey_machine(machines, line, next(iter(machines.values())).clock.monotonic())
 
     async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         await json_lines.serve(reader, writer, answer)
 
-    return await asyncio.start_server(serve, "127.0.0.1", port, limit=_LONGEST)
+    return await asyncio.start_server(serve, "127.0.0.1", port, limit=_MAX_LINE_BYTES)

@@ -22,7 +22,7 @@ from typing import Any
 import click
 from click.core import ParameterSource
 
-from sim.plc.program import InputError, listed, read_toml
+from sim.plc.program import InputError, list_words, read_toml
 
 OF_THE_PROCESS = frozenset(
     {"speed", "epoch", "monotonic", "cycle", "stdin", "control_port", "plant_file", "machine", "hold"}
@@ -84,7 +84,7 @@ def _arguments(command: click.Command, table: Mapping[str, Any], home: Path, whe
             continue
         option = options.get(key.replace("_", "-"))
         if option is None:
-            raise InputError(f"{where}: key {key!r}: is not known; known are name, {listed(sorted(options))}")
+            raise InputError(f"{where}: key {key!r}: is not known; known are name, {list_words(sorted(options))}")
         values: Sequence[Any] = value if isinstance(value, list) else [value]
         if option.is_flag:
             if not isinstance(value, bool):

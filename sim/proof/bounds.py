@@ -7,14 +7,14 @@ from typing import Literal
 
 import numpy as np
 
-from sim.effects import dead_time, in_sensor_scale, of_feature, without
-from sim.proof.counterexample import BEYOND, escape, variants
-from sim.proof.envelope import Assumptions, Envelope, Range, envelopes, start_range, worn_for
-from sim.proof.reach import Bound, Graph, Side, climb, intervals, make_graph, side_of
+from sim.effects import dead_time, drop_features, in_sensor_scale, of_feature
+from sim.proof.counterexample import MIN_EXCESS_DEGC, escape, variants
+from sim.proof.envelope import Assumptions, Envelope, Range, envelopes, start_range, wear_seconds
+from sim.proof.reach import Bound, Graph, Side, climb, intervals, make_graph, make_side
 from sim.proof.structure import moves
-from sim.proof.word import MOST_CHARACTERS, TimedWord, parse_word, word_text
+from sim.proof.word import MAX_CHARACTERS, TimedWord, parse_word, word_text
 from sim.proof.word_replay import offset_range, replay
-from sim.sha import RELAXING, Location, Model, alphabet_symbols, drawn_temperature, mean, mode_parameter
+from sim.sha import RELAXING_FLOWS, Location, Model, alphabet_symbols, draw_temperature, mean, mode_parameter
 
 Verdict = Literal["proven", "refuted", "not decided"]
 
@@ -83,7 +83,7 @@ def find_bounds(
         raise ValueError(f"no temperature lies within {low:g} to {high:g} degC; give LOW below HIGH")
     model = in_sensor_scale(model)
     if doubt is not None:
-        model = replace(model, sha=without(model.sha, "disturbance", "machine offset"))
+        model = replace(model, sha=drop_features(model.sha, "disturbance", "machine offset"))
     symbols = alphabet_symbols(model.alphabet)
     onward = moves(model.sha, symbols, assumptions.policy, unknown=assumptions.unknown)
     rooms = envelopes(model, assumptions, onward)
@@ -97,20 +97,20 @@ def find_bounds(
     # The claim is about what the sensor reads, the graph about X and what is to come: a reading less what the sensor
     # reads too much, and more by what comes late. At the start that is as the signals are there.
     least, most = offset_range(model.sha)
-    (cold, warm), (begin_cold, begin_warm) = _coming(graph)
+    (cold, warm), (begin_cold, begin_warm) = _late_ranges(graph)
     begins = start[0] - most + begin_cold, start[1] - least + begin_warm
     least, most = least - warm, most - cold
     if assumptions.start is None and model.initial is None:
         # Where a run may begin anywhere in the range, it does so with what is to come.
         begins = max(begins[0], start[0] - least), min(begins[1], start[1] - most)
-    top, upper = _bound(graph, begins[1], up=True)
-    bottom, lower = _bound(graph, begins[0], up=False)
+    top, upper = _bound_side(graph, begins[1], up=True)
+    bottom, lower = _bound_side(graph, begins[0], up=False)
     escapes = [
         _escape(
             model, side, bound, start=start[int(up)], within=(low, high), off=(least, most), assumptions=assumptions
         )
         for side, bound, up in ((top, upper, True), (bottom, lower, False))
-        if bound.peak.max() > (high - most if up else least - low) + BEYOND
+        if bound.peak.max() > (high - most if up else least - low) + MIN_EXCESS_DEGC
     ]
     settled = upper.settled and lower.settled
     verdict: Verdict = "proven" if settled and not escapes else "not decided"
@@ -132,34 +132,34 @@ def find_bounds(
     )
 
 
-def _coming(graph: Graph) -> tuple[Range, Range]:
+def _late_ranges(graph: Graph) -> tuple[Range, Range]:
     """degC: what may be to come of all that comes late, anywhere, and at the start."""
     forcing = graph.envelopes[graph.initial].forcing
     return ((0.0, 0.0), (0.0, 0.0)) if forcing is None else (forcing.coming, forcing.settled)
 
 
-_ROUNDS = 200
+_MAX_ROUNDS = 200
 """Raises of a housing's temperature before the bounds count as not settled."""
 
 
-def _bound(graph: Graph, start: float, *, up: bool) -> tuple[Side, Bound]:
+def _bound_side(graph: Graph, start: float, *, up: bool) -> tuple[Side, Bound]:
     """The side and its bounds, from X at `start` (degC).
 
     A housing is never beyond the farthest X. That is first looked for without any, and then raised until it holds with
     a housing that is as far; under stays of any length it holds at once.
     """
     sign = 1.0 if up else -1.0
-    side = side_of(graph, up=up)
+    side = make_side(graph, up=up)
     highest = climb(side, sign * start)
     if not any(room.forcing is not None and room.forcing.coupling for room in graph.envelopes):
         return side, highest
     # An inductive argument: if all temperatures stay below `reach` with a housing at `reach`, the housing, which is a
     # moving average of them, cannot be the first to pass it.
     reach = float(highest.peak.max())
-    for _ in range(_ROUNDS):
+    for _ in range(_MAX_ROUNDS):
         if isinf(reach):
             return side, highest
-        side = side_of(graph, up=up, housing=sign * reach)
+        side = make_side(graph, up=up, housing=sign * reach)
         highest = climb(side, sign * start)
         beyond = float(highest.peak.max()) - reach
         if beyond <= 0.0:
@@ -173,9 +173,9 @@ def _kindest(room: Envelope, location: Location, within: Range, doubt: float) ->
 
     The upper and the lower side are each given the benefit apart, so that the ends of `m` may change places.
     """
-    middle, law = mode_parameter(location)[0], drawn_temperature(location)
+    middle, law = mode_parameter(location)[0], draw_temperature(location)
     plain = replace(room, m=(middle, middle), fresh=None if law is None else (mean(law), mean(law)))
-    if room.flow.kind not in RELAXING:
+    if room.flow.kind not in RELAXING_FLOWS:
         return plain
     if room.forcing is not None:
         lowest, highest = (_nearest(room, middle, within[int(up)], doubt, up=up) for up in (False, True))
@@ -193,20 +193,20 @@ def _nearest(room: Envelope, middle: float, border: float, doubt: float, *, up: 
     """
     end = min(max(room.m[int(not up)], middle - doubt), middle + doubt)
 
-    def beyond(m: float) -> bool:
+    def lies_outside(m: float) -> bool:
         drift = replace(room, m=(m, m)).drift(up)
         # Where X settles nothing is to come any more: all of it is there.
         later = room.forcing.coming[int(up)] if room.forcing is not None else 0.0
         reach = middle if drift is None else (drift.rest[0] if up else drift.rest[1]) - later
         return reach > border if up else reach < border
 
-    if not beyond(middle):
+    if not lies_outside(middle):
         return middle
     # Where X settles moves one way with m, so that `beyond` changes at most once on the way from the mean to `end`; 50
     # halvings leave less of the way than a temperature's digits show.
     for _ in range(50):
         half = 0.5 * (middle + end)
-        middle, end = (half, end) if beyond(half) else (middle, half)
+        middle, end = (half, end) if lies_outside(half) else (middle, half)
     return end
 
 
@@ -220,12 +220,12 @@ def _escape(
     up = side.sign > 0
     shift = off[int(up)]
     reach = side.sign * float(np.max(bound.peak)) + shift
-    bare = side_of(side.graph, up=up)  # a housing as hot as can be would lead ways that no run can go
+    bare = make_side(side.graph, up=up)  # a housing as hot as can be would lead ways that no run can go
     word = escape(bare, side.sign * start, side.sign * (within[int(up)] - shift))
     # Through the text and back: what is shown has 12 digits, and it is those that must leave the range.
-    for variant in () if word is None else variants(model, side.graph, word, worn_for(assumptions)):
+    for variant in () if word is None else variants(model, side.graph, word, wear_seconds(assumptions)):
         text = word_text(variant)
-        if len(text) > MOST_CHARACTERS:
+        if len(text) > MAX_CHARACTERS:
             continue  # too long to be shown, or to be read by the commands
         read = parse_word(text)
         try:
@@ -248,11 +248,13 @@ def noise_band(model: Model, z: float) -> tuple[float, Mapping[str, float]]:
     sha = in_sensor_scale(model).sha
     flows = {location.name: location.flow for location in sha.locations}
     noisy = {name: flow for name, flow in flows.items() if flow.params["noise"] > 0}
-    settled = [flow.params["noise"] / sqrt(2.0 * flow.params["k"]) for flow in noisy.values() if flow.kind in RELAXING]
-    walking = {name: flow.params["noise"] for name, flow in noisy.items() if flow.kind not in RELAXING}
+    settled = [
+        flow.params["noise"] / sqrt(2.0 * flow.params["k"]) for flow in noisy.values() if flow.kind in RELAXING_FLOWS
+    ]
+    walking = {name: flow.params["noise"] for name, flow in noisy.items() if flow.kind not in RELAXING_FLOWS}
     # Over times longer than its memory an Ornstein-Uhlenbeck heat adds up as white noise of sigma sqrt(2 memory) does.
     for effect in of_feature(sha, "disturbance"):
         white = effect.params["sigma"] * sqrt(2.0 * effect.params["memory"])
-        still = [name for name, flow in flows.items() if flow.kind not in RELAXING]
+        still = [name for name, flow in flows.items() if flow.kind not in RELAXING_FLOWS]
         walking |= {name: hypot(walking.get(name, 0.0), white) for name in still}
     return z * max(settled, default=0.0), walking

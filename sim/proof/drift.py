@@ -13,7 +13,7 @@ from math import expm1, inf, isinf, log1p
 Pair = tuple[float, float]
 """a (degC/s) and b (1/s, at least 0) of a piece a - b X."""
 
-SLOWEST = 1e-300
+MIN_LOSS_PER_S = 1e-300
 """1/s: below it a loss times a time is a subnormal number, of whose digits few or none are left; it moves nothing."""
 
 
@@ -43,23 +43,23 @@ class DriftBound:
                 high = right if level else min(right, root)
         object.__setattr__(self, "rest", (low, high))  # the class is frozen
 
-    def at(self, x: float) -> Pair:
+    def find_piece(self, x: float) -> Pair:
         """The piece of a temperature; at a knot the one to its right."""
         return self.pairs[bisect_right(self.knots, x)]
 
-    def shifted(self, by: float) -> "DriftBound":
+    def shift(self, by: float) -> "DriftBound":
         """That of X + `by` (degC)."""
         if by == 0.0:
             return self
         return DriftBound(tuple(knot + by for knot in self.knots), tuple((a + b * by, b) for a, b in self.pairs))
 
-    def mirrored(self) -> "DriftBound":
+    def mirror(self) -> "DriftBound":
         """That of -X."""
         return DriftBound(
             tuple(-knot for knot in reversed(self.knots)), tuple((-a, b) for a, b in reversed(self.pairs))
         )
 
-    def after(self, x: float, dt: float, rate: float) -> float:
+    def advance(self, x: float, dt: float, rate: float) -> float:
         """X after `dt` s (perhaps infinite) from `x`, no faster than `rate` (degC/s).
 
         A rise has the whole way of a free step or that of the rate, whichever is less, as the simulator's steps have.
@@ -72,20 +72,20 @@ class DriftBound:
         if isinf(x):
             return x
         if x < low:
-            return min(self._risen(x, dt, low), x + rate * dt)
-        return self._fallen(x, dt, high, rate)
+            return min(self._rise(x, dt, low), x + rate * dt)
+        return self._fall(x, dt, high, rate)
 
-    def _risen(self, x: float, dt: float, low: float) -> float:
+    def _rise(self, x: float, dt: float, low: float) -> float:
         place = bisect_right(self.knots, x)
         while dt > 0 and x < low:
             (a, b), knot = self.pairs[place], self.knots[place] if place < len(self.knots) else inf
             needed = _seconds(a, b, x, min(knot, low))
             if needed > dt:
-                return _moved(a, b, x, dt)
+                return _move(a, b, x, dt)
             x, dt, place = min(knot, low), dt - needed, place + 1
         return x
 
-    def _fallen(self, x: float, dt: float, high: float, rate: float) -> float:
+    def _fall(self, x: float, dt: float, high: float, rate: float) -> float:
         place = bisect_left(self.knots, x)
         while dt > 0 and x > high:
             (a, b), knot = self.pairs[place], max(self.knots[place - 1] if place else -inf, high)
@@ -101,18 +101,18 @@ class DriftBound:
                     continue
             needed = _seconds(a, b, x, knot)
             if needed > dt:
-                return _moved(a, b, x, dt)
+                return _move(a, b, x, dt)
             x, dt, place = knot, dt - needed, place - 1
         return x
 
 
-def added(parts: Iterable[DriftBound]) -> DriftBound:
+def add_bounds(parts: Iterable[DriftBound]) -> DriftBound:
     """The sum of bounds."""
     drifts = tuple(parts)
     knots = tuple(sorted({knot for each in drifts for knot in each.knots}))
     pairs = []
     for left in (-inf, *knots):
-        pieces = [each.at(left) if left > -inf else each.pairs[0] for each in drifts]
+        pieces = [each.find_piece(left) if left > -inf else each.pairs[0] for each in drifts]
         pairs.append((sum(a for a, _ in pieces), sum(b for _, b in pieces)))
     return DriftBound(knots, tuple(pairs))
 
@@ -122,13 +122,13 @@ def _seconds(a: float, b: float, x: float, end: float) -> float:
     speed = a - b * x
     if speed == 0:
         return 0.0  # it is there, but for rounding
-    if b < SLOWEST:
+    if b < MIN_LOSS_PER_S:
         return (end - x) / speed
     # x(t) = x + speed (1 - e^-bt) / b solved for t; log1p keeps the digits where b (end - x) is small beside the speed.
     share = b * (end - x) / speed
     return -log1p(-share) / b if share < 1 else inf
 
 
-def _moved(a: float, b: float, x: float, dt: float) -> float:
+def _move(a: float, b: float, x: float, dt: float) -> float:
     # expm1: 1 - e^-bt would lose all digits where b dt is small.
-    return x + (a - b * x) * (dt if b < SLOWEST else -expm1(-b * dt) / b)
+    return x + (a - b * x) * (dt if b < MIN_LOSS_PER_S else -expm1(-b * dt) / b)

@@ -7,10 +7,10 @@ from itertools import pairwise
 from math import inf, isfinite
 from typing import Literal
 
-from sim.effects import dead_time, signals_of
+from sim.effects import dead_time, effect_signals
 from sim.engine import Policy
 from sim.proof.drift import DriftBound
-from sim.proof.forcing import Forcing, drift_of, forcing_of
+from sim.proof.forcing import Forcing, drift_bound, location_forcing
 from sim.proof.structure import Move
 from sim.sha import (
     LAWS,
@@ -20,8 +20,8 @@ from sim.sha import (
     Flow,
     Model,
     Switch,
-    drawn_parameter,
-    drawn_temperature,
+    draw_parameter,
+    draw_temperature,
     mode_parameter,
 )
 from sim.special import log_normal_cdf
@@ -29,8 +29,8 @@ from sim.special import log_normal_cdf
 Range = tuple[float, float]
 Sojourn = Literal["any", "law"] | Range
 ANY: Range = (0.0, inf)
-DAY = 86_400.0
-YEAR = 365.0 * DAY
+DAY_S = 86_400.0
+YEAR_S = 365.0 * DAY_S
 
 
 class UnboundedInput(ValueError):
@@ -109,12 +109,12 @@ class Envelope:
 
     def drift(self, up: bool, housing: float | None = None) -> DriftBound | None:
         """The highest or lowest drift where effects act, with a housing at `housing` (degC); None without effects."""
-        return None if self.forcing is None else drift_of(self.flow, self.m, self.forcing, up=up, housing=housing)
+        return None if self.forcing is None else drift_bound(self.flow, self.m, self.forcing, up=up, housing=housing)
 
 
-def worn_for(assumptions: Assumptions) -> float:
+def wear_seconds(assumptions: Assumptions) -> float:
     """Seconds for which wear is followed."""
-    return YEAR if assumptions.horizon is None else assumptions.horizon
+    return YEAR_S if assumptions.horizon is None else assumptions.horizon
 
 
 def quantiles(law: Distribution, z: float) -> Range:
@@ -127,7 +127,7 @@ def quantiles(law: Distribution, z: float) -> Range:
 
 def envelopes(model: Model, assumptions: Assumptions, moves: Sequence[Move]) -> tuple[Envelope, ...]:
     """The envelope of each location, in the automaton's order; `moves` are all that can happen (`structure.moves`)."""
-    announced, sojourn, late = _last_announced(model, moves), assumptions.sojourn, dead_time(model.sha)
+    announced, sojourn, late = _last_announcements(model, moves), assumptions.sojourn, dead_time(model.sha)
     signals = {
         name: partial(_signal, model, name, assumptions=assumptions, known=known) for name, known in announced.items()
     }
@@ -138,7 +138,7 @@ def envelopes(model: Model, assumptions: Assumptions, moves: Sequence[Move]) -> 
 
     rooms: list[Envelope] = []
     for location in model.sha.locations:
-        law, fresh = drawn_parameter(location), drawn_temperature(location)
+        law, fresh = draw_parameter(location), draw_temperature(location)
         middle = mode_parameter(location)[0]
         m = (middle, middle) if law is None else quantiles(law, assumptions.z)
         signal = signals[location.name]
@@ -156,13 +156,13 @@ def envelopes(model: Model, assumptions: Assumptions, moves: Sequence[Move]) -> 
                 inputs=inputs,
                 sojourn=lasting,
                 fresh=None if fresh is None else quantiles(fresh, assumptions.z),
-                forcing=forcing_of(
+                forcing=location_forcing(
                     model.sha,
                     location,
                     m,
                     signal,
                     everywhere=everywhere,
-                    horizon=worn_for(assumptions),
+                    horizon=wear_seconds(assumptions),
                     z=assumptions.z,
                 ),
             )
@@ -231,13 +231,13 @@ def _signal(model: Model, name: str, signal: str, *, assumptions: Assumptions, k
     )
 
 
-def _last_announced(model: Model, moves: Sequence[Move]) -> dict[str, set[str]]:
+def _last_announcements(model: Model, moves: Sequence[Move]) -> dict[str, set[str]]:
     """For each location all symbols that may be the last announcement of a level channel that drives some flow.
 
     UNKNOWN is among them where a channel may not have been announced yet.
     """
     driving = {driver.signal for location in model.sha.locations for driver in location.flow.inputs}
-    driving |= set(signals_of(model.sha))
+    driving |= set(effect_signals(model.sha))
     known: dict[str, set[str]] = {location.name: set() for location in model.sha.locations}
     for channel in model.alphabet.channels:
         if not isinstance(channel, Bins) or channel.signal not in driving:

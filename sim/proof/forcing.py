@@ -22,31 +22,31 @@ from sim.effects import (
     LossBound,
     Structural,
     VaryingBound,
-    acts_in,
+    affects_location,
     cells,
     delay_of,
+    effect_kind,
     enclosure,
-    kind_of,
-    lag_of,
+    heat_lag,
     linear_radiation,
     names_in,
     parameter,
     steepest_loss,
     unknown,
 )
-from sim.engine import held
-from sim.proof.drift import DriftBound, Pair, added
-from sim.sha import FLOWS, RELAXING, SHA, Array, Effect, Flow, Location, Mask, drawn_temperature, flows
+from sim.engine import held_terms
+from sim.proof.drift import DriftBound, Pair, add_bounds
+from sim.sha import FLOWS, RELAXING_FLOWS, SHA, Array, Effect, Flow, Location, Mask, draw_temperature, flows
 
 Range = tuple[float, float]
 
-CELLS = 32
+CELL_COUNT = 32
 """Parts of a signal's range in which the heats that read it are bounded each by itself."""
-HOTTEST = 1e4
+MAX_RADIATION_K = 1e4
 """Kelvins up to which radiation is bounded closely."""
-WARMTH: Array = np.arange(-40.0, 261.0, 10.0)
+HEAT_GRID_DEGC: Array = np.arange(-40.0, 261.0, 10.0)
 """degC at which a heat that depends on the temperature is bounded; chords lie between."""
-STEEP = 1e3
+STEEP_LOSS_PER_S = 1e3
 """1/s: how a lower bound falls beyond."""
 
 
@@ -86,7 +86,7 @@ class UnboundedEffect(ValueError):
     """An effect of a kind of which no bound is known, so that nothing can be proven of temperatures."""
 
 
-def forcing_of(
+def location_forcing(
     sha: SHA,
     location: Location,
     m: Range,
@@ -111,8 +111,8 @@ def forcing_of(
     least = most = 0.0
     nothing = True
     for effect in sha.effects:
-        bound, late = kind_of(effect).bound, kind_of(effect).late
-        if late is not None and lag_of(effect) > 0:
+        bound, late = effect_kind(effect).bound, effect_kind(effect).late
+        if late is not None and heat_lag(effect) > 0:
             _refuse_late(sha, effect)
             own, anywhere = (_warmth(effect, late, limits) for limits in (ranges, everywhere))
             settled, coming = added_ranges(settled, own), added_ranges(coming, anywhere)
@@ -122,14 +122,16 @@ def forcing_of(
         match bound:
             case Structural(feature="dead time" | "sensor lag" | "sensor offset"):
                 continue  # they move no heat; `bounds` adds them to what the sensor may read
-            case ExpressedBound() | LossBound() | VaryingBound() | Structural() if not acts_in(effect, location.name):
+            case ExpressedBound() | LossBound() | VaryingBound() | Structural() if not affects_location(
+                effect, location.name
+            ):
                 continue
             case ExpressedBound(heat=tree):
                 if len(effect.signals) == 1 and TEMPERATURE not in names_in(tree):
                     heats.append((effect, tree))
                 else:
                     box = {role: ranges(signal) for role, signal in effect.signals.items()}
-                    both, ends = _written(tree, effect, box)
+                    both, ends = _line_heat_bounds(tree, effect, box)
                     written.append(both)
                     for side in (0, 1):
                         told[side].update({effect.signals[role]: value for role, value in ends[side].items()})
@@ -146,7 +148,7 @@ def forcing_of(
             case Structural(feature="disturbance" | "machine offset" as feature):
                 # Normal laws have no ends: as of m, so many standard deviations are taken. A flow without a target
                 # gathers a disturbance as it gathers noise, which no proof has in it (`bounds.noise_band`).
-                if location.flow.kind not in RELAXING:
+                if location.flow.kind not in RELAXING_FLOWS:
                     continue
                 size = z * effect.params["sigma"]
                 size *= location.flow.params["k"] if feature == "machine offset" else 1.0
@@ -158,7 +160,7 @@ def forcing_of(
         nothing = False
     if nothing:
         return None
-    low, high, chosen = _heated(location.flow, heats, ranges)
+    low, high, chosen = _heat_bounds(location.flow, heats, ranges)
     for side in (0, 1):
         chosen[side].update({name: value for name, value in told[side].items() if name not in chosen[side]})
     low, high = low + least, high + most
@@ -187,7 +189,7 @@ def forcing_of(
     )
 
 
-def drift_of(flow: Flow, m: Range, forcing: Forcing, *, up: bool, housing: float | None) -> DriftBound:
+def drift_bound(flow: Flow, m: Range, forcing: Forcing, *, up: bool, housing: float | None) -> DriftBound:
     """The greatest (`up`) or the least drift in Y = X + what is to come, for a mode parameter within `m`.
 
     With d late/dt = (source(t - delay) - late) / lag the sum Y of X, lag late and the integral of the source over the
@@ -222,14 +224,14 @@ def drift_of(flow: Flow, m: Range, forcing: Forcing, *, up: bool, housing: float
         else:
             parts.append(DriftBound((sink, opens), (cooled, idle, cooled)))
     if forcing.radiation is not None:
-        parts.append(_radiated(forcing.radiation, forcing.around[side], up=up))
+        parts.append(_radiation_bound(forcing.radiation, forcing.around[side], up=up))
     # A drift never rises with X, and X is at least Y less all that may be to come.
-    return added(parts).shifted(forcing.coming[side])
+    return add_bounds(parts).shift(forcing.coming[side])
 
 
 def _alone(flow: Flow, m: Range, heat: Range, side: int) -> DriftBound:
     """The flow and the heats without anything lost."""
-    if flow.kind in RELAXING:
+    if flow.kind in RELAXING_FLOWS:
         return DriftBound((), ((flow.params["k"] * m[side] + heat[side], flow.params["k"]),))
     drive = m[side] if flow.kind == "linear" else 0.0
     if FLOWS[flow.kind].fading is not None:  # it fades from this to 0
@@ -241,7 +243,7 @@ def _alone(flow: Flow, m: Range, heat: Range, side: int) -> DriftBound:
 # ------------------------------------------------------------------ heats
 
 
-def _heated(
+def _heat_bounds(
     flow: Flow, effects: Sequence[tuple[Effect, Expression]], ranges: Callable[[str], Range]
 ) -> tuple[float, float, tuple[dict[str, float], dict[str, float]]]:
     """(least heat, greatest heat, the signals' values at either), the flow's inputs taken in."""
@@ -254,11 +256,11 @@ def _heated(
         # Cell by cell, because heats that read one signal are not at their worst at different values. In a cell each is
         # enclosed; the flow's own inputs are straight in the signal, so that the ends bound them.
         least, most = ranges(name)
-        points = {*np.linspace(least, most, CELLS + 1).tolist(), *([0.0] if least < 0.0 < most else [])}
+        points = {*np.linspace(least, most, CELL_COUNT + 1).tolist(), *([0.0] if least < 0.0 < most else [])}
         grid = np.array(sorted(points) if most > least else [least, least])
         k = flow.params.get("k", 0.0)
         driven = [k * driver.gain * (grid - driver.reference) for driver in flow.inputs if driver.signal == name]
-        total = np.sum([held(effect, {name: grid})[0] for effect, _ in readers] + driven, axis=0)
+        total = np.sum([held_terms(effect, {name: grid})[0] for effect, _ in readers] + driven, axis=0)
         inside = [(np.minimum(each[:-1], each[1:]), np.maximum(each[:-1], each[1:])) for each in driven]
         for effect, tree in readers:
             (role,) = effect.signals
@@ -270,8 +272,8 @@ def _heated(
 
 
 def _refuse_late(sha: SHA, effect: Effect) -> None:
-    """Raises UnboundedEffect where the sum of X and what is to come is not moved by the drift alone (`drift_of`)."""
-    drawn = any(drawn_temperature(place) is not None for place in sha.locations)
+    """Raises UnboundedEffect where the sum of X and what is to come is not moved by the drift alone (`drift_bound`)."""
+    drawn = any(draw_temperature(place) is not None for place in sha.locations)
     if drawn or isfinite(sha.max_rate):
         why = "where a location draws the temperature anew" if drawn else "under a greatest rate"
         raise UnboundedEffect(f"effects of the kind {effect.kind!r} are not bounded with a lag {why}")
@@ -281,7 +283,7 @@ def _warmth(effect: Effect, late: LatePart, ranges: Callable[[str], Range]) -> R
     """degC: lag and delay times the least and greatest source, which is what may be to come where signals are so."""
     box = cells({role: ranges(signal) for role, signal in effect.signals.items()})
     low, high = enclosure(late.heat, effect.params, box)
-    seconds = lag_of(effect) + delay_of(effect)
+    seconds = heat_lag(effect) + delay_of(effect)
     return seconds * float(np.min(low)), seconds * float(np.max(high))
 
 
@@ -290,13 +292,13 @@ def added_ranges(one: Range, other: Range) -> Range:
     return one[0] + other[0], one[1] + other[1]
 
 
-def _written(
+def _line_heat_bounds(
     tree: Expression, effect: Effect, box: Mapping[str, Range]
 ) -> tuple[tuple[DriftBound, DriftBound], tuple[dict[str, float], dict[str, float]]]:
     """((least, greatest) heat of an expression as bounds in X, the roles' values at either); `box` is by role."""
     parts = cells(box)
     reads = TEMPERATURE in names_in(tree)
-    temperatures = WARMTH.tolist() if reads else [0.0]
+    temperatures = HEAT_GRID_DEGC.tolist() if reads else [0.0]
     enclosed = [enclosure(tree, effect.params, parts, x) for x in temperatures]
     lows, highs = (np.array([each[side] for each in enclosed]) for side in (0, 1))
     middle = len(temperatures) // 2
@@ -318,10 +320,12 @@ def _written(
 
 
 def _chords(values: Array, before: float, beyond: float) -> DriftBound:
-    """The chords between values at WARMTH, with the losses (1/s) before the first and beyond the last."""
-    losses = [before, *(-np.diff(values) / np.diff(WARMTH)).tolist(), beyond]
-    anchors = zip([values[0], *values], [WARMTH[0], *WARMTH], losses, strict=True)
-    return DriftBound(tuple(WARMTH.tolist()), tuple((float(value + loss * x), loss) for value, x, loss in anchors))
+    """The chords between values at HEAT_GRID_DEGC, with the losses (1/s) before the first and beyond the last."""
+    losses = [before, *(-np.diff(values) / np.diff(HEAT_GRID_DEGC)).tolist(), beyond]
+    anchors = zip([values[0], *values], [HEAT_GRID_DEGC[0], *HEAT_GRID_DEGC], losses, strict=True)
+    return DriftBound(
+        tuple(HEAT_GRID_DEGC.tolist()), tuple((float(value + loss * x), loss) for value, x, loss in anchors)
+    )
 
 
 # ------------------------------------------------------------------ losses
@@ -340,9 +344,9 @@ def _loss_signals(
     effect: Effect, sink: Range, ranges: Callable[[str], Range], alone: DriftBound, side: int
 ) -> dict[str, float]:
     """The values that drive outwards: warm (cold) sinks, and least pumping where the drift `alone` goes beyond them."""
-    a, b = alone.at(sink[side])
+    a, b = alone.find_piece(sink[side])
     outward = (a - b * sink[side]) * (1.0 if side else -1.0) > 0
-    bound, values = kind_of(effect).bound, {}
+    bound, values = effect_kind(effect).bound, {}
     for role, signal in effect.signals.items():
         low, high = ranges(signal)
         pumping = max(low if outward else high, 0.0)
@@ -351,7 +355,7 @@ def _loss_signals(
     return values
 
 
-def _radiated(effect: Effect, around: float, *, up: bool) -> DriftBound:
+def _radiation_bound(effect: Effect, around: float, *, up: bool) -> DriftBound:
     """Tangents (`up`) or chords of -gain ((X - zero)^4 - (around - zero)^4), which is concave above zero.
 
     Below the absolute zero of X's scale nothing is radiated. Where the flow has a linear part of it already, what is
@@ -361,9 +365,9 @@ def _radiated(effect: Effect, around: float, *, up: bool) -> DriftBound:
     gain, zero = effect.params["gain"], parameter(effect, "zero")
     received = gain * (max(around, zero) - zero) ** 4
     linear, level = linear_radiation(effect)
-    bends = max(level - zero, 0.0) if linear else HOTTEST
+    bends = max(level - zero, 0.0) if linear else MAX_RADIATION_K
     # Every 2 K, where machines are; beyond that coarser, as nothing real comes there.
-    depths = np.concatenate([np.arange(0.0, 900.0, 2.0), np.geomspace(900.0, HOTTEST, 200)])
+    depths = np.concatenate([np.arange(0.0, 900.0, 2.0), np.geomspace(900.0, MAX_RADIATION_K, 200)])
     depths = np.union1d(depths[np.abs(depths - bends) > 1e-3], [bends])
     heats = received - gain * (depths**4 - linear * np.maximum(depths - bends, 0.0))
     if up:
@@ -374,7 +378,7 @@ def _radiated(effect: Effect, around: float, *, up: bool) -> DriftBound:
         parts = [_lowest(falling), _lowest(bent)] if linear else [_lowest(falling)]
         knots = [*parts[0][0], *(knot for each in parts[1:] for knot in (bends + zero, *each[0]))]
         return DriftBound(tuple(knots), tuple(line for _, lines in parts for line in lines))
-    slopes = np.append(-np.diff(heats) / np.diff(depths), STEEP)
+    slopes = np.append(-np.diff(heats) / np.diff(depths), STEEP_LOSS_PER_S)
     lines = np.column_stack([heats + slopes * (depths + zero), slopes])
     return DriftBound(tuple((depths + zero).tolist()), ((received, 0.0), *map(tuple, lines.tolist())))
 

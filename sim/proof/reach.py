@@ -9,7 +9,7 @@ the locations before it alone, and the lowest from the lowest: two systems of eq
 whose least solutions are the exact bounds of the flows without noise and clamps, not only safe ones: each value is
 that of a run, or the limit of runs. They are found by following the moves round by round. Where the best ways close a
 loop, the loop's own fixed point is put in at once (its gain shrinks with the temperature, so that bisection finds it);
-a loop that still gains at FAR grows without bound.
+a loop that still gains at FAR_DEGC grows without bound.
 """
 
 from collections.abc import Sequence
@@ -22,11 +22,11 @@ from numpy.typing import NDArray
 from sim.proof.drift import DriftBound
 from sim.proof.envelope import Envelope, Range
 from sim.proof.structure import Move
-from sim.sha import RELAXING, Array, mean_step
+from sim.sha import RELAXING_FLOWS, Array, mean_step
 
 Indices = NDArray[np.intp]
 
-FAR = 1e7
+FAR_DEGC = 1e7
 """degC: a loop of stays that still gains here grows without bound."""
 ROUND_GAIN, STAY_GAIN = 1e-12, 1e-15
 """What must be gained to count, as a share of 1 degC and the temperature: by a round, and by a lap for each of its
@@ -64,13 +64,13 @@ class Side:
     fresh: Array
     drifts: tuple[DriftBound | None, ...]
 
-    def after(self, place: int, x: float, dt: float) -> float:
+    def advance(self, place: int, x: float, dt: float) -> float:
         """The temperature `dt` s after an entry at `x`; `dt` may be infinite, and `x` too."""
         drift = self.drifts[place]
         if drift is not None:
-            return drift.after(x, dt, self.graph.rate)
+            return drift.advance(x, dt, self.graph.rate)
         envelope, target = self.graph.envelopes[place], float(self.target[place])
-        relaxing = envelope.flow.kind in RELAXING
+        relaxing = envelope.flow.kind in RELAXING_FLOWS
         if dt == 0 or envelope.flow.kind == "constant" or (not relaxing and target == 0):
             return x
         # The simulator's step has no end of time: the limit is the target, or, for a drift, no bound at all. A
@@ -84,11 +84,11 @@ class Side:
     def leave(self, place: int, entry: float) -> float:
         """The highest temperature on leaving: the flow is monotone in time, so it is at one end of the sojourn."""
         least, most = self.graph.envelopes[place].sojourn
-        return max(self.after(place, entry, least), self.after(place, entry, most))
+        return max(self.advance(place, entry, least), self.advance(place, entry, most))
 
     def peak(self, place: int, entry: float) -> float:
         """The highest temperature of a stay: of entering, or of the longest sojourn's end."""
-        return max(entry, self.after(place, entry, self.graph.envelopes[place].sojourn[1]))
+        return max(entry, self.advance(place, entry, self.graph.envelopes[place].sojourn[1]))
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,12 +128,12 @@ def make_graph(envelopes: Sequence[Envelope], moves: Sequence[Move], initial: st
     )
 
 
-def side_of(graph: Graph, *, up: bool, housing: float | None = None) -> Side:
+def make_side(graph: Graph, *, up: bool, housing: float | None = None) -> Side:
     """The upper or the lower side of a graph; `housing` (degC) is the highest or lowest that a housing comes to."""
     sign, envelopes = (1.0 if up else -1.0), graph.envelopes
     fresh = [nan if envelope.fresh is None else sign * envelope.fresh[int(up)] for envelope in envelopes]
     drifts = [envelope.drift(up, housing) for envelope in envelopes]
-    signed = tuple(drift if drift is None or up else drift.mirrored() for drift in drifts)
+    signed = tuple(drift if drift is None or up else drift.mirror() for drift in drifts)
     return Side(graph, sign, np.array([sign * envelope.target(up) for envelope in envelopes]), np.array(fresh), signed)
 
 
@@ -233,7 +233,7 @@ def _gains(side: Side, circle: Sequence[int], x: float) -> bool:
 
 
 def _fixed_point(side: Side, circle: Sequence[int], begin: float) -> float:
-    """The least x >= begin that a lap does not raise; inf where it still does at FAR.
+    """The least x >= begin that a lap does not raise; inf where it still does at FAR_DEGC.
 
     What a lap adds never grows with x (slopes of at most 1), so that one sign change is all there is.
     """
@@ -243,7 +243,7 @@ def _fixed_point(side: Side, circle: Sequence[int], begin: float) -> float:
     # Doubled until a lap gains nothing more: that brackets the fixed point in some 25 laps, however far it is.
     while _gains(side, circle, begin + width):
         low, width = begin + width, 2.0 * width
-        if begin + width > FAR:
+        if begin + width > FAR_DEGC:
             return inf
     # Bisection until the floats between the two are used up; `high` gains nothing, so the bound is on the safe side.
     high = begin + width

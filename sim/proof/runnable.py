@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from math import isfinite
 
 from sim.effects import check_sha, in_sensor_scale
-from sim.proof.structure import guarded
+from sim.proof.structure import guarded_edges
 from sim.sha import (
     SHA,
     Location,
@@ -20,16 +20,16 @@ from sim.sha import (
 
 def faults(model: Model) -> tuple[str, ...]:
     """What keeps a model from being run, one sentence each; empty for one that can be run along a word or a trace."""
-    return unexecuted(model.sha) or tuple(_strange_numbers(model))
+    return guard_notes(model.sha) or tuple(_strange_numbers(model))
 
 
-def unexecuted(sha: SHA) -> tuple[str, ...]:
+def guard_notes(sha: SHA) -> tuple[str, ...]:
     """One sentence for each edge with a guard; empty without any."""
     why = "guards speak of variables that no trace carries, so an automaton with guards is refused for running"
-    return tuple(f"{guard}; {why}" for guard in guarded(sha))
+    return tuple(f"{guard}; {why}" for guard in guarded_edges(sha))
 
 
-def announced(model: Model) -> str:
+def silence_reason(model: Model) -> str:
     """Why no plant could ever move the model ("" where one can): its events come from the alphabet alone."""
     try:
         check_alphabet(model.alphabet)

@@ -37,12 +37,12 @@ class FollowedTrace:
         )
 
 
-def symbols_of(sha: SHA) -> tuple[str, ...]:
+def edge_symbols(sha: SHA) -> tuple[str, ...]:
     """The symbols on the edges, in the order in which they first stand there; UNKNOWN is not among them."""
     return tuple(dict.fromkeys(edge.symbol for edge in sha.edges if edge.symbol != UNKNOWN))
 
 
-def guarded(sha: SHA) -> list[str]:
+def guarded_edges(sha: SHA) -> list[str]:
     """One sentence for each edge with a guard."""
     return [
         f"edge {edge.source} -{edge.symbol}-> {edge.target} has the guard {edge.guard!r}"
@@ -74,7 +74,7 @@ def moves(sha: SHA, symbols: Sequence[str], policy: Policy, *, unknown: bool = T
     jumps: list[Move] = []
     if policy == "resync":
         fallback = resync_targets(sha)
-        lacking = missing(sha, tuple(dict.fromkeys((*symbols, *symbols_of(sha)))))
+        lacking = missing(sha, tuple(dict.fromkeys((*symbols, *edge_symbols(sha)))))
         jumps = [
             (name, symbol, fallback.get(symbol, sha.initial)) for name, lacks in lacking.items() for symbol in lacks
         ]
@@ -140,7 +140,7 @@ def accept_all(sha: SHA, words: Mapping[str, Sequence[Event]]) -> tuple[Followed
     for edge in sha.edges:
         onward.setdefault((edge.source, edge.symbol), set()).add(edge.target)
 
-    def followed(events: Sequence[Event], trace: str) -> FollowedTrace:
+    def follow_events(events: Sequence[Event], trace: str) -> FollowedTrace:
         current = {sha.initial}
         for index, event in enumerate(events):
             # All locations at once (the subset construction): the automaton need not be deterministic.
@@ -159,7 +159,7 @@ def accept_all(sha: SHA, words: Mapping[str, Sequence[Event]]) -> tuple[Followed
             current = reached
         return FollowedTrace(trace, len(events))
 
-    return tuple(followed(events, name) for name, events in words.items())
+    return tuple(follow_events(events, name) for name, events in words.items())
 
 
 def _onward(sha: SHA) -> dict[str, set[str]]:

@@ -10,26 +10,26 @@ from math import sqrt
 
 import numpy as np
 
-from sim.effects import corrected, growing_from, in_sensor_scale, signals_of
+from sim.effects import apply_correction, effect_signals, growth_starts, in_sensor_scale
 from sim.proof import structure
 from sim.proof.bounds import Bounds, Verdict, find_bounds, noise_band
-from sim.proof.counterexample import MOST_STAYS
-from sim.proof.envelope import DAY, Assumptions, Range, UnboundedInput, describe
+from sim.proof.counterexample import MAX_STAYS
+from sim.proof.envelope import DAY_S, Assumptions, Range, UnboundedInput, describe
 from sim.proof.forcing import UnboundedEffect
-from sim.proof.runnable import announced, faults, unexecuted
-from sim.proof.wear import worn
+from sim.proof.runnable import faults, guard_notes, silence_reason
+from sim.proof.wear import wear_sentence
 from sim.proof.word import TimedWord
-from sim.sha import RELAXING, SHA, Model, Trace, alphabet_symbols, nondeterminism
+from sim.sha import RELAXING_FLOWS, SHA, Model, Trace, alphabet_symbols, nondeterminism
 
-SLACK = 0.1
+MEAN_COURSE_SLACK = 0.1
 """Share of the range's width by which the mean course of a deployable model may pass a border."""
-MOST_DOUBT = 1.0
+MAX_DOUBT_SHARE = 1.0
 """Share of the range's width that a location's own doubt of its target excuses at most in the mean course."""
-GAINS = (0.5, 2.0)
+GAIN_RANGE = (0.5, 2.0)
 """What the gain of a correction may be: beyond it, it calibrates no sensor but hides a wrong model."""
-NOISE_SECONDS = 60.0
+NOISE_SPAN_S = 60.0
 """The time over which the noise of flows that do not relax is looked at."""
-HORIZONS = (365, 180, 90, 60, 30, 14, 7)
+WEAR_HORIZONS_DAYS = (365, 180, 90, 60, 30, 14, 7)
 """Days after the beginning of a wear for which a model is verified, the longest that can be proven."""
 DEFAULT = Assumptions()
 
@@ -102,25 +102,25 @@ def verify(
 
     `symbols` is the alphabet for input-enabledness: by default the model's, else that of the edges. `traces` (encoded)
     must be accepted. `bounds` is a range (degC) that T is claimed to keep, and then blocks; by default the model's own
-    range is looked at, and what blocks is growth without bound, a mean course outside of the range (by more than SLACK
-    and the model's own doubt), and noise that is wider than it.
+    range is looked at, and what blocks is growth without bound, a mean course outside of the range (by more than
+    MEAN_COURSE_SLACK and the model's own doubt), and noise that is wider than it.
     `clock` gives seconds for the times that the checks report. Raises ValueError for assumptions that do not fit.
     """
     sha = subject.sha if isinstance(subject, Model) else subject
     own = alphabet_symbols(subject.alphabet) if isinstance(subject, Model) else ()
-    alphabet = tuple(symbols or own or structure.symbols_of(sha))
+    alphabet = tuple(symbols or own or structure.edge_symbols(sha))
     timed = _Stopwatch(clock)
     checks = [timed(check) for check in structure_checks(subject, alphabet, traces, refusal)]
     proven: Bounds | None = None
     # A range for what drives nothing would be a slip of the pen, and change nothing.
     driving = dict.fromkeys(driver.signal for location in sha.locations for driver in location.flow.inputs)
-    driving |= dict.fromkeys(signals_of(sha))
+    driving |= dict.fromkeys(effect_signals(sha))
     strange = next((name for name in assumptions.inputs if name not in driving), None)
     if strange is not None:
         known = f"they are driven by {', '.join(driving)}" if driving else "none is driven by any signal"
         raise ValueError(f"no flow of {sha.name!r} is driven by {strange!r}; {known}")
     if isinstance(subject, Model) and all(check.verdict == "proven" for check in checks[:2]):
-        proven, temperature = _lasting(subject, bounds, assumptions, timed)
+        proven, temperature = _check_horizons(subject, bounds, assumptions, timed)
         checks += temperature
     else:
         evidence = "the model cannot be run, so nothing is said of temperatures"
@@ -154,7 +154,7 @@ def structure_checks(
     sha = subject.sha if isinstance(subject, Model) else subject
     count = len(sha.locations)
 
-    reasons = unexecuted(sha) if model is None else faults(model)
+    reasons = guard_notes(sha) if model is None else faults(model)
     if reasons:
         more = f" (and {len(reasons) - 1} more)" if len(reasons) > 1 else ""
         yield Check("runnable", "refuted", reasons[0] + more, reasons)
@@ -171,7 +171,7 @@ def structure_checks(
         yield Check("determinism", "proven", f"no location has two targets on one symbol ({len(sha.edges)} edges)")
 
     if model is not None:
-        fault = announced(model)
+        fault = silence_reason(model)
         known = len(alphabet_symbols(model.alphabet)) if not fault else 0
         evidence = f"signals of the plant announce {known} symbols, some of them on edges"
         evidence = f"no plant could run it: {fault}" if fault else evidence
@@ -226,29 +226,30 @@ def structure_checks(
 # ------------------------------------------------------------------ temperatures
 
 
-def _lasting(
+def _check_horizons(
     model: Model, claimed: Range | None, assumptions: Assumptions, timed: _Stopwatch
 ) -> tuple[Bounds | None, list[Check]]:
-    """All that is said of temperatures, for the longest of HORIZONS for which a wear lets the model be deployed.
+    """All that is said of temperatures, for the longest of WEAR_HORIZONS_DAYS for which a wear lets the model be
+    deployed.
 
     Where there is none, or the horizon is given, it is said for that of a year, or for the given one.
     """
-    if not growing_from(model.sha):
-        return _decided(model, claimed, assumptions, timed)
-    horizons = [days * DAY for days in HORIZONS] if assumptions.horizon is None else [assumptions.horizon]
+    if not growth_starts(model.sha):
+        return _check_temperatures(model, claimed, assumptions, timed)
+    horizons = [days * DAY_S for days in WEAR_HORIZONS_DAYS] if assumptions.horizon is None else [assumptions.horizon]
     # From the longest on, so that the first that is proven is the longest. Where none is, the longest one's reasons are
     # told: they name what the wear will come to.
     first: tuple[Bounds | None, list[Check]] | None = None
     for horizon in horizons:
-        bounds, checks = _decided(model, claimed, replace(assumptions, horizon=horizon), timed)
+        bounds, checks = _check_temperatures(model, claimed, replace(assumptions, horizon=horizon), timed)
         first = first or (bounds, checks)
         if all(check.verdict == "proven" for check in checks if check.blocking):
-            evidence = worn(model.sha, horizon, horizons[0])
+            evidence = wear_sentence(model.sha, horizon, horizons[0])
             return bounds, [*checks, timed(Check("wear", "proven", evidence))]
     return first or (None, [])
 
 
-def _decided(
+def _check_temperatures(
     model: Model, claimed: Range | None, assumptions: Assumptions, timed: _Stopwatch
 ) -> tuple[Bounds | None, list[Check]]:
     """All that is said of temperatures; not decided without a range, without a bound, or where numbers overflow."""
@@ -258,13 +259,13 @@ def _decided(
             sha = in_sensor_scale(model).sha
             low, high = claimed or (sha.low, sha.high)
             bounds = find_bounds(model, low, high, assumptions)
-            checks = [timed(_within(bounds, model, assumptions, blocking=claimed is not None))]
+            checks = [timed(_check_range(bounds, model, assumptions, blocking=claimed is not None))]
             # A claim may have an infinite border, which growth would never pass: growth is judged by the model's range.
             own = bounds if claimed is None else find_bounds(model, sha.low, sha.high, assumptions)
             checks.append(timed(_growth(own, model)))
             width = sha.high - sha.low
-            wider = sha.low - SLACK * width, sha.high + SLACK * width
-            course = find_bounds(model, *wider, assumptions, doubt=MOST_DOUBT * width)
+            wider = sha.low - MEAN_COURSE_SLACK * width, sha.high + MEAN_COURSE_SLACK * width
+            course = find_bounds(model, *wider, assumptions, doubt=MAX_DOUBT_SHARE * width)
             checks += [timed(_mean_course(course, model, assumptions.z)), timed(_noise_check(model, assumptions.z))]
             return bounds, checks if model.correction.identity else [*checks, timed(_correction(model))]
     except (UnboundedInput, UnboundedEffect) as error:
@@ -274,26 +275,26 @@ def _decided(
         return None, [Check("growth", "not decided", evidence)]
 
 
-def _within(bounds: Bounds, model: Model, assumptions: Assumptions, *, blocking: bool) -> Check:
+def _check_range(bounds: Bounds, model: Model, assumptions: Assumptions, *, blocking: bool) -> Check:
     claim = f"[{bounds.low:g}, {bounds.high:g}] {model.unit}"
     lows, highs = zip(*bounds.intervals.values(), strict=True)
     details = tuple(f"{name}: {low:.4g} to {high:.4g} {model.unit}" for name, (low, high) in bounds.intervals.items())
     if bounds.verdict == "proven":
         evidence = f"T stays within {claim}: from {min(lows):.4g} to {max(highs):.4g}; {_noise(model, assumptions.z)}"
         return Check("bounds", "proven", evidence, details, blocking=blocking)
-    ways = "; ".join(_way_out(bounds, escape.up) for escape in bounds.escapes) or "the bounds did not settle"
+    ways = "; ".join(_escape_text(bounds, escape.up) for escape in bounds.escapes) or "the bounds did not settle"
     hidden = in_sensor_scale(model).sha
     clamp = f"; the model's clamp to [{hidden.low:g}, {hidden.high:g}] would hide it and is left out here"
     words = tuple(escape.word for escape in bounds.escapes if escape.word is not None)
     return Check("bounds", bounds.verdict, f"T can leave {claim}: {ways}{clamp}", details, words, blocking=blocking)
 
 
-def _way_out(bounds: Bounds, up: bool) -> str:
+def _escape_text(bounds: Bounds, up: bool) -> str:
     escape = next(each for each in bounds.escapes if each.up == up)
     border = f"{'above' if up else 'below'} {bounds.high if up else bounds.low:g}"
     reach = "without bound" if escape.grows else f"as far as {escape.reach:.4g}"
     if escape.word is None:
-        return f"{border} ({reach}), but no word of at most {MOST_STAYS} stays was found that does it"
+        return f"{border} ({reach}), but no word of at most {MAX_STAYS} stays was found that does it"
     return f"{border} in {escape.location!r} after {len(escape.word.steps)} stays and {escape.seconds:.6g} s ({reach})"
 
 
@@ -318,8 +319,10 @@ def _growth(bounds: Bounds, model: Model) -> Check:
         )
     words = tuple(escape.word for escape in growing if escape.word is not None)
     directions = " and ".join("upwards" if escape.up else "downwards" for escape in growing)
-    ways = "; ".join(_way_out(bounds, escape.up) for escape in growing)
-    kinds = {each.name: each.flow.kind for each in model.sha.locations if each.flow.kind not in (*RELAXING, "constant")}
+    ways = "; ".join(_escape_text(bounds, escape.up) for escape in growing)
+    kinds = {
+        each.name: each.flow.kind for each in model.sha.locations if each.flow.kind not in (*RELAXING_FLOWS, "constant")
+    }
     name = next((escape.location for escape in growing if escape.location in kinds), next(iter(kinds), ""))
     cause = f"; the flow of {name!r} is {kinds[name]}, which has no target" if name else ""
     evidence = f"T grows {directions} without bound: {ways}{cause}"
@@ -327,12 +330,12 @@ def _growth(bounds: Bounds, model: Model) -> Check:
 
 
 def _mean_course(mean: Bounds, model: Model, z: float) -> Check:
-    span = f"[{mean.low:g}, {mean.high:g}] {model.unit} (the model's range and {SLACK:.0%} of its width)"
+    span = f"[{mean.low:g}, {mean.high:g}] {model.unit} (the model's range and {MEAN_COURSE_SLACK:.0%} of its width)"
     doubt = f"given the benefit of its own doubt (z = {z:g}, at most the range's width)"
     if mean.verdict == "proven":
         evidence = f"with what is drawn at its mean, and each target {doubt}, T stays within {span}"
         return Check("mean course", "proven", evidence)
-    ways = "; ".join(_way_out(mean, escape.up) for escape in mean.escapes) or "the bounds did not settle"
+    ways = "; ".join(_escape_text(mean, escape.up) for escape in mean.escapes) or "the bounds did not settle"
     words = tuple(escape.word for escape in mean.escapes if escape.word is not None)
     evidence = f"with what is drawn at its mean, and even with each target {doubt}, T leaves {span}: {ways}"
     return Check("mean course", mean.verdict, evidence, (), words)
@@ -342,13 +345,16 @@ def _correction(model: Model) -> Check:
     """The range is carried along by a correction, so that a wrong one would move what is measured by."""
     gain, offset = model.correction.gain, model.correction.offset
     low, high = model.sha.low, model.sha.high
-    middle = corrected(model.correction, 0.5 * (low + high))
+    middle = apply_correction(model.correction, 0.5 * (low + high))
     evidence = (
         f"T' = {gain:.4g} T {offset:+.4g} {model.unit}, which puts the middle of the range at {middle:.4g} {model.unit}"
     )
-    if GAINS[0] <= gain <= GAINS[1] and low <= middle <= high:
+    if GAIN_RANGE[0] <= gain <= GAIN_RANGE[1] and low <= middle <= high:
         return Check("correction", "proven", evidence)
-    wanted = f"a sensor's calibration has a gain of {GAINS[0]:g} to {GAINS[1]:g} and leaves the middle in the range"
+    wanted = (
+        f"a sensor's calibration has a gain of {GAIN_RANGE[0]:g} to {GAIN_RANGE[1]:g} and leaves the middle in the "
+        "range"
+    )
     return Check("correction", "refuted", f"{evidence}; {wanted}")
 
 
@@ -357,7 +363,7 @@ def _noise_check(model: Model, z: float) -> Check:
     settled, walking = noise_band(model, z)
     sha = in_sensor_scale(model).sha
     width = sha.high - sha.low
-    worst = {name: z * noise * sqrt(NOISE_SECONDS) for name, noise in walking.items()}
+    worst = {name: z * noise * sqrt(NOISE_SPAN_S) for name, noise in walking.items()}
     name = max(worst, key=lambda each: worst[each], default="")
     evidence = f"{_noise(model, z)}; the sensor's is {model.sensor_sigma:.3g} {model.unit}"
     wide = max(settled, z * model.sensor_sigma, worst.get(name, 0.0))
@@ -366,6 +372,6 @@ def _noise_check(model: Model, z: float) -> Check:
     return Check(
         "noise",
         "refuted",
-        f"at z = {z:g} noise reaches {wide:.3g} {model.unit} (over {NOISE_SECONDS:g} s where it grows), which is wider "
+        f"at z = {z:g} noise reaches {wide:.3g} {model.unit} (over {NOISE_SPAN_S:g} s where it grows), which is wider "
         f"than the model's range of {width:g} {model.unit}, so that nothing is predicted: {evidence}",
     )

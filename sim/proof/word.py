@@ -19,7 +19,7 @@ from math import isfinite, nan
 from sim.sha import Event
 
 TEMPERATURE, MODE, CLOCK = "T", "m", "t"
-MOST_CHARACTERS = 100_000
+MAX_CHARACTERS = 100_000
 """Of a word: dividing a text into items takes a time in the square of the longest one."""
 
 _ITEM = re.compile(r"(?P<symbol>.*)@(?P<time>[^@,]+)(?P<rest>(?:,[^,=]+=[^,=]+)*)", re.DOTALL)
@@ -56,8 +56,8 @@ class TimedWord:
 
 def parse_word(text: str) -> TimedWord:
     """The word in a text. Raises ValueError, naming the item, for what is none."""
-    if len(text) > MOST_CHARACTERS:
-        raise ValueError(f"the word has {len(text)} characters, and {MOST_CHARACTERS} is the most")
+    if len(text) > MAX_CHARACTERS:
+        raise ValueError(f"the word has {len(text)} characters, and {MAX_CHARACTERS} is the most")
     try:
         items = shlex.split(text, comments=True)
     except ValueError as error:

@@ -10,7 +10,15 @@ from math import inf, nan
 
 import numpy as np
 
-from sim.effects import check_sha, in_sensor_scale, of_feature, offset_times, sensor_offset, sensor_offsets, signals_of
+from sim.effects import (
+    check_sha,
+    effect_signals,
+    in_sensor_scale,
+    of_feature,
+    offset_times,
+    sensor_offset,
+    sensor_offsets,
+)
 from sim.engine import Policy, Schedule, compile_plant, longest, mean_readings, resync_targets, schedule, stay_draws
 from sim.proof.word import TimedWord, WordStep
 from sim.sha import (
@@ -21,15 +29,15 @@ from sim.sha import (
     Model,
     Trace,
     distributions,
-    drawn_temperature,
+    draw_temperature,
     mode_parameter,
     offset,
     transitions,
 )
 
-POINTS = 32
+POINTS_PER_STAY = 32
 """Looks into each stay: with effects its highest temperature need not be at an end."""
-MOST_SEGMENTS = 200_000
+MAX_SEGMENTS = 200_000
 """Pieces of a word's course at most, where a thermostat or radiation asks for short ones."""
 
 Stays = Sequence[tuple[WordStep, Location]]
@@ -107,10 +115,10 @@ def replay(model: Model, word: TimedWord, policy: Policy = "resync", start: floa
     part = dict(zip((place.name for place in sha.locations), longest(compile_plant(sha)).tolist(), strict=True))
     ends = [*(step.time for step, _ in stays[1:]), word.end]
     pieces = sum((until - step.time) / part[place.name] for (step, place), until in zip(stays, ends, strict=True))
-    if pieces > MOST_SEGMENTS:
+    if pieces > MAX_SEGMENTS:
         raise ValueError(
             f"the word lasts {word.end:.6g} s, which are {pieces:.3g} pieces of a course with thermostat or radiation; "
-            f"{MOST_SEGMENTS} can be followed, so give a shorter one"
+            f"{MAX_SEGMENTS} can be followed, so give a shorter one"
         )
     clock = (word.steps[0].clock or 0.0) if sha.effects else 0.0  # without effects nothing depends on it
     steps = _schedule(sha, stays, word.end, clock)
@@ -118,7 +126,7 @@ def replay(model: Model, word: TimedWord, policy: Policy = "resync", start: floa
     # X where a location draws it on entry: the word's, or the law's mean; NaN where X goes on.
     fresh = [nan]
     for step, location in stays[1:]:
-        law = drawn_temperature(location)
+        law = draw_temperature(location)
         if law is None and step.temperature is not None:
             what = f"entering {location.name!r} leaves the temperature as it is"
             raise ValueError(f"the word sets T at {step.time:g} s, but {what}")
@@ -182,12 +190,12 @@ def _stays(sha: SHA, word: TimedWord, policy: Policy) -> list[tuple[WordStep, Lo
 def _schedule(sha: SHA, stays: Stays, end: float, clock: float) -> Schedule:
     """The steps of the stays, which begin at `clock` (absolute s): one each, or as many as there are looks into it."""
     begins = np.array([step.time for step, _ in stays])
-    looks = np.linspace(begins, np.append(begins[1:], end), POINTS + 1) if sha.effects else np.array([end])
+    looks = np.linspace(begins, np.append(begins[1:], end), POINTS_PER_STAY + 1) if sha.effects else np.array([end])
     events = [Event(clock + step.time, step.symbol) for step, _ in stays[1:]]
     inputs = [
         {**{driver.signal: driver.reference for driver in place.flow.inputs}, **step.inputs} for step, place in stays
     ]
-    names = {driver.signal for place in sha.locations for driver in place.flow.inputs} | set(signals_of(sha))
+    names = {driver.signal for place in sha.locations for driver in place.flow.inputs} | set(effect_signals(sha))
     signals = {name: np.array([each.get(name, nan) for each in inputs]) for name in names}
     trace = Trace("word", clock + begins, signals)
     return schedule(sha, events, np.unique(looks) + clock, start=clock, inputs=trace, policy="resync")

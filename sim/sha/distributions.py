@@ -135,7 +135,7 @@ def draw_each(laws: tuple[OfKind, ...], which: Indices, rng: np.random.Generator
     return drawn
 
 
-def draw_remaining(law: Distribution, age: ArrayLike, runs: int, rng: np.random.Generator) -> Array:
+def draw_residual(law: Distribution, age: ArrayLike, runs: int, rng: np.random.Generator) -> Array:
     """`runs` draws of the time still to stay, given that `age` seconds have passed: law of T - age given T > age."""
     kind = LAWS[law.kind]
     ages = np.asarray(age, dtype=float)

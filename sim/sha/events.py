@@ -222,11 +222,11 @@ class Encoder:
         if not len(saved.announced) == len(saved.seen) == len(saved.since) == len(saved.read) == count:
             raise ValueError(f"the encoder's state has {len(saved.announced)} channels, its alphabet {count}")
         self._row, self._latest = saved.row, saved.latest
-        self._announced = [self._level_of(index, symbol) for index, symbol in enumerate(saved.announced)]
-        self._seen = [self._level_of(index, symbol) for index, symbol in enumerate(saved.seen)]
+        self._announced = [self._symbol_level(index, symbol) for index, symbol in enumerate(saved.announced)]
+        self._seen = [self._symbol_level(index, symbol) for index, symbol in enumerate(saved.seen)]
         self._since, self._read = list(saved.since), list(saved.read)
 
-    def _level_of(self, channel: int, symbol: str | None) -> int | None:
+    def _symbol_level(self, channel: int, symbol: str | None) -> int | None:
         symbols = self._channels[channel].symbols
         if symbol is not None and symbol not in symbols:
             raise ValueError(f"the encoder's state names {symbol!r}; channel {channel + 1} has {', '.join(symbols)}")
@@ -292,13 +292,13 @@ class Encoder:
             if self._seen[index] != self._announced[index] and time >= self._since[index] + self._debounce:
                 self._announced[index] = self._seen[index]
                 changed.append(index)
-        return self._lost(time) if lost else [self._event(time, index) for index in changed]
+        return self._lose_state(time) if lost else [self._event(time, index) for index in changed]
 
     def _event(self, time: float, index: int) -> Event:
         level = self._announced[index]
         return Event(time, UNKNOWN if level is None else self._channels[index].symbols[level])
 
-    def _lost(self, time: float) -> list[Event]:
+    def _lose_state(self, time: float) -> list[Event]:
         known = [index for index, level in enumerate(self._announced) if level is not None]
         return [Event(time, UNKNOWN), *(self._event(time, index) for index in known)]
 
@@ -335,10 +335,10 @@ class Encoder:
             if not losing:
                 events += [self._event(when, index) for index in group]
             elif was_known:
-                events += self._lost(when)
+                events += self._lose_state(when)
         return events
 
-    def pass_over(self, time: float, read: Sequence[float | None]) -> str:
+    def skip_rows(self, time: float, read: Sequence[float | None]) -> str:
         """Rows up to `time` that could change nothing went by; `read` is when each channel was last read among them.
 
         Returns the symbol that is present meanwhile. For `encode`, which knows that nothing could change.
@@ -364,12 +364,12 @@ def encode(trace: Trace, alphabet: Alphabet, mode: Mode = "filtered") -> tuple[E
     rows = _rows_that_matter(trace.times, columns, alphabet)
     stamps = trace.times[rows].tolist()
     readings = [(c.channel.signal, c.has_reading[rows].tolist(), c.values[rows].tolist()) for c in columns]
-    reads = list(zip(*(_read_before(c, trace.times, rows) for c in columns), strict=True))
+    reads = list(zip(*(_previous_readings(c, trace.times, rows) for c in columns), strict=True))
     events: list[Event] = []
     previous = -1
     for position, row in enumerate(rows.tolist()):
         if row > previous + 1:
-            symbol = encoder.pass_over(float(trace.times[row - 1]), reads[position])
+            symbol = encoder.skip_rows(float(trace.times[row - 1]), reads[position])
             if mode == "full":
                 events += [Event(time, symbol) for time in trace.times[previous + 1 : row].tolist()]
         fresh = {signal: values[position] for signal, read, values in readings if read[position]}
@@ -378,7 +378,7 @@ def encode(trace: Trace, alphabet: Alphabet, mode: Mode = "filtered") -> tuple[E
     return tuple(events)
 
 
-def encoded(trace: Trace, alphabet: Alphabet) -> Trace:
+def encode_trace(trace: Trace, alphabet: Alphabet) -> Trace:
     """The trace with the events that a model of this `alphabet` sees in it, whatever encoded it before.
 
     Whoever brings a trace to a model takes its events from here. Those that it has are kept only where they cannot be
@@ -404,7 +404,7 @@ class _Column:
     values: Array
 
 
-def _read_before(column: _Column, times: Array, rows: NDArray[np.intp]) -> list[float | None]:
+def _previous_readings(column: _Column, times: Array, rows: NDArray[np.intp]) -> list[float | None]:
     """When the channel was last read well before each of `rows`; None if never."""
     last = np.maximum.accumulate(np.where(np.isnan(column.values), -1, np.arange(times.size)))
     before = np.where(rows > 0, last[rows - 1], -1)
@@ -435,17 +435,17 @@ def _rows_that_matter(times: Array, columns: Sequence[_Column], alphabet: Alphab
             until = at + alphabet.gap
             stale = np.append(at[1:], inf) > until
             new[1:] |= stale[:-1]
-            _mark_from(matter, np.searchsorted(times, until[stale], side="right"))
+            _mark_rows(matter, np.searchsorted(times, until[stale], side="right"))
         matter[rows[new]] = True
         if alphabet.debounce > 0:
             # A confirmation falls on the first row at or after its time, and on the channel's own first reading there.
             confirmed = at[new] + alphabet.debounce
-            _mark_from(matter, np.searchsorted(times, confirmed, side="left"))
+            _mark_rows(matter, np.searchsorted(times, confirmed, side="left"))
             reading = np.searchsorted(at, confirmed, side="left")
             matter[rows[reading[reading < rows.size]]] = True
     return np.flatnonzero(matter)
 
 
-def _mark_from(matter: Mask, rows: NDArray[np.intp]) -> None:
+def _mark_rows(matter: Mask, rows: NDArray[np.intp]) -> None:
     """Mark `rows`, which may lie past the end."""
     matter[rows[rows < matter.size]] = True

@@ -25,7 +25,7 @@ Coefficients = tuple[Array, Array, Array]
 Constants = Mapping[str, Any]
 """The constants of one flow, numbers, or of a flow for each step, arrays."""
 
-FIXED = "m"
+FIXED_PARAMETER = "m"
 """The one constant that every flow may have besides its own: a mode parameter that no entry draws."""
 
 
@@ -44,8 +44,8 @@ class FlowKind:
     `drift(params, x, target, age)` -> degC/s at one instant; it never grows in size while the target stays.
     `coefficients(params, age, dt)` -> (decay, pull, variance), all broadcast over `age` (s since entry) and `dt` (s).
     `saturated(params, x, target, age=, dt=, rate=)` -> the mean after `dt` with |drift| limited to `rate` (degC/s);
-    `target` is m + offset. `fading(params, part)` -> the ages (s) at which the drift per unit of m has fallen to `part`
-    of what it is on entry, for a flow whose drift falls with the age; None where it does not.
+    `target` is m + offset. `fade_ages(params, part)` -> the ages (s) at which the drift per unit of m has fallen to
+    `part` of what it is on entry, for a flow whose drift falls with the age; None where it does not.
     """
 
     params: tuple[str, ...]
@@ -59,7 +59,7 @@ def _drift_free(params: Constants, age: Array, dt: Array) -> Coefficients:
     return np.ones_like(dt), np.zeros_like(dt), params["noise"] ** 2 * dt
 
 
-def _unmoved(params: Constants, x: Array, target: Array, *, age: Array, dt: Array, rate: float) -> Array:
+def _keep_target(params: Constants, x: Array, target: Array, *, age: Array, dt: Array, rate: float) -> Array:
     return x + np.zeros_like(dt)
 
 
@@ -67,11 +67,11 @@ def _linear(params: Constants, age: Array, dt: Array) -> Coefficients:
     return np.ones_like(dt), dt, params["noise"] ** 2 * dt
 
 
-def _linear_saturated(params: Constants, x: Array, target: Array, *, age: Array, dt: Array, rate: float) -> Array:
+def _saturate_linear(params: Constants, x: Array, target: Array, *, age: Array, dt: Array, rate: float) -> Array:
     return x + np.clip(target, -rate, rate) * dt
 
 
-def _relaxing(params: Constants, age: Array, dt: Array) -> Coefficients:
+def _relaxing_coefficients(params: Constants, age: Array, dt: Array) -> Coefficients:
     # expm1 and not 1 - exp: with a slow plant and a short step k dt is 1e-5, of which 1 - exp would lose five digits.
     k = params["k"]
     pull = -np.expm1(-k * dt)
@@ -81,7 +81,7 @@ def _relaxing(params: Constants, age: Array, dt: Array) -> Coefficients:
     return 1.0 - pull, pull, variance
 
 
-def _relaxing_saturated(params: Constants, x: Array, target: Array, *, age: Array, dt: Array, rate: float) -> Array:
+def _saturate_relaxation(params: Constants, x: Array, target: Array, *, age: Array, dt: Array, rate: float) -> Array:
     """Runs at the limit until k|m - x| has fallen to it, then relaxes."""
     k = params["k"]
     distance = target - x
@@ -96,7 +96,7 @@ def _logarithmic(params: Constants, age: Array, dt: Array) -> Coefficients:
     return np.ones_like(dt), np.log1p(dt / (params["t0"] + age)), params["noise"] ** 2 * dt
 
 
-def _logarithmic_saturated(params: Constants, x: Array, target: Array, *, age: Array, dt: Array, rate: float) -> Array:
+def _saturate_logarithmic(params: Constants, x: Array, target: Array, *, age: Array, dt: Array, rate: float) -> Array:
     """The drift a/(t0+u) falls with u: at the limit first, logarithmic once |a|/(t0+u) is below it."""
     start = params["t0"] + age
     ramp = np.minimum(dt, np.maximum(np.abs(target) / rate - start, 0.0))
@@ -110,7 +110,7 @@ def _transient(params: Constants, age: Array, dt: Array) -> Coefficients:
     return np.ones_like(dt), left * -np.expm1(-dt / tau), params["noise"] ** 2 * dt
 
 
-def _transient_saturated(params: Constants, x: Array, target: Array, *, age: Array, dt: Array, rate: float) -> Array:
+def _saturate_transient(params: Constants, x: Array, target: Array, *, age: Array, dt: Array, rate: float) -> Array:
     """The drift (a/tau) exp(-u/tau) falls with u: at the limit first, transient once it is below it."""
     tau = params["tau"]
     # Below the limit from the age tau ln(|a| / (tau R)) on, at once where that is negative. The floor keeps the
@@ -122,28 +122,32 @@ def _transient_saturated(params: Constants, x: Array, target: Array, *, age: Arr
 
 
 FLOWS: dict[str, FlowKind] = {
-    "constant": FlowKind(("noise",), lambda p, x, m, u: np.zeros_like(x), _drift_free, _unmoved),
-    "linear": FlowKind(("noise",), lambda p, x, m, u: m, _linear, _linear_saturated),
-    "exponential": FlowKind(("k", "noise"), lambda p, x, m, u: p["k"] * (m - x), _relaxing, _relaxing_saturated),
-    "driven": FlowKind(("k", "noise"), lambda p, x, m, u: p["k"] * (m - x), _relaxing, _relaxing_saturated),
+    "constant": FlowKind(("noise",), lambda p, x, m, u: np.zeros_like(x), _drift_free, _keep_target),
+    "linear": FlowKind(("noise",), lambda p, x, m, u: m, _linear, _saturate_linear),
+    "exponential": FlowKind(
+        ("k", "noise"), lambda p, x, m, u: p["k"] * (m - x), _relaxing_coefficients, _saturate_relaxation
+    ),
+    "driven": FlowKind(
+        ("k", "noise"), lambda p, x, m, u: p["k"] * (m - x), _relaxing_coefficients, _saturate_relaxation
+    ),
     "logarithmic": FlowKind(
         ("t0", "noise"),
         lambda p, x, m, u: m / (p["t0"] + u),
         _logarithmic,
-        _logarithmic_saturated,
+        _saturate_logarithmic,
         lambda p, part: p["t0"] * (1.0 / part - 1.0),
     ),
     "transient": FlowKind(
         ("tau", "noise"),
         lambda p, x, m, u: m / p["tau"] * np.exp(-u / p["tau"]),
         _transient,
-        _transient_saturated,
+        _saturate_transient,
         lambda p, part: np.asarray(-p["tau"] * np.log(part)),
     ),
 }
 
 
-RELAXING = ("exponential", "driven")
+RELAXING_FLOWS = ("exponential", "driven")
 """The flows whose m is a temperature (degC), and whose drift depends on x: they move towards m."""
 
 
@@ -152,13 +156,14 @@ def check_flow(flow: Flow) -> None:
     kind = FLOWS.get(flow.kind)
     if kind is None:
         raise ValueError(f"unknown flow {flow.kind!r}: known are {', '.join(FLOWS)}")
-    if set(flow.params) - {FIXED} != set(kind.params):
+    if set(flow.params) - {FIXED_PARAMETER} != set(kind.params):
         raise ValueError(
-            f"flow {flow.kind!r} takes the constants {', '.join(kind.params)} (and {FIXED}, where nothing draws it); "
+            f"flow {flow.kind!r} takes the constants {', '.join(kind.params)} (and {FIXED_PARAMETER}, where nothing "
+            "draws it); "
             f"got {', '.join(flow.params) or 'none'}"
         )
     for name, value in flow.params.items():
-        ranges = {"noise": (value >= 0, "at least 0 and finite"), FIXED: (True, "finite")}
+        ranges = {"noise": (value >= 0, "at least 0 and finite"), FIXED_PARAMETER: (True, "finite")}
         inside, right = ranges.get(name, (value > 0, "positive and finite"))
         if not isfinite(value) or not inside:
             raise ValueError(f"flow {flow.kind!r}: {name} must be {right}, got {value}")
@@ -237,7 +242,7 @@ def drift(flow: Flow, x: ArrayLike, target: ArrayLike, age: ArrayLike) -> Array:
     return np.asarray(FLOWS[flow.kind].drift(flow.params, xs, targets, ages))
 
 
-def fading(flow: Flow, part: ArrayLike) -> Array:
+def fade_ages(flow: Flow, part: ArrayLike) -> Array:
     """The ages (s) at which the drift has fallen to `part` (0 to 1) of that on entry; inf where it never does."""
     parts = np.asarray(part, dtype=float)
     law = FLOWS[flow.kind].fading
@@ -246,7 +251,7 @@ def fading(flow: Flow, part: ArrayLike) -> Array:
 
 def free_distance(flow: Flow, max_rate: float) -> float:
     """|target - x| (degC) up to which no part of a step is limited; inf where the drift does not depend on x."""
-    return max_rate / flow.params["k"] if flow.kind in RELAXING else inf
+    return max_rate / flow.params["k"] if flow.kind in RELAXING_FLOWS else inf
 
 
 def offset(flow: Flow, signals: Mapping[str, ArrayLike]) -> Array:

@@ -6,7 +6,7 @@ from math import inf, isfinite
 
 from sim.sha.automaton import SHA, Distribution, Edge, Effect, Flow, Location
 from sim.sha.events import Alphabet, alphabet_symbols
-from sim.units import DEGREES
+from sim.units import DEFAULT_UNIT
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,7 +135,7 @@ class Model:
     correction: Correction = Correction()
     borrowed: frozenset[str] = frozenset()
     plain: tuple[PlainMember, ...] = ()
-    unit: str = DEGREES
+    unit: str = DEFAULT_UNIT
     sensor_memory: float = 0.0
     machines: Mapping[str, MachineCorrection] = field(default_factory=dict)
 

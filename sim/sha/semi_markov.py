@@ -10,12 +10,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from sim.sha.automaton import Distribution
-from sim.sha.distributions import check_distribution, draw_each, draw_remaining
+from sim.sha.distributions import check_distribution, draw_each, draw_residual
 from sim.sha.kinds import Indices, OfKind, by_kind
 from sim.sha.model import Model
 from sim.sha.trace import Array, Mask
 
-MOST_STAYS = 1000
+MAX_STAYS = 1000
 """Stays of one run; a run that would need more stays where it is from then on, and is counted."""
 
 _BLOCK = 32
@@ -106,13 +106,13 @@ def draw_paths(
 ) -> Paths:
     """`runs` independent paths over `horizon` seconds from `location`, in which `age` seconds have passed."""
     law = chain.laws[location]
-    left = np.full(runs, np.inf) if law is None else draw_remaining(law, age, runs, rng)
+    left = np.full(runs, np.inf) if law is None else draw_residual(law, age, runs, rng)
     places: list[Indices] = [np.full((1, runs), location, dtype=np.intp)]
     clocks = [np.zeros((1, runs))]
     count = 1
     # Stays are drawn in blocks, because a jump of all runs costs the same whether few of them need it or all: first
     # where the next _BLOCK jumps of the embedded chain lead, then how long each stay lasts.
-    while count < MOST_STAYS and np.any(left < horizon):
+    while count < MAX_STAYS and np.any(left < horizon):
         current, u = places[-1][-1], rng.random((_BLOCK, runs))
         block = np.empty(u.shape, dtype=np.intp)
         for row in range(_BLOCK):

@@ -7,7 +7,7 @@ from hashlib import sha256
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.units import DEGREES
+from sim.units import DEFAULT_UNIT
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -30,11 +30,11 @@ class Trace:
 
     Booleans are 0.0 and 1.0. NaN says "no new reading in this row", nothing more; `bad` name -> (n,) marks readings
     whose quality was bad (their value is NaN too). `held` name -> (n,), only of signals whose small changes were kept
-    back, marks rows in which no reading of its own stands: the one before holds there to within the deadband, `drawn`
-    gives the likely course. A signal without an entry was read wherever it is finite. `events` are empty until encoded.
-    `origin` says where the rows come from (file, scenario and seed), `machine` which of several machines they
-    are of ("": nobody says) and `synthetic` that no plant produced them. `units` are those of the signals, as far as
-    they are known. Raises ValueError on shapes that do not match and on times that go back.
+    back, marks rows in which no reading of its own stands: the one before holds there to within the deadband,
+    `signal_course` gives the likely course. A signal without an entry was read wherever it is finite. `events` are
+    empty until encoded. `origin` says where the rows come from (file, scenario and seed), `machine` which of several
+    machines they are of ("": nobody says) and `synthetic` that no plant produced them. `units` are those of the
+    signals, as far as they are known. Raises ValueError on shapes that do not match and on times that go back.
     """
 
     name: str
@@ -75,7 +75,7 @@ class Trace:
             held={name: column[rows] for name, column in self.held.items()},
         )
 
-    def drawn(self, signal: str) -> Array:
+    def signal_course(self, signal: str) -> Array:
         """(n,) the course of a signal as it most likely was: where a reading only holds, on the way to the next one.
 
         It came there no more slowly than it went on from there: what held for long, as at rest, moved at its end only.
@@ -89,7 +89,7 @@ class Trace:
         times = self.times[at]
         steps = np.diff(times)
         after = np.append(steps[1:], steps[-1])
-        moves = np.where(steps > _RESTED * after, after, steps)
+        moves = np.where(steps > _REST_RATIO * after, after, steps)
         knots = np.column_stack([times[:-1], times[1:] - moves]).ravel()
         course = np.interp(
             self.times, np.append(knots, times[-1]), np.append(np.repeat(column[at[:-1]], 2), column[at[-1]])
@@ -106,21 +106,21 @@ def holds_roughly(times: Array, values: Array) -> bool:
     known = np.isfinite(values)
     steps, moves = np.diff(times[known]), np.abs(np.diff(values[known]))
     scan = float(np.quantile(steps, 0.05)) if steps.size else 0.0
-    told = moves[(steps < SOON * (steps.max(initial=0.0) - scan)) & (moves > 0)]
+    told = moves[(steps < EARLY_SHARE * (steps.max(initial=0.0) - scan)) & (moves > 0)]
     finest = np.diff(np.unique(values[known]))
     # Decimals that are rounded differ in their last binary digits too.
     finest = finest[finest > 1e-9 * np.abs(values[known]).max(initial=0.0)]
     return told.size > 0 and bool(np.quantile(told, 0.01) > 2.0 * finest.min())
 
 
-_RESTED = 3.0
+_REST_RATIO = 3.0
 """A reading that held for so many times as long as the next one did was at rest at first."""
-SOON = 0.9
+EARLY_SHARE = 0.9
 """Of the longest silence: what comes later is stored because the recorder's longest time is over, give or take a scan
 and this share."""
 
 
-def unit_of(traces: Iterable[Trace], signal: str, otherwise: str = DEGREES) -> str:
+def signal_unit(traces: Iterable[Trace], signal: str, otherwise: str = DEFAULT_UNIT) -> str:
     """The unit in which the traces have a signal; `otherwise` where none of them says it.
 
     Raises ValueError for traces that have it in different units.

@@ -19,9 +19,9 @@ from click.testing import Result
 from drivers.tag import Tag
 from gateway.lab.ingestion import archive as archive_module
 from gateway.lab.ingestion import ingest as ingest_module
-from gateway.lab.ingestion.archive import MANIFEST, opened_archive
-from gateway.lab.ingestion.ingest import FolderWatch, ingested
-from gateway.lab.ingestion.recognising import PLACES, units_in
+from gateway.lab.ingestion.archive import MANIFEST, open_archive
+from gateway.lab.ingestion.ingest import FolderWatch, ingest_units
+from gateway.lab.ingestion.recognising import PLACES, list_units
 from gateway.lab.json_rows import append_row, read_rows
 from sim.lab.recordings import write_trace
 from sim.plc.record import PlcRecorder
@@ -192,7 +192,7 @@ def test_archives_are_guarded(tmp_path: Path) -> None:
     (tmp_path / "full").mkdir()
     (tmp_path / "full/thesis.doc").touch()
     refused(decanter(*call, tmp_path / "full"), 2, "holds other things and is no archive")
-    with opened_archive(archive):
+    with open_archive(archive):
         refused(decanter(*call, archive), 2, "another process is ingesting into this archive")
     (archive / MANIFEST).write_text('{"name": "x"}\n', encoding="utf-8")
     refused(decanter(*call, archive), 2, "manifest.jsonl:1: kind: is missing")
@@ -249,8 +249,8 @@ def test_a_kill_at_any_moment_loses_nothing_and_leaves_no_half_file(
 
 
 def one_pass(folder: Path, archive: Path) -> None:
-    with opened_archive(archive) as opened:
-        list(ingested(units_in(folder, archive), opened, {}, move=True, clock=lambda: 0.0))
+    with open_archive(archive) as opened:
+        list(ingest_units(list_units(folder, archive), opened, {}, move=True, clock=lambda: 0.0))
 
 
 def test_a_file_that_changes_while_it_is_copied_is_not_taken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -295,7 +295,7 @@ def test_a_watch_takes_what_is_at_rest_once_and_again_when_it_changed(tmp_path: 
     watch = FolderWatch(rest=60.0)
 
     def due(now: float) -> int:
-        return len(watch.due(units_in(tmp_path, tmp_path / "archive"), now))
+        return len(watch.due(list_units(tmp_path, tmp_path / "archive"), now))
 
     assert [due(0.0), due(59.0)] == [0, 0]
     file.write_text(FLOWS, encoding="utf-8")
@@ -615,7 +615,7 @@ def test_a_watch_waits_for_another_ingestion_and_says_so_once(tmp_path: Path, mo
     folder, archive = tmp_path / "usb", tmp_path / "archive"
     trace_file(folder / "a.csv")
     with ExitStack() as other:
-        other.enter_context(opened_archive(archive))
+        other.enter_context(open_archive(archive))
         steps = [lambda: None, lambda: trace_file(folder / "b.csv", 700.0), lambda: None, other.close, lambda: None]
         told = watch_with(monkeypatch, folder, archive, steps)
     assert (told.exit_code, told.stderr.count("another process is ingesting into this archive")) == (0, 1)
@@ -636,7 +636,7 @@ def test_a_watch_goes_on_when_its_folder_vanishes_and_comes_back(
 
 
 def test_a_watch_goes_on_when_a_file_vanishes_while_it_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    folder, archive, real = tmp_path / "usb", tmp_path / "archive", ingest_module.recognised
+    folder, archive, real = tmp_path / "usb", tmp_path / "archive", ingest_module.recognise
     trace_file(folder / "a.csv")
     trace_file(folder / "b.csv", 700.0)
 
@@ -645,7 +645,7 @@ def test_a_watch_goes_on_when_a_file_vanishes_while_it_is_read(tmp_path: Path, m
             unit.source.unlink()
         return real(unit, maps)
 
-    monkeypatch.setattr(ingest_module, "recognised", late)
+    monkeypatch.setattr(ingest_module, "recognise", late)
     told = watch_with(monkeypatch, folder, archive, [lambda: None, lambda: None])
     assert (
         told.exit_code == 0 and told.stderr == f"refused: {folder}/a.csv: has gone meanwhile; nothing is to be done\n"

@@ -13,9 +13,9 @@ import pytest
 
 from gateway.lab.regression import history as history_module
 from gateway.lab.regression import regress as regress_module
-from gateway.lab.regression.history import opened_history
-from gateway.lab.regression.standard import CodeVersion, code_version, commit_of
-from gateway.lab.regression.worse import WorseForecast, regressions_of
+from gateway.lab.regression.history import open_history
+from gateway.lab.regression.standard import CodeVersion, checkout_commit, code_version
+from gateway.lab.regression.worse import WorseForecast, find_regressions
 from sim.artefacts import promote
 from sim.lab.formats import save, write_model_directory
 from sim.lab.recordings import write_trace
@@ -53,13 +53,13 @@ def test_a_model_that_was_learned_worse_is_told_since_when_until_somebody_accept
     traces: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     models, asked = tmp_path / "models", list[str]()
-    real: Callable[..., Any] = history_module.scores_along
+    real: Callable[..., Any] = history_module.score_trace
 
     def counted(trace: Any, *arguments: Any, **options: Any) -> Any:
         asked.append(trace.name)
         return real(trace, *arguments, **options)
 
-    monkeypatch.setattr(history_module, "scores_along", counted)
+    monkeypatch.setattr(history_module, "score_trace", counted)
     write_model_directory(models / "a", two_modes())
     code, data = run(models, traces)
     assert (code, data["worse"], asked) == (0, [], ["t5", "t6"])
@@ -95,7 +95,7 @@ def scored(crps: float) -> list[dict[str, Any]]:
 
 def regressions(path: Path, programs: Mapping[str, list[float | str]], accepted: str = "") -> list[WorseForecast | str]:
     """What a history says in which each program had these CRPS (or that reason) along traces 0, 1, ..."""
-    with opened_history(path) as history:
+    with open_history(path) as history:
         for number, (code, figures) in enumerate(programs.items()):
             for trace, figure in enumerate(figures):
                 row = {"kind": "result", "model": "m", "trace": str(trace), "code": code, "seed": 0}
@@ -107,7 +107,7 @@ def regressions(path: Path, programs: Mapping[str, list[float | str]], accepted:
             history.add({**about, "models": {"a": "m"}, "traces": named})
             if code == accepted:
                 history.add({"kind": "accepted", "when": "then", "reason": "wanted"})
-        return regressions_of("a", history, seed=0)
+        return find_regressions("a", history, seed=0)
 
 
 def test_the_first_program_that_was_worse_ever_since_is_named(tmp_path: Path) -> None:
@@ -171,7 +171,7 @@ def test_wrong_input_has_one_sentence(traces: Path, tmp_path: Path) -> None:
     history.write_text('{"kind": "other"}\n', encoding="utf-8")
     refused(decanter(*call), 2, "history.jsonl:1: is no row of a history of regressions")
     history.write_text("", encoding="utf-8")
-    with opened_history(history):
+    with open_history(history):
         refused(decanter(*call), 2, "another process is writing this history")
     assert regress_module.regress.name == "regress"
 
@@ -204,7 +204,7 @@ def test_what_is_accepted_is_the_models_and_the_seed_of_that_run(traces: Path, t
 
 
 def opened_rows(path: Path) -> list[dict[str, Any]]:
-    with opened_history(path) as history:
+    with open_history(path) as history:
         return history.rows
 
 
@@ -352,4 +352,4 @@ def test_the_commit_is_that_of_the_programs_own_checkout_and_of_no_folder_above(
     identity = ("-c", "user.name=t", "-c", "user.email=t@example.com", "-c", "commit.gpgsign=false")
     git(*identity, "commit", "--allow-empty", "-m", "first")
     (tmp_path / "site-packages").mkdir()
-    assert len(commit_of(tmp_path)) == 10 and commit_of(tmp_path / "site-packages") == ""
+    assert len(checkout_commit(tmp_path)) == 10 and checkout_commit(tmp_path / "site-packages") == ""

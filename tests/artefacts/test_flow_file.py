@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from sim.files import ArtefactError
 from sim.lab.formats.foreign.flow_file import flow_file_text, parse_equation, parse_flow_file
-from sim.lab.formats.foreign.flow_kinds import equation_text, flow_of, same_equation
+from sim.lab.formats.foreign.flow_kinds import equation_text, recognise_flow, same_equation
 from sim.sha.automaton import Flow, Input
 from tests.artefacts.models import flows, numbers
 
@@ -42,7 +42,7 @@ def exponential(k: float, m: float) -> Flow:
     ],
 )
 def test_an_equation_is_the_flow_of_the_library_that_it_describes(text: str, flow: Flow) -> None:
-    assert flow_of(parse_equation(text)) == flow
+    assert recognise_flow(parse_equation(text)) == flow
 
 
 @pytest.mark.parametrize(
@@ -69,7 +69,7 @@ def test_an_equation_is_the_flow_of_the_library_that_it_describes(text: str, flo
 )
 def test_an_equation_that_no_flow_fits_is_refused_by_the_term(text: str, reason: str) -> None:
     with pytest.raises(ArtefactError) as error:
-        flow_of(parse_equation(text))
+        recognise_flow(parse_equation(text))
     assert reason in str(error.value)
 
 
@@ -88,7 +88,7 @@ def test_every_flow_kind_is_written_and_read_again(flow: Flow) -> None:
     """Exactly, but for what an equation cannot say: no noise, no zero gain, no reference of a zero gain, no order."""
     equation = parse_equation(equation_text(flow, "T"))
     assert same_equation(flow, equation)
-    read = flow_of(equation, flow.params["noise"])
+    read = recognise_flow(equation, flow.params["noise"])
     seen = tuple(sorted((given for given in flow.inputs if given.gain), key=lambda given: given.signal))
     kind = flow.kind if seen or flow.kind != "driven" else "exponential"
     if flow.kind in ("linear", "transient") and flow.params.get("m") == 0:
@@ -142,4 +142,4 @@ def test_a_signal_with_blanks_and_signs_stands_in_backquotes() -> None:
     flow = Flow("driven", {"k": 1.0, "noise": 0.0}, (Input("Motor current (A)", 2.0, 3.0),))
     text = equation_text(flow, "coolant temp °C")
     assert text == "(`coolant temp °C`)' = 1.0 (m + 2.0 (`Motor current (A)` - 3.0) - `coolant temp °C`)"
-    assert flow_of(parse_equation(text)) == flow
+    assert recognise_flow(parse_equation(text)) == flow

@@ -10,7 +10,7 @@ from sim.lab.formats.foreign.histogram import (
     disagreements,
     distinct_runs,
     evidence,
-    fit,
+    fit_values,
     histogram_text,
     merge,
     parse_histogram,
@@ -39,7 +39,7 @@ def test_a_run_appended_again_counts_once_even_in_another_order() -> None:
     assert len(histogram.runs) == 4
     assert len(distinct_runs(histogram)) == 1
     assert merge(histogram) == {"D_0": (1.0, 3.0), "D_1": (0.5,)}
-    assert fit(merge(histogram)["D_0"]).count == 2
+    assert fit_values(merge(histogram)["D_0"]).count == 2
 
 
 def test_different_runs_are_merged_by_distribution() -> None:
@@ -72,10 +72,10 @@ def test_the_six_printed_decimals_are_no_disagreement_and_a_wrong_variance_is_on
 
 
 def test_values_that_the_learner_repeats_do_not_change_the_fit() -> None:
-    once, often = fit((1.0, 3.0)), fit((1.0, 3.0) * 6)
+    once, often = fit_values((1.0, 3.0)), fit_values((1.0, 3.0) * 6)
     assert (often.mean, often.sigma, often.distinct) == (once.mean, once.sigma, once.distinct) == (2.0, 1.0, 2)
     with pytest.raises(ValueError, match="without values"):
-        fit(())
+        fit_values(())
 
 
 @settings(max_examples=60)

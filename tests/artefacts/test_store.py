@@ -15,8 +15,8 @@ import pytest
 from sim import files
 from sim.artefacts.model_directory import MANIFEST, MODEL_FILE
 from sim.artefacts.store import (
-    CURRENT,
-    VERSIONS,
+    CURRENT_LINK,
+    VERSIONS_FOLDER,
     Force,
     current,
     load,
@@ -69,7 +69,7 @@ def test_a_version_holds_all_artefacts(tmp_path: Path) -> None:
 
 def test_ten_thousand_versions_stay_in_order(tmp_path: Path) -> None:
     save(tmp_path, numbered(1), created=1.0)
-    (tmp_path / VERSIONS / "9999-00000000").mkdir()
+    (tmp_path / VERSIONS_FOLDER / "9999-00000000").mkdir()
     assert save(tmp_path, numbered(2), created=2.0).startswith("10000-")
     assert [name[:5] for name in versions(tmp_path)] == ["0001-", "9999-", "10000"]
 
@@ -99,7 +99,7 @@ def test_a_version_that_is_not_there_is_told_with_those_that_are(tmp_path: Path)
     version = save(tmp_path, decanter_model(), created=1.0)
     with pytest.raises(ArtefactError, match=f"there is no version 'x'; there are: {version}"):
         load(tmp_path, "x")
-    (tmp_path / CURRENT).write_text("0009-deadbeef\n")
+    (tmp_path / CURRENT_LINK).write_text("0009-deadbeef\n")
     with pytest.raises(ArtefactError, match=f"names the version '0009-deadbeef', which is not there; .*{version}"):
         load(tmp_path)
 
@@ -152,7 +152,7 @@ def test_a_kill_at_any_moment_leaves_the_store_readable_and_loses_no_version(tmp
     assert all(load(tmp_path, version) in map(numbered, range(3)) for version in seen)
     assert len(seen) > 8
     save(tmp_path, numbered(1), created=1.0)
-    assert not [path for path in (tmp_path / VERSIONS).iterdir() if path.name.startswith(".")]
+    assert not [path for path in (tmp_path / VERSIONS_FOLDER).iterdir() if path.name.startswith(".")]
 
 
 def test_writers_at_the_same_time_get_versions_of_their_own(tmp_path: Path) -> None:

@@ -22,11 +22,11 @@ from sim.lab.checking.query.tree import (
     TimeSpan,
     Until,
 )
-from sim.lab.checking.smc.answers import Answer, QuerySettings, Start, answer, prepared
+from sim.lab.checking.smc.answers import Answer, QuerySettings, Start, answer, prepare_question
 from sim.lab.checking.smc.paths.known_events import Cuts
 from sim.lab.checking.smc.runs import engine
-from sim.lab.checking.smc.splitting.estimator import SplitEstimate, split
-from sim.lab.checking.smc.start import believed, initial
+from sim.lab.checking.smc.splitting.estimator import SplitEstimate, split_estimate
+from sim.lab.checking.smc.start import believed_start, initial
 from sim.sha.automaton import Distribution
 from sim.sha.model import Correction, Model
 from sim.sha.trace import Event, Trace
@@ -76,8 +76,8 @@ def starts_of(model: Model) -> dict[str, Start]:
         "initial": initial(model),
         "location": initial(model, location="q_1"),
         "trace": initial(model, trace),
-        "belief": believed(model, trace, 100.0),
-        "belief along the trace": believed(model, trace, 100.0, recorded=True),
+        "belief": believed_start(model, trace, 100.0),
+        "belief along the trace": believed_start(model, trace, 100.0, recorded=True),
     }
 
 
@@ -136,9 +136,9 @@ def test_a_query_about_clocks_and_temperature_together_is_mapped_too() -> None:
 def test_splitting_puts_its_levels_on_the_sensors_scale(name: str) -> None:
     def levels(model: Model, limit: float) -> SplitEstimate:
         start = starts(model)[name]
-        one = prepared(eventually(compare(">=", limit), 60.0), start)
+        one = prepare_question(eventually(compare(">=", limit), 60.0), start)
         made = engine(start.world, Cuts(60.0, (), (), ((0.0, 60.0),), longest=2.0))
-        return split(made, one, np.random.default_rng(5), runs=100, repetitions=10)
+        return split_estimate(made, one, np.random.default_rng(5), runs=100, repetitions=10)
 
     mine, other = levels(SENSOR, read(46.6)), levels(PLAIN, 46.6)
     assert 0.0 < mine.estimate.probability == pytest.approx(other.estimate.probability, rel=0.1)

@@ -9,7 +9,7 @@ from sim.engine.belief import advance, filter_trace
 from sim.engine.open_loop_run import open_loop
 from sim.lab.checking.language.parse import parse_query
 from sim.lab.checking.smc.answers import QuerySettings, answer
-from sim.lab.checking.smc.start import believed, initial
+from sim.lab.checking.smc.start import believed_start, initial
 from sim.sha.automaton import Effect
 from sim.sha.events import Alphabet, Switch
 from sim.sha.model import Model
@@ -80,7 +80,7 @@ def test_a_step_of_the_sensor_is_seen_at_its_moment() -> None:
 
 def test_runs_from_a_belief_go_on_where_its_hidden_state_is() -> None:
     model, trace = made(*EVERY["pump, housing, lag, dead time"], *EVERY["startup-churning"]), recorded(begin=BEGIN)
-    start = believed(model, trace, BEGIN + 600.0, recorded=True)
+    start = believed_start(model, trace, BEGIN + 600.0, recorded=True)
     belief = start.world.belief
     assert belief is not None and belief.hidden is not None
     query = parse_query("simulate [<=400; 800] {Temp}", model.sha)

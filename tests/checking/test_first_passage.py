@@ -5,7 +5,7 @@ import pytest
 
 from benchmarks.smc import contains, parameter_sets, question, start_of
 from sim.lab.checking.query.tree import Expectation, Hypothesis
-from sim.lab.checking.smc.answers import QuerySettings, Start, answer, prepared
+from sim.lab.checking.smc.answers import QuerySettings, Start, answer, prepare_question
 from sim.lab.checking.smc.paths import known_events as paths_known
 from sim.lab.checking.smc.paths import plan as paths
 from sim.lab.checking.smc.runs import sampler
@@ -73,12 +73,12 @@ def test_the_curvature_that_a_step_leaves_out_is_small_at_the_chosen_length(monk
     exact = first_passage(case.stretches, case.x0, case.limit)
     fine = _share(start_of(case), case.limit, 200_000)
     assert fine == pytest.approx(exact, rel=0.01 + 0.024)  # 1 %, and two standard errors of 200,000 runs
-    monkeypatch.setattr(paths, "FINE", 1.0)
+    monkeypatch.setattr(paths, "MAX_PIECE_TAUS", 1.0)
     assert _share(start_of(case), case.limit, 200_000) > 1.1 * exact
 
 
 def _share(start: Start, limit: float, runs: int) -> float:
-    drawn = sampler(start.world, (prepared(question(limit, 444.0), start),), 11)
+    drawn = sampler(start.world, (prepare_question(question(limit, 444.0), start),), 11)
     return float(drawn.draw(runs).mean())
 
 
@@ -123,8 +123,8 @@ def test_the_mean_maximum_is_that_of_brownian_motion() -> None:
 
 def test_steps_are_as_short_as_the_flow_asks_for_and_only_where_it_is_looked_at() -> None:
     start = along(model([flow("exponential", k=0.01)], [normal(42.0, 1.0)]), 40.0, 444.0)
-    everywhere = sampler(start.world, (prepared(eventually(compare(">=", 44.0), 444.0), start),), 0)
-    at_the_end = sampler(start.world, (prepared(eventually(compare(">=", 44.0), 444.0, 444.0), start),), 0)
+    everywhere = sampler(start.world, (prepare_question(eventually(compare(">=", 44.0), 444.0), start),), 0)
+    at_the_end = sampler(start.world, (prepare_question(eventually(compare(">=", 44.0), 444.0, 444.0), start),), 0)
     assert isinstance(everywhere.engine, paths_known.Known)
     assert isinstance(at_the_end.engine, paths_known.Known)
     assert max(row.dt for row in everywhere.engine.rows) <= 0.05 / 0.01 + 1e-9

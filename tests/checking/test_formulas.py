@@ -9,7 +9,7 @@ import pytest
 from sim.lab.checking.language.parse import parse_query
 from sim.lab.checking.language.printing import query_text
 from sim.lab.checking.query.tree import At, Constant, Formula, Not, Probability
-from sim.lab.checking.smc.answers import QuerySettings, answer, prepared
+from sim.lab.checking.smc.answers import QuerySettings, answer, prepare_question
 from sim.lab.checking.smc.runs import sampler
 from sim.lab.checking.smc.start import initial
 from tests.rig.chain import until
@@ -46,7 +46,7 @@ def test_100_random_formulas_are_decided_as_the_literal_evaluator_decides_them()
         trace, course = traced_course(rng, BOUND, needed(path, BOUND))
         start = initial(MODEL, trace)
         query = Probability(BOUND, path)
-        verdict = bool(sampler(start.world, (prepared(query, start),), 0).draw(1)[0, 0])
+        verdict = bool(sampler(start.world, (prepare_question(query, start),), 0).draw(1)[0, 0])
         expected = holds(path, course, Fraction(BOUND))
         true += expected
         if verdict != expected:

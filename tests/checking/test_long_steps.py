@@ -9,8 +9,8 @@ import pytest
 from sim.lab.checking.query.tree import Always, Both, Either, Formula, Path, Probability, TimeSpan, Until
 from sim.lab.checking.smc.answers import QuerySettings, Start, answer
 from sim.lab.checking.smc.paths import Cuts, State, long_steps
-from sim.lab.checking.smc.paths.known_events import known
-from sim.lab.checking.smc.paths.long_steps import NestedStep, joined
+from sim.lab.checking.smc.paths.known_events import known_engine
+from sim.lab.checking.smc.paths.long_steps import NestedStep, join_steps
 from sim.lab.checking.smc.start import initial
 from tests.checking.worlds import along, compare, eventually, flow, model, normal
 
@@ -38,7 +38,7 @@ def test_the_pieces_of_a_filled_step_have_the_law_of_pieces_one_after_another() 
     mode, start = rng.normal(10.0, 1.0, runs), rng.normal(10.0, 1.0, runs)
     state = State(start, mode, *np.zeros((2, runs), dtype=np.intp))
     lines = np.arange(-10.0, 40.0, 0.5).tolist()  # so many that every run comes near to one
-    pieces = joined(parts).taken(state, mode, sha=RELAXING.sha, lines=lines, rng=rng)
+    pieces = join_steps(parts).advance(state, mode, sha=RELAXING.sha, lines=lines, rng=rng)
     assert pieces is not None
     found = list(pieces)
     assert [piece.begin for piece in found] == [0.0, 10.0, 20.0]
@@ -57,7 +57,7 @@ def test_the_pieces_of_a_filled_step_have_the_law_of_pieces_one_after_another() 
 @pytest.mark.parametrize(("line", "pieces"), [(60.0, 20), (40.0, None)])
 def test_only_runs_near_a_line_take_single_pieces(line: float, pieces: int | None) -> None:
     """400 s in pieces of 5 s are 20 steps of four pieces."""
-    made = known(TOGETHER[1].world, Cuts(400.0, looked=((0.0, 400.0),), lines=(line,)))
+    made = known_engine(TOGETHER[1].world, Cuts(400.0, looked=((0.0, 400.0),), lines=(line,)))
     rng = np.random.default_rng(1)
     state = made.begin(500, rng)
     found = [piece for row in range(made.clock.size - 1) for piece in made.advance(row, state, rng)]
@@ -87,7 +87,7 @@ def test_answers_and_moments_are_those_of_single_pieces(
 ) -> None:
     asked, settings = Probability(400.0, PATHS[name]), QuerySettings(rule="fixed", runs=20_000)
     several = answer(asked, start, settings)
-    monkeypatch.setattr(long_steps, "MOST_PIECES", 1)
+    monkeypatch.setattr(long_steps, "MAX_PIECES", 1)
     single = answer(asked, start, replace(settings, seed=1))
     p = single.numbers["probability"]
     assert 0.05 < p < 0.95
@@ -108,7 +108,7 @@ def test_where_a_step_is_not_affine_pieces_are_taken_one_by_one(
     asked: Formula = compare("<=", 39.2)  # in so few runs that decided ones are left out by neither
     settings = QuerySettings(rule="fixed", runs=2000)
     several = answer(eventually(asked, 400.0), start, settings)
-    monkeypatch.setattr(long_steps, "MOST_PIECES", 1)
+    monkeypatch.setattr(long_steps, "MAX_PIECES", 1)
     single = answer(eventually(asked, 400.0), start, settings)
     assert several.numbers == single.numbers
     assert several.notes == single.notes

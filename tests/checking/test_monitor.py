@@ -29,7 +29,7 @@ from sim.lab.checking.query.tree import (
     TimeSpan,
     Until,
 )
-from sim.lab.checking.smc.answers import QuerySettings, answer, prepared
+from sim.lab.checking.smc.answers import QuerySettings, answer, prepare_question
 from sim.lab.checking.smc.monitors.formula import compile_formulas
 from sim.lab.checking.smc.runs import sampler
 from sim.lab.checking.smc.start import initial
@@ -45,7 +45,7 @@ WHOLE = TimeSpan(0.0, 100.0)
 def holds(path: Path, events: Sequence[float] = (50.0,), bound: float = 100.0) -> bool:
     """Whether the path holds on the course 20 + 0.1 t, which turns at each event."""
     start = along(RISING, 20.0, bound, events)
-    drawn = sampler(start.world, (prepared(Probability(bound, path), start),), 0)
+    drawn = sampler(start.world, (prepare_question(Probability(bound, path), start),), 0)
     verdicts = drawn.draw(192)
     assert verdicts.all() == verdicts.any()
     return bool(verdicts.all())
@@ -229,7 +229,7 @@ def test_until_is_low_by_what_it_says_it_left_undecided() -> None:
         inside = Both(compare(">", 40.0 - distance), compare("<", 40.0 + distance))
         path = Until(inside, compare(">=", 40.0 + distance), TimeSpan(0.0, 400.0))
         query = Probability(400.0, path)
-        drawn = sampler(start.world, (prepared(query, start),), 5)
+        drawn = sampler(start.world, (prepare_question(query, start),), 5)
         share = float(drawn.draw(40_000).mean())
         torn = drawn.unclear / 40_000
         assert share <= 0.5 + 0.008 and 0.5 - share <= torn + 0.008 <= most + 0.008

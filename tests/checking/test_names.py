@@ -5,7 +5,7 @@ import re
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sim.lab.checking.query.names import RESERVED, identifiers
+from sim.lab.checking.query.names import RESERVED_WORDS, identifiers
 
 
 def test_the_decanter_s_locations_get_readable_identifiers() -> None:
@@ -20,14 +20,14 @@ def test_the_decanter_s_locations_get_readable_identifiers() -> None:
     }
 
 
-@given(st.lists(st.text(min_size=1, max_size=8) | st.sampled_from(sorted(RESERVED)), unique=True, max_size=12))
+@given(st.lists(st.text(min_size=1, max_size=8) | st.sampled_from(sorted(RESERVED_WORDS)), unique=True, max_size=12))
 def test_any_names_give_as_many_legal_identifiers_that_are_no_words_of_uppaal(names: list[str]) -> None:
     chosen = identifiers(names)
     assert list(chosen) == names
     assert len(set(chosen.values())) == len(names)
     for identifier in chosen.values():
         assert re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", identifier, re.ASCII)
-        assert identifier not in RESERVED
+        assert identifier not in RESERVED_WORDS
 
 
 def test_a_name_that_is_legal_keeps_it_even_when_another_would_become_the_same() -> None:

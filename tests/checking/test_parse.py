@@ -8,7 +8,7 @@ import pytest
 from sim.lab.checking.language.parse import QueryError, parse_query
 from sim.lab.checking.language.printing import query_text, uppaal_refusal
 from sim.lab.checking.query import tree as q
-from sim.lab.checking.query.names import RESERVED, identifiers
+from sim.lab.checking.query.names import RESERVED_WORDS, identifiers
 from sim.sha.automaton import SHA, Flow, Location
 from sim.sha.events import DECANTER
 from sim.sha.model import Model
@@ -130,7 +130,7 @@ def test_a_location_called_like_a_keyword_is_reached_by_its_identifier() -> None
 
 
 def test_every_location_is_reached_by_its_identifier_whatever_it_is_called() -> None:
-    names = [*sorted(RESERVED), "q 0", "200", "a.b", "at", "within", "", "è", "x" * 70, 'say "at"']
+    names = [*sorted(RESERVED_WORDS), "q 0", "200", "a.b", "at", "within", "", "è", "x" * 70, 'say "at"']
     odd = SHA("odd", tuple(Location(name, Flow("constant"), None, "none") for name in names), (), "U")
     for name, identifier in identifiers(names).items():
         assert parse_query(f"E<> m_1.{identifier}", odd) == q.Symbolic("E<>", q.At(name))

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from sim.effects.correction import in_sensor_scale
 from sim.engine.schedules import resync_targets, schedule
 from sim.engine.simulation import simulate
-from sim.proof.bounds import BEYOND, Bounds, find_bounds, noise_band
+from sim.proof.bounds import MIN_EXCESS_DEGC, Bounds, find_bounds, noise_band
 from sim.proof.envelope import Assumptions, Envelope, Sojourn, UnboundedInput, envelopes, quantiles
 from sim.proof.structure import Move, moves
 from sim.proof.word import parse_word, word_text
@@ -349,7 +349,7 @@ def test_the_noise_band_settles_for_relaxing_flows_and_is_told_apart_for_others(
 
 def test_a_border_that_is_touched_and_not_passed_is_kept() -> None:
     assert bounds(of(relaxing("p", 150.0))).verdict == "proven"
-    assert bounds(of(relaxing("p", 150.0 + 10 * BEYOND))).verdict == "refuted"
+    assert bounds(of(relaxing("p", 150.0 + 10 * MIN_EXCESS_DEGC))).verdict == "refuted"
 
 
 def test_a_loop_that_settles_very_slowly_under_the_rate_limit_is_settled_at_once() -> None:

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from sim.lab.checking.smc.rules.estimation import (
     RuleOutcome,
     anytime,
-    fixed,
+    fixed_run_estimate,
     mixture_interval,
-    one_or_two_sided,
     to_half_width,
+    uppaal_interval,
 )
 from sim.lab.checking.smc.rules.sprt import RatioTest, acceptance, expected_runs, sprt, wald_test
 from sim.scores import clopper_pearson
@@ -69,7 +69,7 @@ def test_without_any_success_uppaals_rule_stops_at_29_runs_with_its_interval() -
 
 
 def test_uppaals_rule_under_covers_by_as_much_as_its_note_says() -> None:
-    coverage, runs = walk(0.1, narrow(one_or_two_sided, 0.1, 0.05), 500)
+    coverage, runs = walk(0.1, narrow(uppaal_interval, 0.1, 0.05), 500)
     assert coverage == pytest.approx(0.927, abs=0.0005)
     assert runs == pytest.approx(145.7, abs=0.1)
 
@@ -115,7 +115,7 @@ def test_weights_keep_the_anytime_interval_valid() -> None:
 def test_the_fixed_rule_is_clopper_and_pearsons() -> None:
     outcomes = coin(0.2, 1)(777)
     for batch in (1, 100, 777):
-        found = fixed(given(outcomes), 777, 0.9, batch=batch)
+        found = fixed_run_estimate(given(outcomes), 777, 0.9, batch=batch)
         assert found.estimate == clopper_pearson(outcomes.sum(), 777, 0.9)
 
 
@@ -124,7 +124,7 @@ def test_the_fixed_rule_is_clopper_and_pearsons() -> None:
 def test_the_rule_stops_at_the_first_run_where_the_interval_is_narrow(
     rule: Callable[..., RuleOutcome], p: float
 ) -> None:
-    interval = one_or_two_sided if rule is to_half_width else mixture_interval
+    interval = uppaal_interval if rule is to_half_width else mixture_interval
     outcomes = coin(p, 3)(3000)
     counts = np.arange(1, 3001)
     low, high = interval(np.cumsum(outcomes), counts, 0.95)
@@ -230,11 +230,11 @@ def test_progress_goes_up_and_ends_within_one() -> None:
 @pytest.mark.parametrize(
     ("call", "words"),
     [
-        (lambda: fixed(coin(0.5, 1), 0), "0 runs give no estimate"),
+        (lambda: fixed_run_estimate(coin(0.5, 1), 0), "0 runs give no estimate"),
         (lambda: to_half_width(coin(0.5, 1), 0.5), "no estimate to"),
         (lambda: anytime(coin(0.5, 1), 0.1, 1.0), "no estimate to"),
         (lambda: anytime(lambda runs: np.full(runs, np.nan)), "outside"),
-        (lambda: fixed(lambda runs: np.zeros(runs + 1), 10), "gave outcomes of shape"),
+        (lambda: fixed_run_estimate(lambda runs: np.zeros(runs + 1), 10), "gave outcomes of shape"),
         (lambda: wald_test(">=", 1.2), "p must be in"),
         (lambda: wald_test(">=", 0.5, alpha=0.6, beta=0.5), "sum below 1"),
     ],

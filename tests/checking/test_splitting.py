@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from sim.lab.checking.query.tree import Always, At, Both, Either, Probability, TimeSpan, Until
-from sim.lab.checking.smc.answers import QuerySettings, answer, prepared
+from sim.lab.checking.smc.answers import QuerySettings, answer, prepare_question
 from sim.lab.checking.smc.monitors.path import cuts
 from sim.lab.checking.smc.paths.known_events import Cuts
 from sim.lab.checking.smc.runs import engine
-from sim.lab.checking.smc.splitting.estimator import SplitEstimate, skewed_interval, split
+from sim.lab.checking.smc.splitting.estimator import SplitEstimate, skewed_interval, split_estimate
 from sim.lab.checking.smc.start import initial
 from tests.checking.worlds import along, compare, eventually, flow, model, normal
 from tests.rig.quadrature import Stretch, brownian, first_passage
@@ -19,9 +19,9 @@ START = along(model([flow("linear")], [normal(0.0)]), 40.0, 400.0)
 def one_split(
     limit: float, seed: int, runs: int = 100, repetitions: int = 12, where: Cuts | None = None
 ) -> SplitEstimate:
-    one = prepared(eventually(compare(">=", limit), 400.0), START)
+    one = prepare_question(eventually(compare(">=", limit), 400.0), START)
     made = engine(START.world, where or Cuts(400.0, (), (), ((0.0, 400.0),), longest=20.0))
-    return split(made, one, np.random.default_rng(seed), runs=runs, repetitions=repetitions)
+    return split_estimate(made, one, np.random.default_rng(seed), runs=runs, repetitions=repetitions)
 
 
 def test_the_interval_holds_the_truth_at_about_its_stated_rate_and_the_mean_is_unbiased() -> None:
@@ -47,10 +47,12 @@ def test_with_a_mode_parameter_drawn_once_for_the_stay_the_interval_holds_too(
     assert 5e-6 < exact < 2e-5
     made = model([own], [normal(0.002, 0.004)], first=normal(40.0))
     start = along(made, 40.0, 400.0) if known else initial(made)
-    one = prepared(eventually(compare(">=", 52.0), 400.0), start)
+    one = prepare_question(eventually(compare(">=", 52.0), 400.0), start)
     engines = engine(start.world, Cuts(400.0, (), (), ((0.0, 400.0),), longest=40.0))
     assert engines.columns == 1
-    found = [split(engines, one, np.random.default_rng(seed), runs=250, repetitions=16) for seed in range(seeds)]
+    found = [
+        split_estimate(engines, one, np.random.default_rng(seed), runs=250, repetitions=16) for seed in range(seeds)
+    ]
     assert sum(one.estimate.low <= exact <= one.estimate.high for one in found) >= seeds - misses
     values = np.array([one.estimate.probability for one in found])
     assert abs(values.mean() - exact) < 3.0 * values.std(ddof=1) / np.sqrt(values.size)
@@ -123,9 +125,9 @@ def test_unknown_events_are_split_like_known_ones() -> None:
     made = model([flow("linear")], [normal(0.0)], first=normal(40.0))
     exact = brownian(40.0, 0.0, 0.1, 48.0, 400.0)
     start = initial(made)
-    asked = prepared(eventually(compare(">=", 48.0), 400.0), start)
+    asked = prepare_question(eventually(compare(">=", 48.0), 400.0), start)
     unknown = engine(start.world, Cuts(400.0, (), (), ((0.0, 400.0),), longest=20.0))
-    found = split(unknown, asked, np.random.default_rng(0), runs=250, repetitions=20)
+    found = split_estimate(unknown, asked, np.random.default_rng(0), runs=250, repetitions=20)
     assert found.estimate.low <= exact <= found.estimate.high
 
 
@@ -160,5 +162,5 @@ def test_what_cannot_be_split_is_refused_with_the_reason() -> None:
 
 
 def test_the_path_decides_where_steps_end() -> None:
-    one = prepared(eventually(compare(">=", 50.0), 400.0, 100.0), START)
+    one = prepare_question(eventually(compare(">=", 50.0), 400.0, 100.0), START)
     assert cuts((one,)).looked == ((100.0, 400.0),)

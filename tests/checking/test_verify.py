@@ -12,7 +12,7 @@ from sim.engine.tracker import OnlinePolicy, compile_model, next_location
 from sim.lab.formats.find import find_model
 from sim.lab.learning.structure import bare_sha
 from sim.proof.envelope import quantiles
-from sim.proof.structure import accept, components, dead_ends, missing, moves, symbols_of, traps, unreachable
+from sim.proof.structure import accept, components, dead_ends, edge_symbols, missing, moves, traps, unreachable
 from sim.proof.verification import verify
 from sim.proof.word import TimedWord, parse_word, word_text
 from sim.proof.word_replay import replay
@@ -62,7 +62,7 @@ def test_every_location_is_told_with_the_symbols_that_it_lacks() -> None:
     sha = graph("paq pbp qap", "pq")
     assert missing(sha, ("a", "b", UNKNOWN)) == {"q": ("b",)}
     assert missing(sha, ("a", "z")) == {"p": ("z",), "q": ("z",)}
-    assert symbols_of(sha) == ("a", "b")
+    assert edge_symbols(sha) == ("a", "b")
     assert verify(sha).check("input-enabled").details == ("location 'q' lacks b",)
     assert verify(sha, symbols=("a",)).check("input-enabled").verdict == "proven"
 

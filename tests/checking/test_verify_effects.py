@@ -8,12 +8,12 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from sim.effects.kinds import signals_of
+from sim.effects.kinds import effect_signals
 from sim.engine.moment_equations import moments
 from sim.engine.schedules import schedule
 from sim.proof.bounds import find_bounds
-from sim.proof.drift import DriftBound, added
-from sim.proof.envelope import DAY, Assumptions, envelopes
+from sim.proof.drift import DriftBound, add_bounds
+from sim.proof.envelope import DAY_S, Assumptions, envelopes
 from sim.proof.structure import moves
 from sim.proof.verification import verify
 from sim.proof.word import parse_word, word_text
@@ -38,7 +38,7 @@ def model_of(name: str, kind: str = "exponential", **more: object) -> Model:
 
 
 def assumed(model: Model, **more: object) -> Assumptions:
-    read = {one.signal for place in model.sha.locations for one in place.flow.inputs} | set(signals_of(model.sha))
+    read = {one.signal for place in model.sha.locations for one in place.flow.inputs} | set(effect_signals(model.sha))
     return Assumptions(inputs={name: RANGES[name] for name in read}, **more)  # type: ignore[arg-type]
 
 
@@ -235,14 +235,14 @@ def worn(gain: float) -> Model:
 
 
 def test_a_wear_that_diverges_in_years_is_deployable_today_and_says_until_when() -> None:
-    slow, fast, wild = (verify(worn(degrees * 0.004 / (365.0 * DAY))) for degrees in (40.0, 400.0, 40_000.0))
+    slow, fast, wild = (verify(worn(degrees * 0.004 / (365.0 * DAY_S))) for degrees in (40.0, 400.0, 40_000.0))
     assert slow.deployable and "365 days of wear, until 2026-06-15" in slow.check("wear").evidence
     assert fast.deployable and "90 days of wear" in fast.check("wear").evidence
     assert "not for 365" in fast.check("wear").evidence
     assert not wild.deployable
     (word,) = wild.check("mean course").words
     assert word.steps[0].clock is not None and word.steps[0].clock > 1.75e9
-    strict = verify(worn(400.0 * 0.004 / (365.0 * DAY)), assumptions=Assumptions(horizon=365.0 * DAY))
+    strict = verify(worn(400.0 * 0.004 / (365.0 * DAY_S)), assumptions=Assumptions(horizon=365.0 * DAY_S))
     assert not strict.deployable, "a horizon that is given is not shortened"
 
 
@@ -270,13 +270,15 @@ def test_a_drift_runs_one_way_keeps_order_and_agrees_with_small_steps(
     given_pieces: list[tuple[float, float, float]], heat: float, dt: float, rate: float
 ) -> None:
     bends = [DriftBound((sink,), ((b * sink, b), (b * sink - drop, b))) for b, sink, drop in given_pieces]
-    drift = added([DriftBound((), ((heat, 0.0),)), *bends])
+    drift = add_bounds([DriftBound((), ((heat, 0.0),)), *bends])
     starts = np.linspace(-100.0, 150.0, 11)
-    ends = np.array([drift.after(float(x), dt, rate) for x in starts])
+    ends = np.array([drift.advance(float(x), dt, rate) for x in starts])
     assert np.all(np.diff(ends) >= -1e-9) and np.all(np.diff(ends) <= np.diff(starts) + 1e-9)
-    halves = np.array([drift.after(drift.after(float(x), 0.5 * dt, rate), 0.5 * dt, rate) for x in starts])
+    halves = np.array([drift.advance(drift.advance(float(x), 0.5 * dt, rate), 0.5 * dt, rate) for x in starts])
     rising = ends > starts
     assert np.all(halves[rising] <= ends[rising] + 1e-6) and halves[~rising] == pytest.approx(ends[~rising], abs=1e-6)
     low, high = drift.rest
     assert np.all((ends >= starts - 1e-12) | (starts > high)) and np.all((ends <= starts + 1e-12) | (starts < low))
-    assert drift.mirrored().after(-float(starts[3]), dt, inf) == pytest.approx(-drift.after(float(starts[3]), dt, inf))
+    assert drift.mirror().advance(-float(starts[3]), dt, inf) == pytest.approx(
+        -drift.advance(float(starts[3]), dt, inf)
+    )

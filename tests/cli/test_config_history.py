@@ -38,7 +38,7 @@ class PlantFolder:
         text = f'[device]\nfile = "devices/plc.toml"\n[alarms]\nlimit = {limit}\n[historian]\npath = "out/h.sqlite"\n'
         self.plant.write_text(f"{text}{more}\n{page}\n", encoding="utf-8")
 
-    def take_over(self, note: str = "reload") -> None:
+    def replace_machines(self, note: str = "reload") -> None:
         configurations.keep_configuration(load_plant(self.plant), now=1_700_000_000.0, note=note)
 
     def type(self, *words: str) -> tuple[int, str]:
@@ -57,9 +57,9 @@ def there(tmp_path: Path) -> Iterator[PlantFolder]:
 def test_each_configuration_is_kept_once_with_the_files_it_is_made_of(there: PlantFolder) -> None:
     for limit in (80.0, 80.0, 75.0):
         there.write(limit)
-        there.take_over()
+        there.replace_machines()
     there.device.write_text(there.device.read_text() + "\n# seen\n", encoding="utf-8")
-    there.take_over()
+    there.replace_machines()
     code, printed = there.type("history", "--json")
     rows = json.loads(printed)["configurations"]
     assert code == 0 and [row["number"] for row in rows] == [1, 2, 3]
@@ -88,14 +88,14 @@ def test_only_the_newest_are_kept(there: PlantFolder, monkeypatch: pytest.Monkey
     monkeypatch.setattr(configurations, "MOST_KEPT", 3)
     for limit in range(70, 76):
         there.write(float(limit))
-        there.take_over()
+        there.replace_machines()
     assert [row["number"] for row in json.loads(there.type("history", "--json")[1])["configurations"]] == [4, 5, 6]
 
 
 def test_the_way_back_keeps_what_it_replaces_and_arms_nothing(there: PlantFolder) -> None:
     armed = '[writeback]\nmode = "armed"\narmed_by = "Ada"\nreason = "test"\nminutes = 5\n'
     there.write(80.0, armed)
-    there.take_over()
+    there.replace_machines()
     there.write(75.0, "# not taken over yet\n")
     code, printed = there.type("rollback", "1", "--reason", "too low", "--by", "Rossi")
     assert code == 0, printed
@@ -114,7 +114,7 @@ def test_every_machines_arming_is_taken_out() -> None:
 
 def test_a_plant_file_that_cannot_be_used_any_more_has_its_way_back(there: PlantFolder) -> None:
     there.write(80.0)
-    there.take_over()
+    there.replace_machines()
     there.plant.write_text("[device\n", encoding="utf-8")
     code, printed = there.type("rollback", "1", "--reason", "a slip", "--by", "Rossi")
     assert code == 0, printed
@@ -125,7 +125,7 @@ def test_a_configuration_that_cannot_be_used_any_more_is_refused_and_nothing_cha
     model = there.folder / "model.json"
     model.write_text("{}", encoding="utf-8")
     there.write(80.0, '[model]\npath = "model.json"\n')
-    there.take_over()
+    there.replace_machines()
     model.unlink()
     there.write(75.0)
     before = there.plant.read_bytes()

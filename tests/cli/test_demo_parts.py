@@ -10,9 +10,9 @@ import pytest
 from rich.console import Console
 
 from gateway.demo.child import last_words, stop
-from gateway.demo.folder import MARKER, WRITTEN, clear, held
+from gateway.demo.folder import MARKER, WRITTEN, clear, hold_folder
 from gateway.demo.live import DemoPhase, demo_table
-from gateway.demo.prepare import limit_for, pace, split, suits, write_device
+from gateway.demo.prepare import choose_limit, pace, split, suits, write_device
 from gateway.demo.summary import outage
 from gateway.settings.devices import load_device
 from sim.sha.events import DECANTER
@@ -32,16 +32,16 @@ def made(rows: int, name: str = "t", step: float = 1.0, **signals: Any) -> Trace
 
 def test_a_folder_is_held_by_one_demo_at_a_time_and_free_again_after_it(tmp_path: Path) -> None:
     folder = tmp_path / "deep" / "demo"
-    with held(folder), pytest.raises(ValueError, match="another demo is running there"), held(folder):
+    with hold_folder(folder), pytest.raises(ValueError, match="another demo is running there"), hold_folder(folder):
         pass
-    with held(folder):
+    with hold_folder(folder):
         assert (folder / MARKER).is_file()
 
 
 def test_a_folder_with_somebody_elses_files_is_refused_and_left_alone(tmp_path: Path) -> None:
     mine = tmp_path / "plant.toml"
     mine.write_text("mine", encoding="utf-8")
-    with pytest.raises(ValueError, match="holds files that no demo has written"), held(tmp_path):
+    with pytest.raises(ValueError, match="holds files that no demo has written"), hold_folder(tmp_path):
         pass
     assert [path.name for path in tmp_path.iterdir()] == ["plant.toml"] and mine.read_text(encoding="utf-8") == "mine"
 
@@ -49,7 +49,7 @@ def test_a_folder_with_somebody_elses_files_is_refused_and_left_alone(tmp_path: 
 def test_a_file_in_the_folders_place_is_refused(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     for path in (tmp_path / "file", tmp_path / "file" / "below"):
-        with pytest.raises(ValueError, match="give --out a folder that this user may write"), held(path):
+        with pytest.raises(ValueError, match="give --out a folder that this user may write"), hold_folder(path):
             pass
 
 
@@ -62,7 +62,7 @@ def test_clearing_takes_the_demos_own_files_and_no_other(tmp_path: Path) -> None
 
 
 def test_an_error_inside_is_not_taken_for_the_folders(tmp_path: Path) -> None:
-    with pytest.raises(BlockingIOError, match="mine"), held(tmp_path / "d"):
+    with pytest.raises(BlockingIOError, match="mine"), hold_folder(tmp_path / "d"):
         raise BlockingIOError("mine")
 
 
@@ -101,11 +101,11 @@ def test_without_a_time_the_whole_trace_is_replayed() -> None:
 
 def test_the_limit_is_the_plants_unless_the_data_are_hotter() -> None:
     cold, hot = made(10, T=[20.0] * 9 + [np.nan]), made(10, T=91.7)
-    assert limit_for([cold], "T", None) == (80.0, "")
-    limit, note = limit_for([cold, hot], "T", None)
+    assert choose_limit([cold], "T", None) == (80.0, "")
+    limit, note = choose_limit([cold, hot], "T", None)
     assert limit == pytest.approx(96.3) and "91.7" in note and "--limit" in note
-    assert limit_for([hot], "T", 70.0) == (70.0, "")
-    assert limit_for([made(3, T=np.nan)], "T", None) == (80.0, "")
+    assert choose_limit([hot], "T", 70.0) == (70.0, "")
+    assert choose_limit([made(3, T=np.nan)], "T", None) == (80.0, "")
 
 
 # ------------------------------------------------------------------ register maps for foreign traces

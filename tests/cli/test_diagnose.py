@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 
 from drivers.tag import Quality, Sample, Tag
-from gateway.lab.gap.diagnose import roles_of
+from gateway.lab.gap.diagnose import signal_roles
 from gateway.machine.reading.scan import Scan
 from gateway.machine.records import Keeper
 from gateway.store.read_back import recent
 from sim.effects.kinds import ROLES
 from sim.lab.formats.find import find_model
 from sim.lab.recordings.column_map import load_map
-from sim.plant.cooled import EPOCH, CooledPlant, cooled_days
+from sim.plant.cooled import EPOCH_S, CooledPlant, cooled_days
 from sim.plant.scenarios import scenario
 from sim.sha.trace import Trace
 from tests.cli.support import ROOT, decanter, misused, only_object, refused
@@ -104,10 +104,10 @@ def test_a_historian_is_diagnosed_from_a_time_or_a_span_on(model: Path, tmp_path
 
 def test_roles_are_the_maps_own_or_the_plants() -> None:
     maps = ROOT / "config" / "traces"
-    assert roles_of(None) == roles_of(load_map(maps / "decanter.toml")) == ROLES
-    car = roles_of(load_map(maps / "carobd.toml"))
+    assert signal_roles(None) == signal_roles(load_map(maps / "decanter.toml")) == ROLES
+    car = signal_roles(load_map(maps / "carobd.toml"))
     assert car == {"current": "Load", "speed": "VehicleSpeed", "ambient": "IntakeAirTemperature"}
-    assert roles_of(load_map(maps / "femto.toml")) == {}
+    assert signal_roles(load_map(maps / "femto.toml")) == {}
     fields = set(load_map(maps / "skab.toml").effects.__class__.model_fields)
     assert fields == set(ROLES), "a column map can give every role that the catalogue knows, and no other"
 
@@ -117,7 +117,7 @@ def test_the_cooled_plant_is_the_same_for_a_seed_and_colder_with_its_cooling() -
     cooled = cooled_days(1, seed=3, period=60.0, plant=CooledPlant(cooling=1e-4))[0]
     for name, column in plain.signals.items():
         np.testing.assert_array_equal(column, again.signals[name])
-    assert plain.synthetic and plain.times[0] == EPOCH and plain.times.size == 1440
+    assert plain.synthetic and plain.times[0] == EPOCH_S and plain.times.size == 1440
     difference = cooled.signals["TCuscinettiRiduttore"] - plain.signals["TCuscinettiRiduttore"]
     pumping = (plain.signals["MarciaPmpFango"] > 0) & (plain.signals["MarciaDecanter"] > 0)
     assert difference[pumping].mean() < -0.5 and abs(difference[:300]).max() < 0.5

@@ -78,7 +78,7 @@ def guarded(path: Path, cycles: int, **more: int) -> Path:
     kept(path, trace)
     store, _ = one_machine(path)
     guards = json.dumps({"drift": {"cycles": cycles, "error": 2.0, "limit": 1.0, **more}})
-    store.of("decanter", temperature="TCuscinettiRiduttore").put("guards", [(float(trace.times[-1]), guards)])
+    store.view("decanter", temperature="TCuscinettiRiduttore").put("guards", [(float(trace.times[-1]), guards)])
     assert store.close()
     return path
 

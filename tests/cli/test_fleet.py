@@ -13,10 +13,10 @@ import pandas as pd
 import pytest
 
 from gateway.lab.fleet import study
-from gateway.lab.fleet.sources import sources_in
+from gateway.lab.fleet.sources import find_sources
 from sim.artefacts import read_model
 from sim.effects import of_machine as of_the_type
-from sim.lab.judge import held
+from sim.lab.judge import hold_folder
 from sim.lab.learning.bins.candidates import CANDIDATES
 from sim.lab.learning.bins.learn import learn_bins
 from sim.lab.recordings import load_map, write_trace
@@ -132,7 +132,7 @@ def test_bad_places_are_one_sentence(plant: Path, tmp_path: Path) -> None:
     refused(decanter("model", "fleet", tmp_path, *out), 2, "no machine")
     refused(decanter("model", "fleet", "postgresql://127.0.0.1:1/x", *out), 2, "127.0.0.1:1/x", "onnection")
     refused(decanter("model", "fleet", tmp_path / "x.parquet", *out), 2, "x.parquet")
-    with held(plant / "out"):
+    with hold_folder(plant / "out"):
         where = ("--map", plant / "map.toml", "--out", plant / "out")
         refused(decanter("model", "fleet", plant / "machines", *where), 2, "another command is writing there")
 
@@ -164,7 +164,7 @@ def test_a_file_beside_the_machines_folders_is_a_machine_and_the_commands_own_ta
     # A machine's own file may be called so too.
     (place / "m0/fleet.csv").write_text((place / "summary.csv").read_text(encoding="utf-8"), encoding="utf-8")
     column_map = load_map(plant / "map.toml")
-    files = {source.machine: getattr(source, "files", ()) for source in sources_in(str(place), column_map, "")}
+    files = {source.machine: getattr(source, "files", ()) for source in find_sources(str(place), column_map, "")}
     assert place / "m0/fleet.csv" in files["m0"] and files["site"] == (place / "summary.csv",)
 
 

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from sim.forecast.ensemble import DENSE
+from sim.forecast.ensemble import DENSE_LEVELS
 from sim.lab.formats.write_model import write_model_directory
 from sim.lab.recordings.trace_file import write_trace
 from sim.sha.trace import Array
@@ -38,7 +38,7 @@ class Clairvoyant:
         return self
 
     def forecast(self, past: Past, horizons: Sequence[float], levels: tuple[float, ...]) -> Array:
-        assert levels == DENSE
+        assert levels == DENSE_LEVELS
         self.asked.append(past)
         return np.full((len(levels), len(horizons)), 30.0)
 

@@ -13,7 +13,7 @@ from click.testing import CliRunner
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from gateway.cli.keep.masking import bare_address, make_mask, masked, written_forms
+from gateway.cli.keep.masking import bare_address, make_mask, mask_values, written_forms
 from gateway.cli.main import main
 from gateway.network.certificates import make_all
 from gateway.outside.web.access import AccountRole, add_account
@@ -215,4 +215,4 @@ def test_what_is_no_secret_stays() -> None:
     assert make_mask(())(text) == text
     assert bare_address("https://host.example:8443") == "https://host.example:8443"
     plain = {"limit": 80.0, "tokens": {"a": "x1"}, "tags": ["a"], "secrets": "notify.secrets.toml", "n": None}
-    assert masked(plain, make_mask(())) == plain | {"tokens": {"a": "(masked)"}}
+    assert mask_values(plain, make_mask(())) == plain | {"tokens": {"a": "(masked)"}}

@@ -11,7 +11,7 @@ from click.testing import CliRunner
 
 from gateway.console import CommandResult, conclude
 from gateway.lab.gap.diagnose import DiagnosisRequest, run, show
-from sim.sha.trace import Trace, unit_of
+from sim.sha.trace import Trace, signal_unit
 from tests.cli.support import decanter
 from tests.discrepancy.plants import model as model_of
 from tests.discrepancy.plants import plant as plant_of
@@ -130,7 +130,7 @@ def test_a_validation_says_kw_in_its_records_and_its_report(plant: tuple[Path, P
 def test_traces_in_two_units_are_not_mixed() -> None:
     times, signals = np.zeros(1), {"P": np.zeros(1)}
     one, other = (Trace(unit, times, signals, units={"P": unit}) for unit in ("kW", "W"))
-    assert unit_of([one, Trace("none", times, signals)], "P") == "kW"
-    assert unit_of([], "P") == "degC"
+    assert signal_unit([one, Trace("none", times, signals)], "P") == "kW"
+    assert signal_unit([], "P") == "degC"
     with pytest.raises(ValueError, match="in kW in trace 'kW' and in W in trace 'W'; convert"):
-        unit_of([one, other], "P")
+        signal_unit([one, other], "P")

@@ -12,7 +12,7 @@ import pytest
 from click.testing import Result
 
 from sim.lab.formats.find import find_model
-from sim.lab.judge.discovery import discover, own_check, report_beside
+from sim.lab.judge.discovery import discover, own_check, read_own_report
 from sim.lab.judge.output_folder import read_results
 from tests.cli.artefact_set import EDGES, FLOWS, HISTOGRAM, REPORT, THESIS, files, source, written
 from tests.cli.support import DATA, decanter, misused, only_object, refused
@@ -161,7 +161,7 @@ def test_a_model_that_is_not_there_is_learned_by_the_method_of_its_name(
 
 def test_the_report_of_a_model_of_our_own_is_held_against_its_laws(done: tuple[Path, Result], model: Path) -> None:
     assert "against model.json, all agree" in stage(done[0], "decanter", 3)["found"]
-    own, beside = find_model(model).runnable(), report_beside(discover(model))
+    own, beside = find_model(model).runnable(), read_own_report(discover(model))
     assert beside is not None
     report, histogram = beside
     law, *others = report.distributions
@@ -177,7 +177,7 @@ def test_stage_3_reads_the_report_and_not_what_model_json_says_too(model: Path, 
     own = tmp_path / "own"
     shutil.copytree(model, own)
     (own / "decanter_source.txt").write_text("this is no DOT", encoding="utf-8")
-    beside = report_beside(discover(own))
+    beside = read_own_report(discover(own))
     assert beside is not None
     assert own_check(*beside, find_model(model).runnable()).sentence.endswith("all agree")
 

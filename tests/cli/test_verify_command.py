@@ -7,8 +7,8 @@ import pytest
 
 from drivers.settings import ConfigError
 from gateway.machine.model.loading import load_model
-from sim.artefacts import UNJUDGED
-from sim.artefacts.store import Force, current, forced, load, promote
+from sim.artefacts import NO_VERDICT_TEXT
+from sim.artefacts.store import Force, current, find_force, load, promote
 from sim.files import ArtefactError
 from sim.lab.formats.write_model import save, write_model_directory
 from sim.sha.model import Model
@@ -118,21 +118,21 @@ def test_promotion_refuses_what_does_not_verify_and_keeps_the_current_version(tm
     refused(decanter("model", "promote", shelf, bad), 2, bad, "is not promoted, as it does not verify", "without bound")
     assert current(shelf) == first
     said = decanter("model", "promote", shelf, first).stdout
-    assert said == f"{first}: {UNJUDGED}\n{shelf}: {first} is current\n"
+    assert said == f"{first}: {NO_VERDICT_TEXT}\n{shelf}: {first} is current\n"
 
 
 def test_a_forced_promotion_is_recorded_with_name_and_reason(tmp_path: Path) -> None:
     bad = save(tmp_path, HOT, created=1.0)
     result = decanter("model", "promote", tmp_path, bad, "--force", "rest is over in an hour", "--by", "Anna")
     assert "forced by Anna: rest is over in an hour" in result.stdout
-    force = forced(tmp_path)
+    force = find_force(tmp_path)
     assert force is not None and (force.by, force.reason) == ("Anna", "rest is over in an hour")
     assert load(tmp_path) == HOT
     good = save(tmp_path, two_modes(), created=2.0)
     promote(tmp_path, good, Force("Anna", "habit", 3.0))
-    assert forced(tmp_path) is None, "a model that verifies is not forced"
+    assert find_force(tmp_path) is None, "a model that verifies is not forced"
     promote(tmp_path, bad, Force("Bert", "again", 4.0))
-    assert forced(tmp_path) == Force("Bert", "again", 4.0)
+    assert find_force(tmp_path) == Force("Bert", "again", 4.0)
 
 
 def test_what_cannot_be_run_cannot_be_forced(tmp_path: Path) -> None:

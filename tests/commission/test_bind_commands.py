@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from gateway.commission.session.records import broken_at, read_records
+from gateway.commission.session.records import find_break, read_records
 from gateway.settings.config import load_config, load_plant
 from gateway.settings.devices import load_device
 from tests.commission.bench import answer, plc
@@ -114,7 +114,7 @@ def test_every_change_is_recorded_with_its_diff_and_the_new_hash(tmp_path: Path)
     assert "+high = 150.0" in second.result["diff"]
     device = str(tmp_path / "devices/plant.toml")
     assert first.configuration[device] != second.configuration[device]
-    assert broken_at(tmp_path / "records.jsonl") is None
+    assert find_break(tmp_path / "records.jsonl") is None
 
 
 def test_a_dry_run_shows_the_change_and_writes_nothing(tmp_path: Path) -> None:

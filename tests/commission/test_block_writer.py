@@ -17,7 +17,16 @@ from gateway.commission.writeback import block_writer as room
 from gateway.commission.writeback.block_writer import BlockWriter, arming_in_force, gateway_runs
 from gateway.commission.writeback.suite import Unable
 from gateway.console import CommandResult
-from gateway.machine.writing import Arming, Validity, arm_in_log, countersign, places_of, read_numbers, signed, uptime
+from gateway.machine.writing import (
+    Arming,
+    Validity,
+    arm_in_log,
+    countersign,
+    read_numbers,
+    sign_arming,
+    uptime,
+    witness_places,
+)
 from gateway.settings import Config
 from gateway.settings.devices import load_device
 from gateway.store import AuditEntry, open_historian
@@ -82,7 +91,7 @@ def bench(monkeypatch: pytest.MonkeyPatch) -> Bench:
         assert (path, now, key, subject) == (made.path, made.now, Path("key"), "two")
         return object() if made.armed else None
 
-    monkeypatch.setattr(room, "standing", standing)
+    monkeypatch.setattr(room, "find_arming", standing)
     return made
 
 
@@ -129,7 +138,7 @@ async def test_nothing_is_sent_once_the_arming_is_over(bench: Bench, place: str,
 async def test_nothing_is_sent_without_a_permit_that_reads_well_now(bench: Bench, permit: tuple[Any, Quality]) -> None:
     bench.said["WritePermit"] = permit
     for one in (writer(bench), writer(bench, taking_back=True)):
-        assert not await one.permitted()
+        assert not await one.has_permit()
         why = "the PLC does not permit writing (WritePermit); nothing was sent"
         with pytest.raises(WriteForbidden) as caught:
             await one.send([1] * 26)
@@ -312,7 +321,7 @@ def test_results_of_several_blocks_are_one() -> None:
 
 def test_an_arming_that_is_over_is_put_on_record_by_the_command_that_finds_it(tmp_path: Path) -> None:
     config: Config = config_in(tmp_path, '[writeback]\nmode = "shadow"\n')
-    places = places_of(config)
+    places = witness_places(config)
 
     def refused(now: float) -> None:
         with pytest.raises(WriteForbidden) as caught:
@@ -323,7 +332,7 @@ def test_an_arming_that_is_over_is_put_on_record_by_the_command_that_finds_it(tm
         )
 
     refused(EPOCH)
-    arm_in_log(config.audit, signed("Ada", "run", 5, EPOCH), EPOCH)
+    arm_in_log(config.audit, sign_arming("Ada", "run", 5, EPOCH), EPOCH)
     countersign(places, EPOCH)
     assert arming_in_force(places, END - 0.125) == Arming("Ada", "run", END)
     for _ in range(2):

@@ -12,7 +12,7 @@ from drivers.can.bus.hub import Hub
 from drivers.tap import TapFrame
 from gateway.commission.session.evidence import Exchanges, FrameEvidence
 from gateway.commission.session.pcap import checksum
-from gateway.commission.session.records import RecordsError, broken_at, hash_of, read_records
+from gateway.commission.session.records import RecordsError, find_break, read_records, sha256_hex
 from tests.commission.bench import answer, at
 from tests.plc.bench import ROOT, Process, running
 
@@ -132,8 +132,8 @@ def test_every_command_leaves_a_record_and_the_records_are_a_chain(device: Proce
     assert (first.command, first.code, first.who) == ("read", 0, "the engineer")
     assert (second.code, second.frames["sent"]) == (4, 1)
     assert "illegal data address" in second.reason
-    assert second.previous == hash_of(path.read_bytes().splitlines()[0])
-    assert broken_at(path) is None
+    assert second.previous == sha256_hex(path.read_bytes().splitlines()[0])
+    assert find_break(path) is None
 
 
 @pytest.mark.parametrize("damage", ["changed", "removed", "inserted"])
@@ -149,7 +149,7 @@ def test_a_changed_a_missing_and_an_inserted_record_are_found(device: Process, t
     else:
         lines.insert(1, lines[1])
     path.write_text("".join(lines), encoding="utf-8")
-    assert broken_at(path) in (2, 3)
+    assert find_break(path) in (2, 3)
 
 
 def test_a_line_that_is_no_record_is_named(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from benchmarks.guess import verdict
 from drivers.codec import encode
 from drivers.tag import DType, Order, Tag
 from gateway.commission.encodings.advice import advise
-from gateway.commission.encodings.reading import ReadingError, ShownNumber, parse_shown
+from gateway.commission.encodings.reading import ReadingError, ShownNumber, parse_display
 from gateway.commission.encodings.scoring import EncodingCandidate, Observation, rank
 from tests.commission.bench import answer, at, force, plc
 from tests.plc.bench import Process, running
@@ -34,7 +34,7 @@ STRANGERS = {
 def shown(words: dict[int, int], text: str) -> Observation:
     """The strangers with these registers among them, and what the HMI showed."""
     memory = STRANGERS | words
-    reading = parse_shown(text)
+    reading = parse_display(text)
     assert isinstance(reading, ShownNumber)
     return Observation(96, tuple(memory[number] for number in sorted(memory)), reading)
 
@@ -128,7 +128,7 @@ def test_without_a_reading_there_is_no_guess() -> None:
     ],
 )
 def test_a_reading_is_understood_as_hmis_write_it(text: str, value: float, step: float) -> None:
-    found = parse_shown(text)
+    found = parse_display(text)
     assert isinstance(found, ShownNumber)
     assert (found.value, found.step) == (pytest.approx(value), pytest.approx(step))
 
@@ -136,7 +136,7 @@ def test_a_reading_is_understood_as_hmis_write_it(text: str, value: float, step:
 @pytest.mark.parametrize("text", ["", "warm", "1.2.3", "12-3", "--4", "5 °C"])
 def test_what_is_no_reading_is_refused(text: str) -> None:
     with pytest.raises(ReadingError, match="is no reading"):
-        parse_shown(text)
+        parse_display(text)
 
 
 def test_of_random_encodings_nine_in_ten_are_first_after_one_reading_and_nearly_all_after_two() -> None:

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from drivers.tag import DType, Order, Tag, Value
 from gateway.commission.files.cells import ListError
-from gateway.commission.hmi import HmiReading, Point, compare, left_to_do, points_of, read_hmi_list
+from gateway.commission.hmi import HmiReading, Point, compare, missing_proof, parse_points, read_hmi_list
 
 NOW = 1_700_000_000.0
 CURRENT = Tag("Assorbimento", "holding:101", DType.UINT16, scale=0.1, unit="A")
@@ -72,24 +72,24 @@ def test_what_the_hmi_rounds_agrees_and_what_is_far_off_does_not(value: float, d
 
 def test_a_number_is_proved_by_two_values_that_differ_and_a_flag_by_both_states() -> None:
     once, again, other = point(WARM, "40,0", 40.0), point(WARM, "40,0", 40.02), point(WARM, "55,1", 55.13)
-    assert left_to_do(WARM, []) == "not compared yet"
-    assert "only" in left_to_do(WARM, [once, again])
-    assert left_to_do(WARM, [once, again, other]) == ""
-    assert "seen on only" in left_to_do(FLAG, [point(FLAG, "1", True)])
-    assert left_to_do(FLAG, [point(FLAG, "1", True), point(FLAG, "0", False)]) == ""
+    assert missing_proof(WARM, []) == "not compared yet"
+    assert "only" in missing_proof(WARM, [once, again])
+    assert missing_proof(WARM, [once, again, other]) == ""
+    assert "seen on only" in missing_proof(FLAG, [point(FLAG, "1", True)])
+    assert missing_proof(FLAG, [point(FLAG, "1", True), point(FLAG, "0", False)]) == ""
     wrong = point(FLAG, "0", True)
-    assert "seen on only" in left_to_do(FLAG, [point(FLAG, "1", True), wrong])
+    assert "seen on only" in missing_proof(FLAG, [point(FLAG, "1", True), wrong])
 
 
 def test_what_was_proved_for_another_place_is_not_proved_for_this_one() -> None:
     both = [point(FLAG, "1", True), point(FLAG, "0", False)]
     moved = Tag("Marcia", "holding:101", DType.BOOL, bit=0)
-    assert left_to_do(moved, both) == "not compared yet"
+    assert missing_proof(moved, both) == "not compared yet"
 
 
 def test_points_come_back_from_a_record_and_strange_ones_are_left_out() -> None:
     one = point(WARM, "40,0", 40.0)
-    assert points_of({"points": [asdict(one), {"tag": "x"}, 3]}) == [one]
+    assert parse_points({"points": [asdict(one), {"tag": "x"}, 3]}) == [one]
 
 
 def test_lists_are_read_by_rows_and_by_columns(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from openpyxl import Workbook
 
-from gateway.commission.files.cells import ListError, number_of
+from gateway.commission.files.cells import ListError, parse_decimal
 from gateway.commission.files.io_list import IoList, Reading, read_io_list
 from gateway.commission.files.io_words import type_cell
 
@@ -81,7 +81,7 @@ def test_a_workbook_gives_the_same_as_its_csv(tmp_path: Path) -> None:
 
 def _is_number(cell: str) -> bool:
     try:
-        number_of(cell)
+        parse_decimal(cell)
     except ValueError:
         return False
     return True
@@ -208,13 +208,13 @@ def test_a_number_is_read_as_it_was_written(value: float, decimal: str, grouping
     text = f"{value:,.3f}"
     group = {"other": "." if decimal == "," else ","}.get(grouping, grouping)
     written = text.replace(",", "G").replace(".", decimal).replace("G", group)
-    assert number_of(written) == pytest.approx(round(value, 3), abs=5e-4)
+    assert parse_decimal(written) == pytest.approx(round(value, 3), abs=5e-4)
 
 
 @pytest.mark.parametrize("text", ["", "abc", "0,,1", "1.2.3", "1,23,4", "--1", "1e", "nan", "inf"])
 def test_what_is_no_number_is_refused(text: str) -> None:
     with pytest.raises(ValueError, match="no number"):
-        number_of(text)
+        parse_decimal(text)
 
 
 @pytest.mark.parametrize(

@@ -51,7 +51,10 @@ def test_of_the_audit_log_the_rows_of_the_machine_that_is_named(tmp_path: Path) 
     path = plant(tmp_path)
     (tmp_path / "out").mkdir()
     audit = open_audit(tmp_path / "out/audit.sqlite")
-    rows = [AuditEntry(float(n), "armed", "Ada", name).of(name) for n, name in enumerate(("north", "south", "gone"))]
+    rows = [
+        AuditEntry(float(n), "armed", "Ada", name).with_subject(name)
+        for n, name in enumerate(("north", "south", "gone"))
+    ]
     assert all(audit.record(row) for row in rows) and audit.close()
 
     def reasons(*more: str) -> list[str]:

@@ -70,7 +70,7 @@ def test_the_bound_on_requests_holds_and_what_it_leaves_open_is_not_called_refus
     readable = {at for start, length in ranges for at in range(start, min(300, start + length))}
     found = explored(readable, 16, set(), 0, 300, budget)
     assert found.requests <= budget
-    refused = {at for start, length in found.refused for at in range(start, start + length)}
+    refused = {at for start, length in found.refusals for at in range(start, start + length)}
     assert refused.isdisjoint(readable)
 
 

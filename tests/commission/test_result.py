@@ -9,7 +9,7 @@ import click
 import pytest
 from click.testing import CliRunner, Result
 
-from gateway.commission.session import failed, ok, result_of, step_lines, warning
+from gateway.commission.session import conclude_steps, failed_step, ok, step_lines, warning
 from gateway.console import CommandResult, Line, Part, Rows, conclude
 from gateway.entry import Exit
 from tests.plc.bench import ROOT
@@ -23,10 +23,10 @@ BESIDE_THE_RESULT = {
     ("commission/served.py", "served"): "the table as CSV, for another program",
     ("lab/gap/diagnose.py", "diagnose"): "that traces overlap, on standard error",
     ("lab/ingestion/ingest.py", "_tell"): "each file as it comes",
-    ("lab/regression/standard.py", "models_in"): "a model that cannot be read, on standard error",
-    ("lab/traces/load.py", "load_reported"): "what of the files was not read, on standard error",
-    ("lab/traces/load.py", "warned_of"): "what the traces do not show, on standard error",
-    ("lab/traces/map.py", "asked_map"): "questions and their answers, on standard error",
+    ("lab/regression/standard.py", "load_models"): "a model that cannot be read, on standard error",
+    ("lab/traces/load.py", "load_with_report"): "what of the files was not read, on standard error",
+    ("lab/traces/load.py", "channel_warnings"): "what the traces do not show, on standard error",
+    ("lab/traces/map.py", "ask_map"): "questions and their answers, on standard error",
     ("cli/keep/configurations.py", "diff"): "the difference as it is, for another program",
     ("cli/plant/accounts.py", "add"): "a sentence of a command without --json",
     ("cli/plant/accounts.py", "password"): "a sentence of a command without --json",
@@ -104,11 +104,16 @@ def test_what_stands_aside_is_on_standard_error() -> None:
 
 
 def test_of_steps_the_first_that_failed_is_the_complaint() -> None:
-    steps = [ok("disk", "room"), warning("clock", "free"), failed("bus", "down", OSError("x")), failed("map", "bad")]
-    result = result_of(steps, heard=3)
-    assert (result.complaint, result.code) == ("down", failed("bus", "down", OSError("x")).code)
+    steps = [
+        ok("disk", "room"),
+        warning("clock", "free"),
+        failed_step("bus", "down", OSError("x")),
+        failed_step("map", "bad"),
+    ]
+    result = conclude_steps(steps, heard=3)
+    assert (result.complaint, result.code) == ("down", failed_step("bus", "down", OSError("x")).code)
     assert result.data["heard"] == 3 and [step["state"] for step in result.data["steps"]] == [
         *("ok", "warning", "failed", "failed")
     ]
     assert len(list(step_lines(result.data))) == len(steps)
-    assert result_of(steps[:2]).code == Exit.OK
+    assert conclude_steps(steps[:2]).code == Exit.OK

@@ -11,7 +11,7 @@ from drivers.modbus import rtu
 from drivers.modbus.verify import IDENTIFY, Asked, check_reply
 from drivers.survey import AsksRegisters, open_registers
 from drivers.tag import DType, Order, Quality, Tag
-from drivers.tap import TapFrame, listening
+from drivers.tap import TapFrame, tap_frames
 from tests.drivers.scripted import ScriptedPlc, mbap, transaction_of
 
 HEAD = bytes((1, IDENTIFY, 14, 1, 1))
@@ -95,7 +95,7 @@ async def test_a_tap_hears_what_is_sent_and_received_and_nothing_outside_its_con
     async def act(survey: AsksRegisters) -> None:
         await survey.read("holding", 1, 1)
 
-    with listening(heard.append):
+    with tap_frames(heard.append):
         await surveyed(plc, act)
     await plc.start()
     await plc.stop()

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.lab.discrepancy.fitting import anchored, fit, frame_of, record_of
+from sim.lab.discrepancy.fitting import build_frame, build_record, fit, with_priors
 from sim.lab.discrepancy.fitting.baseline import Frame
 from sim.sha.events import encode
 from tests.discrepancy.plants import ALPHABET, TARGETS, model, plant
@@ -18,12 +18,12 @@ def frame_with_high(rows: int) -> Frame:
     begin = int(np.flatnonzero(np.diff(trace.signals["MarciaDecanter"]) > 0)[1]) + 60
     low[begin : begin + rows] = 250.0
     changed = replace(trace, signals={**trace.signals, "Assorbimento": low}, events=())
-    return frame_of(record_of(model(), [replace(changed, events=encode(changed, ALPHABET))], ()))
+    return build_frame(build_record(model(), [replace(changed, events=encode(changed, ALPHABET))], ()))
 
 
 def test_a_location_of_two_minutes_keeps_its_target() -> None:
     frame = frame_with_high(4)
-    kept = anchored(frame)
+    kept = with_priors(frame)
     high = frame.names.targets.index("HIGH")
     assert kept.shape.spread[high] == pytest.approx(0.5)  # what the model says of itself
     assert np.delete(kept.shape.spread, high) == pytest.approx(np.delete(frame.shape.spread, high))
@@ -42,10 +42,10 @@ def test_a_target_of_which_the_given_model_knows_little_is_fitted_all_the_same()
     )
     vague = replace(frame.record.model, sha=replace(frame.record.model.sha, locations=places))
     frame = replace(frame, record=replace(frame.record, model=vague))
-    assert anchored(frame).shape.spread == pytest.approx(frame.shape.spread)
+    assert with_priors(frame).shape.spread == pytest.approx(frame.shape.spread)
 
 
 def test_a_location_of_a_quarter_of_an_hour_is_fitted() -> None:
     frame = frame_with_high(30)
-    assert anchored(frame).shape.spread == pytest.approx(frame.shape.spread)
-    assert fit(anchored(frame)).state.linear[frame.names.targets.index("HIGH")] < TARGETS["HIGH"][0] - 5.0
+    assert with_priors(frame).shape.spread == pytest.approx(frame.shape.spread)
+    assert fit(with_priors(frame)).state.linear[frame.names.targets.index("HIGH")] < TARGETS["HIGH"][0] - 5.0

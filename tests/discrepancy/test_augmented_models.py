@@ -7,7 +7,7 @@ import pytest
 
 from sim.effects.kinds import EFFECTS
 from sim.lab.discrepancy.fitting.candidates import catalogue
-from sim.lab.discrepancy.fitting.named import Named, effect_of
+from sim.lab.discrepancy.fitting.named import Named, main_effect
 from sim.lab.learning.semi_markov import fit_stays, with_inputs
 from sim.proof.verification import verify
 from sim.sha.automaton import Effect
@@ -18,7 +18,7 @@ from tests.rig.pair import TARGETS, known_model
 
 def named(kind: str) -> Named:
     entry = next(entry for entry in catalogue() if entry.name == kind)
-    signals = {role: role.capitalize() for role in EFFECTS[kind].needed}
+    signals = {role: role.capitalize() for role in EFFECTS[kind].required_roles}
     params = {name: max(given.low, 1.0) for name, given in EFFECTS[kind].parameters.items()}
     return Named(entry, signals, params)
 
@@ -26,7 +26,7 @@ def named(kind: str) -> Named:
 @pytest.mark.parametrize("kind", [entry.name for entry in catalogue()])
 def test_no_effect_acts_where_the_flow_says_nothing(kind: str) -> None:
     model = known_model()
-    effect = effect_of(named(kind), model)
+    effect = main_effect(named(kind), model)
     silent = {place.name for place in model.sha.locations if place.flow.kind == "constant"}
     assert "ON/?" in silent
     if EFFECTS[kind].acts == "everywhere":
@@ -34,7 +34,9 @@ def test_no_effect_acts_where_the_flow_says_nothing(kind: str) -> None:
         return
     assert effect.locations and not silent & set(effect.locations)
     running = {name for name in TARGETS if name.startswith("ON/")}
-    assert set(effect.locations) == (running if EFFECTS[kind].acts_with(effect.signals) == "running" else set(TARGETS))
+    assert set(effect.locations) == (
+        running if EFFECTS[kind].action_place(effect.signals) == "running" else set(TARGETS)
+    )
 
 
 def test_the_signals_of_effects_are_learned_per_stay_and_make_the_model_deployable() -> None:

@@ -9,7 +9,7 @@ from sim.effects import moment_words
 from sim.engine import linear_recursion
 from sim.lab.discrepancy import GapBeginning, beginning_sentence
 from sim.lab.discrepancy.beginning import beginning
-from sim.lab.discrepancy.fitting import Fitted, fit, frame_of, on, record_of
+from sim.lab.discrepancy.fitting import Fitted, build_frame, build_record, fit, move_frame
 from sim.lab.discrepancy.held_out import HeldOutRun, let_run
 from sim.lab.discrepancy.rules import RULES
 from sim.lab.discrepancy.workflow import diagnose
@@ -23,14 +23,14 @@ PERIOD, BEGINS, PUT = 60.0, 2.2 * 86400.0, 8.0 / 3600.0
 @pytest.fixture(scope="module")
 def trial() -> HeldOutRun:
     """Free runs through fifteen cycles of a plant in which nothing is missing."""
-    record = record_of(model(), [plant(1, days=5)], ())
-    base: Fitted = fit(on(frame_of(record), record))
+    record = build_record(model(), [plant(1, days=5)], ())
+    base: Fitted = fit(move_frame(build_frame(record), record))
     return let_run(base, record.by_cycles())
 
 
 def changed(trial: HeldOutRun, errors: Array) -> HeldOutRun:
     """The runs with so much more error in each cycle while the machine runs."""
-    running = trial.record.windowed(trial.record.running) > 0.5
+    running = trial.record.window_means(trial.record.running) > 0.5
     return replace(trial, residual=trial.residual + np.where(running, errors[trial.record.window_whole], 0.0))
 
 
@@ -57,8 +57,8 @@ def test_what_is_clean_grows_or_wanders_begins_nowhere(trial: HeldOutRun) -> Non
 @pytest.fixture(scope="module")
 def run_on() -> HeldOutRun:
     """A free run through one run of five days."""
-    record = record_of(model(), [plant(1, days=5, runs_on=True)], ())
-    return let_run(fit(on(frame_of(record), record), rounds=2), record.by_cycles())
+    record = build_record(model(), [plant(1, days=5, runs_on=True)], ())
+    return let_run(fit(move_frame(build_frame(record), record), rounds=2), record.by_cycles())
 
 
 def pieces_of(trial: HeldOutRun) -> tuple[Array, Array]:
@@ -114,8 +114,8 @@ def test_random_walks_of_a_long_run_begin_nowhere(run_on: HeldOutRun) -> None:
 
 def test_clean_plants_begin_nowhere() -> None:
     for seed in range(20, 28):
-        record = record_of(model(), [plant(seed, days=4)], ())
-        base = fit(on(frame_of(record), record), rounds=2)
+        record = build_record(model(), [plant(seed, days=4)], ())
+        base = fit(move_frame(build_frame(record), record), rounds=2)
         assert beginning((let_run(base, record.by_cycles()),), 0.03, RULES) is None, seed
 
 

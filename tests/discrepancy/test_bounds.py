@@ -9,28 +9,28 @@ from sim.lab.discrepancy.fitting import (
     CatalogueEntry,
     Fitted,
     Record,
-    anchored,
+    build_frame,
+    build_record,
     catalogue,
     fit,
-    frame_of,
-    on,
-    record_of,
+    move_frame,
     rivals,
+    with_priors,
 )
 from sim.lab.discrepancy.judging import NamingResult, dubious, fastest_movement, greatest_heat, too_short
 from sim.lab.discrepancy.naming import NamingStep, step
 from sim.lab.discrepancy.rules import RULES
-from sim.lab.discrepancy.screen import TIMES, Shape, refined, screen, shortest_visible
+from sim.lab.discrepancy.screen import TIME_PARAMETERS, Shape, refine_shape, screen, shortest_visible
 from sim.sha import Trace
 from tests.discrepancy.plants import PERIOD, model, plant, sparse
 
 
 def laid_out(trace: Trace) -> Record:
-    return record_of(model(), [trace], ())
+    return build_record(model(), [trace], ())
 
 
 def fitted(trace: Trace) -> Fitted:
-    return fit(anchored(on(frame_of(laid_out(trace)), laid_out(trace))))
+    return fit(with_priors(move_frame(build_frame(laid_out(trace)), laid_out(trace))))
 
 
 def entry(name: str) -> CatalogueEntry:
@@ -38,7 +38,7 @@ def entry(name: str) -> CatalogueEntry:
 
 
 def times_of(shape: Shape) -> list[float]:
-    return [shape.params[name] for name in TIMES if name in shape.params]
+    return [shape.params[name] for name in TIME_PARAMETERS if name in shape.params]
 
 
 @pytest.fixture(scope="module")
@@ -68,7 +68,7 @@ def test_a_refinement_stops_at_two_rows() -> None:
     trace = plant(3, days=2)
     read = trace.signals["T"]
     base = fitted(replace(trace, signals={**trace.signals, "T": np.concatenate([read[:1], read[:-1]])}))
-    found = refined(base, Shape(entry("dead-time"), {}, {"delay": 80.0, "blur": 0.0}), 1.0)
+    found = refine_shape(base, Shape(entry("dead-time"), {}, {"delay": 80.0, "blur": 0.0}), 1.0)
     assert found.params["delay"] == pytest.approx(2.0 * PERIOD, abs=0.1)
 
 
@@ -83,8 +83,8 @@ def test_of_effects_that_these_rows_cannot_show_it_is_said() -> None:
 
 def test_what_does_no_better_than_its_special_case_was_looked_for() -> None:
     trace = plant(3, days=2, period=60.0)
-    record = record_of(model(), [trace], ("Assorbimento",))
-    base = fit(on(frame_of(record), record), rounds=1, iterations=3)
+    record = build_record(model(), [trace], ("Assorbimento",))
+    base = fit(move_frame(build_frame(record), record), rounds=1, iterations=3)
     entries = [entry(name) for name in ("late-current-heating", "current-heating")]
     made = step(base, entries, {"current": "Assorbimento"}, rules=RULES)
     assert "late-current-heating" not in {each.entry.name for each in made.evidence}

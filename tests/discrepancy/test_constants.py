@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.lab.discrepancy.constants import absorbed
-from sim.lab.discrepancy.fitting.baseline import frame_of, on
+from sim.lab.discrepancy.constants import find_absorbed_law
+from sim.lab.discrepancy.fitting.baseline import build_frame, move_frame
 from sim.lab.discrepancy.fitting.free_run_fit import fit
-from sim.lab.discrepancy.fitting.record import record_of
+from sim.lab.discrepancy.fitting.record import build_record
 from sim.lab.discrepancy.rules import RULES
 from sim.sha.automaton import SHA, Distribution, Edge, Flow, Input, Location
 from sim.sha.events import Alphabet, Bins, Switch, encode
@@ -87,11 +87,11 @@ def measured(law: dict[str, float], seed: int) -> Trace:
     ],
 )
 def test_the_law_behind_the_lines_is_told_where_there_is_one(law: dict[str, float], name: str | None) -> None:
-    record = record_of(three_lines(), [measured(law, 1)], ("Assorbimento", "MarciaPmpFango"))
+    record = build_record(three_lines(), [measured(law, 1)], ("Assorbimento", "MarciaPmpFango"))
     last = np.unique(record.cycle)[-3]
-    fitted = fit(on(frame_of(record), record.where(record.cycle < last)))
-    held_out = record.where(record.cycle >= last).by_cycles()
-    found = absorbed(fitted, "Assorbimento", held_out, RULES, pump="MarciaPmpFango")
+    fitted = fit(move_frame(build_frame(record), record.select(record.cycle < last)))
+    held_out = record.select(record.cycle >= last).by_cycles()
+    found = find_absorbed_law(fitted, "Assorbimento", held_out, RULES, pump="MarciaPmpFango")
     assert (found.name if found else None) == name
     if found:
         assert found.instead == len(found.coefficients) < found.constants == 6

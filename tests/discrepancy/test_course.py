@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from sim.lab.discrepancy.fitting import course
-from sim.lab.discrepancy.fitting.baseline import Frame, frame_of
+from sim.lab.discrepancy.fitting.baseline import Frame, build_frame
 from sim.lab.discrepancy.fitting.candidates import catalogue
-from sim.lab.discrepancy.fitting.course import CourseState, at, grid_at, scattered, window_sensitivity
+from sim.lab.discrepancy.fitting.course import CourseState, run_frame, scatter_response, window_grid, window_sensitivity
 from sim.lab.discrepancy.fitting.named import Named
-from sim.lab.discrepancy.fitting.record import record_of
+from sim.lab.discrepancy.fitting.record import build_record
 from sim.sha.trace import Array
 from tests.discrepancy.plants import model, plant
 
@@ -20,13 +20,13 @@ VALVE = {"opens": 46.0, "closes": 44.0, "sink": 17.0, "loss": 4e-4}
 
 @pytest.fixture(scope="module")
 def frame() -> Frame:
-    return frame_of(record_of(model(), [plant(5, days=2)], ()))
+    return build_frame(build_record(model(), [plant(5, days=2)], ()))
 
 
 def state_with(frame: Frame, kind: str, params: dict[str, float], guess: Array | None = None) -> CourseState:
     named = Named(next(entry for entry in catalogue() if entry.name == kind), {}, params)
     start = frame.record.reading[frame.record.window_first]
-    return at(frame, np.concatenate([frame.centre, [named.strength]]), start, [named], guess)
+    return run_frame(frame, np.concatenate([frame.centre, [named.strength]]), start, [named], guess)
 
 
 def test_a_scatter_of_all_cycles_alike_is_a_change_of_the_targets_through_the_sensor_too(frame: Frame) -> None:
@@ -36,13 +36,13 @@ def test_a_scatter_of_all_cycles_alike_is_a_change_of_the_targets_through_the_se
     targets = dict(zip(frame.names.targets, state.linear, strict=False))
     direction = np.array([targets[name] - targets["OFF"] for name in frame.names.targets])
     both = window_sensitivity(frame, state, start)[:, : direction.size] @ direction
-    columns = scattered(frame, state)
+    columns = scatter_response(frame, state)
     assert columns.shape == (frame.record.reading.size, 6)
     np.testing.assert_allclose(columns.sum(axis=1), both, atol=2e-3 * np.max(np.abs(both)))
 
 
 def test_a_cycles_scatter_begins_with_it_and_dies_away_after_it(frame: Frame) -> None:
-    columns = scattered(frame, state_with(frame, "dead-time", DELAY))
+    columns = scatter_response(frame, state_with(frame, "dead-time", DELAY))
     cycle = frame.record.window_cycle
     for number in range(columns.shape[1]):
         assert np.max(np.abs(columns[cycle < number, number]), initial=0.0) < 1e-9
@@ -50,8 +50,8 @@ def test_a_cycles_scatter_begins_with_it_and_dies_away_after_it(frame: Frame) ->
 
 
 def test_rough_heat_is_felt_as_late_as_the_rest(frame: Frame) -> None:
-    at_once = grid_at(frame, at(frame, frame.centre, frame.record.reading[frame.record.window_first], []))
-    late = grid_at(frame, state_with(frame, "dead-time", {"delay": 240.0, "blur": 0.0}))
+    at_once = window_grid(frame, run_frame(frame, frame.centre, frame.record.reading[frame.record.window_first], []))
+    late = window_grid(frame, state_with(frame, "dead-time", {"delay": 240.0, "blur": 0.0}))
     times = frame.record.times
     starts = [times[int(np.argmax(grid.running > 0.5))] for grid in (at_once, late)]
     assert starts[1] - starts[0] == pytest.approx(240.0, abs=40.0)
@@ -76,14 +76,14 @@ def test_a_housing_is_as_warm_where_a_run_begins_as_the_readings_before_have_lef
         runs=replace(record.runs, reading=np.where(np.isfinite(record.runs.reading), whole.course, np.nan)),
         uncut=replace(record.uncut, reading=np.interp(record.uncut.time, record.runs.time, whole.course)),
     )
-    cut = frame_of(measured.by_cycles())
+    cut = build_frame(measured.by_cycles())
     named = Named(
         next(entry for entry in catalogue() if entry.name == "housing-thermal-mass"),
         {},
         {"coupling": 2e-4, "tau": 7200.0},
     )
     first = cut.record.runs.first
-    again = at(cut, np.concatenate([frame.centre, [2e-4]]), whole.course[first], [named])
+    again = run_frame(cut, np.concatenate([frame.centre, [2e-4]]), whole.course[first], [named])
     assert first.sum() > 3
     np.testing.assert_allclose(again.course, whole.course, atol=0.02)
 
@@ -106,18 +106,18 @@ def test_derivatives_in_closed_form_are_those_of_the_simulation(
     kind: str, second: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """By no free run of their own: one for each parameter would be most of what a diagnosis costs."""
-    frame = frame_of(record_of(model(), [plant(5, days=1)], ("MarciaPmpFango", "Assorbimento")))
+    frame = build_frame(build_record(model(), [plant(5, days=1)], ("MarciaPmpFango", "Assorbimento")))
     entries = {entry.name: entry for entry in catalogue()}
     named = [Named(entries[name], *SHAPES[name]) for name in dict.fromkeys((kind, *second))]
     point = np.concatenate([frame.centre, *(effect.point for effect in named)])
     start = frame.record.reading[frame.record.window_first]
-    state = at(frame, point, start, named)
+    state = run_frame(frame, point, start, named)
     sizes = [*(1e-4 * frame.shape.spread), *[1e-4] * frame.count[1]]
     sizes += [size for effect in named for size in (1e-4 * effect.strength, *[1e-3] * (len(effect.free) - 1))]
     moved = [point + size * (np.arange(point.size) == number) for number, size in enumerate(sizes)]
-    runs = [at(frame, each, start, named, state.course) for each in moved]
+    runs = [run_frame(frame, each, start, named, state.course) for each in moved]
     changes = np.column_stack([(run.mean - state.mean) / size for run, size in zip(runs, sizes, strict=True)])
-    expected = frame.record.windowed(changes)
+    expected = frame.record.window_means(changes)
     monkeypatch.setattr(course, "run_free", None)
     columns = window_sensitivity(frame, state, start)
     # What a valve's bend is worth in a row that it falls into is known to the row's length.

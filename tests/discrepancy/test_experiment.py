@@ -21,11 +21,11 @@ from sim.lab.discrepancy.experiment import (
     machine_operation,
     propose_experiment,
     rivals_to_tell,
+    schedule_steps,
     schedule_trace,
     schedules,
-    steps_of,
 )
-from sim.lab.discrepancy.fitting import first_cycle_after, frame_of, on, record_of, rivals
+from sim.lab.discrepancy.fitting import build_frame, build_record, first_new_cycle, move_frame, rivals
 from sim.lab.discrepancy.fitting.candidates import catalogue
 from sim.lab.discrepancy.fitting.free_run_fit import fit
 from sim.lab.discrepancy.held_out import HeldOutRun
@@ -50,9 +50,9 @@ EVERY = 2
 
 def looked_at(traces: list[Trace]) -> NamingStep:
     """A weak heat of the current that comes late, and the rival of which it is a case."""
-    record = record_of(GIVEN, traces, ("Assorbimento",))
+    record = build_record(GIVEN, traces, ("Assorbimento",))
     entries = [entry for entry in catalogue() if entry.name in (WEAK.kind, "late-current-heating")]
-    return step(fit(on(frame_of(record), record)), [*entries, *rivals()], CURRENT, rules=RULES)
+    return step(fit(move_frame(build_frame(record), record)), [*entries, *rivals()], CURRENT, rules=RULES)
 
 
 @pytest.fixture(scope="module")
@@ -93,10 +93,10 @@ def test_what_is_set_lies_within_what_was_seen_and_a_room_is_not_set() -> None:
     found = schedules(operation, 1500.0)
     assert len({each.what for each in found}) == 6
     for each in found:
-        assert {one.signal for one in steps_of(each)} <= {"MarciaDecanter", "Assorbimento", "MarciaPmpFango"}
-        assert sum(one.seconds for one in steps_of(each)) == pytest.approx(each.seconds)
-        assert all(one.value in (0.0, 1.0) for one in steps_of(each) if one.signal != "Assorbimento")
-        values = [one.value for one in steps_of(each) if one.signal == "Assorbimento"]
+        assert {one.signal for one in schedule_steps(each)} <= {"MarciaDecanter", "Assorbimento", "MarciaPmpFango"}
+        assert sum(one.seconds for one in schedule_steps(each)) == pytest.approx(each.seconds)
+        assert all(one.value in (0.0, 1.0) for one in schedule_steps(each) if one.signal != "Assorbimento")
+        values = [one.value for one in schedule_steps(each) if one.signal == "Assorbimento"]
         assert all(trace.signals["Assorbimento"][on_].min() <= value <= 260.0 for value in values), (each.what, values)
 
 
@@ -115,7 +115,7 @@ def test_a_pump_rests_with_the_machine_and_a_room_goes_on_as_it_went() -> None:
 
 def test_a_load_is_set_where_the_model_knows_what_it_does() -> None:
     trace = plant(1, days=2)
-    record = record_of(model(), [trace], ("Assorbimento",))
+    record = build_record(model(), [trace], ("Assorbimento",))
     operation = machine_operation(model(), [trace], ROLES)
     low, high = operation.levels["Assorbimento"]
     (edge,) = barred_loads(operation, record)
@@ -127,16 +127,19 @@ def test_a_load_is_set_where_the_model_knows_what_it_does() -> None:
         for place in model().sha.locations
     ]
     driven = replace(model(), sha=replace(model().sha, locations=tuple(follows)))
-    barred = replace(operation, barred=barred_loads(operation, record_of(driven, [trace], ("Assorbimento",))))
+    barred = replace(operation, barred=barred_loads(operation, build_record(driven, [trace], ("Assorbimento",))))
     seen = trace.signals["Assorbimento"]
     seen = seen[(seen > 0) & (seen < 200.0)]
-    assert barred.allowed(180.0) in (pytest.approx(np.quantile(seen, 0.95), rel=0.01), pytest.approx(edge[1], rel=0.01))
-    assert barred.allowed(240.0) == 240.0 and barred.allowed(150.0) == 150.0
-    assert operation.allowed(180.0) == 180.0 and replace(operation, barred=(edge,)).allowed(201.0) > 204.0
+    assert barred.nearest_level(180.0) in (
+        pytest.approx(np.quantile(seen, 0.95), rel=0.01),
+        pytest.approx(edge[1], rel=0.01),
+    )
+    assert barred.nearest_level(240.0) == 240.0 and barred.nearest_level(150.0) == 150.0
+    assert operation.nearest_level(180.0) == 180.0 and replace(operation, barred=(edge,)).nearest_level(201.0) > 204.0
 
 
 def test_what_is_set_at_once_is_one_step_with_a_time() -> None:
-    steps = steps_of(
+    steps = schedule_steps(
         ExperimentSchedule("", (({"W": 0.0}, 60.0), ({"W": 1.0, "A": 5.0}, 120.0), ({"W": 1.0, "A": 5.0}, 30.0)))
     )
     assert [(one.signal, one.value, one.seconds) for one in steps] == [
@@ -197,8 +200,8 @@ def test_an_experiment_is_fitted_and_never_held_out_and_no_gap_begins_with_it(mo
     monkeypatch.setattr(proving, "beginning", looked_for)
     days, later = plant(1, days=2), plant(5, days=1)
     later = replace(later, times=later.times + 3 * 86400.0, events=())
-    record = record_of(model(), [days, replace(later, events=encode(later, ALPHABET))], ())
-    assert first_cycle_after(record, [days]) == 6 and first_cycle_after(record, [days, later]) == np.inf
+    record = build_record(model(), [days, replace(later, events=encode(later, ALPHABET))], ())
+    assert first_new_cycle(record, [days]) == 6 and first_new_cycle(record, [days, later]) == np.inf
     found = diagnose(model(), [days], seed=0, experiments=[later]).diagnosis
     course = found.course
     assert course is not None

@@ -7,20 +7,20 @@ import pytest
 
 from sim.engine import linear_recursion
 from sim.lab.discrepancy.diagnosis import HeldOutProof, NoiseFloor
-from sim.lab.discrepancy.fitting import Fitted, Record, fit, frame_of, on, record_of
+from sim.lab.discrepancy.fitting import Fitted, Record, build_frame, build_record, fit, move_frame
 from sim.lab.discrepancy.fitting.candidates import catalogue
 from sim.lab.discrepancy.gap import (
     believed_size,
-    floor_of,
     limit_parameter_errors,
-    predicted,
+    noise_floor,
+    predict_errors,
     scatter_of_equal_cycles,
     size_by_equal_cycles,
     stated_errors,
     told_by_all,
 )
-from sim.lab.discrepancy.held_out import as_given, compared, let_run, mean_squares, runs_before
-from sim.lab.discrepancy.judging import NamingResult, above, doubts, least_told
+from sim.lab.discrepancy.held_out import compare_fits, given_model_run, let_run, mean_squares, reference_runs
+from sim.lab.discrepancy.judging import NamingResult, doubts, is_gap, min_noticeable_error
 from sim.lab.discrepancy.naming import NamingStep, confirm, step
 from sim.lab.discrepancy.proving import Proof, longest_that_passes
 from sim.lab.discrepancy.rules import RULES
@@ -36,10 +36,10 @@ FOUR_DAYS = 12
 
 def parts(made: Model, trace: Trace, *signals: str) -> tuple[Fitted, Record]:
     """(the fit of the first two thirds of the cycles, the others by cycles)."""
-    record = record_of(made, [trace], signals)
+    record = build_record(made, [trace], signals)
     last = 2 * FOUR_DAYS // 3
-    base = fit(on(frame_of(record), record.where(record.cycle < last)))
-    return base, record.where(record.cycle >= last).by_cycles()
+    base = fit(move_frame(build_frame(record), record.select(record.cycle < last)))
+    return base, record.select(record.cycle >= last).by_cycles()
 
 
 @pytest.fixture(scope="module")
@@ -53,14 +53,14 @@ def pumped() -> tuple[Fitted, Record]:
 
 
 def floor(made: Model, trace: Trace, base: Fitted, held_out: Record) -> NoiseFloor:
-    return floor_of(stated_errors(made, [trace], base), base, held_out, 0, RULES)
+    return noise_floor(stated_errors(made, [trace], base), base, held_out, 0, RULES)
 
 
 @pytest.mark.parametrize("seed", [1, 2, 11])
 def test_where_nothing_is_missing_the_error_lies_within_the_floors_interval(seed: int) -> None:
     base, held_out = parts(model(), plant(seed))
     made = floor(model(), plant(seed), base, held_out)
-    held, _, _ = compared(base, base, held_out, 0, made)
+    held, _, _ = compare_fits(base, base, held_out, 0, made)
     low, high = made.interval
     assert low < held.rmse_before < high and low < made.error < high
     assert held.noise_floor == made.error and made.per_cycle.size == held.cycles == 4
@@ -105,10 +105,10 @@ def test_what_the_model_states_draws_the_floor_towards_it_by_as_much_as_the_cycl
 
 def test_equal_cycles_are_judged_by_what_the_same_noise_leaves_of_the_same_cycles() -> None:
     """Where nothing is missing they differ by the fit's own noise, and by as much where all of them err alike."""
-    record = record_of(model(), [plant(1, days=6)], ())
-    base = fit(on(frame_of(record), record), rounds=2)
+    record = build_record(model(), [plant(1, days=6)], ())
+    base = fit(move_frame(build_frame(record), record), rounds=2)
     trial = let_run(base, base.frame.record.by_cycles())
-    alike = replace(trial, residual=trial.residual + 3.0 * (trial.record.windowed(trial.record.running) > 0.5))
+    alike = replace(trial, residual=trial.residual + 3.0 * (trial.record.window_means(trial.record.running) > 0.5))
     sizes = [size_by_equal_cycles(one, base, np.random.default_rng(0), RULES) for one in (trial, alike)]
     assert 0.8 < sizes[0] < 1.2
     assert sizes[1] == pytest.approx(sizes[0], rel=0.05)
@@ -134,10 +134,10 @@ def test_what_wrong_parameters_err_by_is_at_most_what_the_noise_does_in_each_cyc
     trial = let_run(base, held_out)
     noise = trial.whitener.draw(np.random.default_rng(0), 50)
     cycles = mean_squares(trial)[2]
-    wrong = trial.record.windowed(trial.record.running)[:, None] * np.random.default_rng(1).standard_normal(50)
-    alone, _ = predicted(trial, cycles, noise)
+    wrong = trial.record.window_means(trial.record.running)[:, None] * np.random.default_rng(1).standard_normal(50)
+    alone, _ = predict_errors(trial, cycles, noise)
     for size, most in ((1e-4, 1.01), (10.0, MOST)):
-        errs, drawn = predicted(trial, cycles, noise - limit_parameter_errors(trial, size * wrong, noise, MOST))
+        errs, drawn = predict_errors(trial, cycles, noise - limit_parameter_errors(trial, size * wrong, noise, MOST))
         assert (errs <= most * alone * (1 + 1e-9)).all() and drawn.size == 50
     assert errs == pytest.approx(MOST * alone), "from the same draws as the interval"
 
@@ -153,12 +153,12 @@ def test_what_turns_between_two_rows_of_a_slow_recorder_is_no_gap() -> None:
 
 
 def test_what_all_equal_cycles_err_by_alike_is_no_noise() -> None:
-    record = record_of(model(), [plant(1, days=6)], ())
-    base = fit(on(frame_of(record), record), rounds=2)
+    record = build_record(model(), [plant(1, days=6)], ())
+    base = fit(move_frame(build_frame(record), record), rounds=2)
     trial = let_run(base, base.frame.record.by_cycles())
     before = scatter_of_equal_cycles(trial.record, trial.residual, RULES)
     # Three degrees more in each cycle's running hours: an error of all alike.
-    running = trial.record.windowed(trial.record.running) > 0.5
+    running = trial.record.window_means(trial.record.running) > 0.5
     missing = replace(trial, residual=trial.residual + 3.0 * running)
     assert scatter_of_equal_cycles(missing.record, missing.residual, RULES) == pytest.approx(before, rel=0.05)
     assert np.sqrt(np.mean(missing.residual**2)) > 5.0 * before
@@ -178,9 +178,9 @@ def test_neither_another_column_nor_its_digits_nor_names_move_floor_or_verdict()
 def test_an_error_beyond_the_interval_that_could_be_felt_is_a_gap_and_within_it_none() -> None:
     made = NoiseFloor(0.2, (0.1, 0.3), np.arange(4), np.full(4, 0.2), "the sensor alone")
     held = HeldOutProof(4, 4, 0.5, 0.31, 0.31, 0.2, None, None, ())
-    assert above(held, made, sensor=0.1, rules=RULES)
-    assert not above(replace(held, rmse_before=0.29), made, sensor=0.1, rules=RULES)
-    assert not above(held, made, sensor=2.0, rules=RULES), "nobody feels it"
+    assert is_gap(held, made, sensor=0.1, rules=RULES)
+    assert not is_gap(replace(held, rmse_before=0.29), made, sensor=0.1, rules=RULES)
+    assert not is_gap(held, made, sensor=2.0, rules=RULES), "nobody feels it"
 
 
 def test_before_is_told_of_the_model_as_given_and_refitted_and_no_more_than_all_is_removed(
@@ -190,10 +190,12 @@ def test_before_is_told_of_the_model_as_given_and_refitted_and_no_more_than_all_
     made = NoiseFloor(0.3, (0.1, 0.6), np.arange(8, 12), np.full(4, 0.3), "the sensor alone")
     best = confirmed(base, "pump-cooling").evidence[0].fitted
     assert best is not None
-    held, _, second = compared(base, best, held_out, 0, made)
+    held, _, second = compare_fits(base, best, held_out, 0, made)
     assert held.rmse_given > held.rmse_before > held.rmse_after
     assert held.rmse_after < 0.3 and held.excess_removed == 1.0 and held.ci95 is not None and held.ci95[1] == 1.0
-    assert held.rmse_given == pytest.approx(np.sqrt(np.mean(let_run(as_given(base), held_out).residual ** 2)), rel=1e-6)
+    assert held.rmse_given == pytest.approx(
+        np.sqrt(np.mean(let_run(given_model_run(base), held_out).residual ** 2)), rel=1e-6
+    )
     assert mean_squares(second)[2].tolist() == [8, 9, 10, 11]
 
 
@@ -218,7 +220,7 @@ def test_a_superfluous_second_name_does_not_take_the_first_one_down(pumped: tupl
     whole = NamingResult(base, second, ((first, ""), (harmful, "")))
     beginning = NamingResult(base, pump, ((first, ""), (harmful, "does not pass")))
     made = floor(model(), plant(3, pump=2e-4), pump, held_out)
-    proof = Proof(held_out, runs_before(base, held_out), made, np.full(8, 0.1), None, None, 0, RULES)
+    proof = Proof(held_out, reference_runs(base, held_out), made, np.full(8, 0.1), None, None, 0, RULES)
     judged = longest_that_passes(proof, [whole, beginning])
     assert judged.path is beginning and judged.reasons == ()
     alone = longest_that_passes(proof, [whole])
@@ -289,7 +291,7 @@ def test_how_much_is_needed_is_said_or_that_more_of_it_would_not_help() -> None:
     assert little_sentence(made, held, 8.0, 4.0, "°C").endswith("About 4 times as much of it is needed.")
     assert "would not help" in little_sentence(made, held, 3.0, 1.5, "°C")
     readings = np.array([10.0, 30.0])
-    assert least_told(readings, 0.1, RULES) == 5.0 and least_told(readings, 20.0, RULES) == 10.0
+    assert min_noticeable_error(readings, 0.1, RULES) == 5.0 and min_noticeable_error(readings, 20.0, RULES) == 10.0
 
 
 @pytest.mark.parametrize("seed", [1, 2])
@@ -308,6 +310,6 @@ def test_the_floor_of_a_plant_that_is_exact_but_for_its_readings_is_what_windows
     trace = simulated(exact, seed)
     base, held_out = parts(exact, trace)
     told = floor(exact, trace, base, held_out)
-    held, _, _ = compared(base, base, held_out, 0, told)
+    held, _, _ = compare_fits(base, base, held_out, 0, told)
     assert held.rmse_before == pytest.approx(told.error, rel=0.07)
     assert base.sensor_sigma == pytest.approx(0.0668, rel=0.07), "rounding to 0.1 degC is in it"

@@ -6,24 +6,24 @@ import numpy as np
 import pytest
 
 from sim.lab.discrepancy.diagnosis import Ceiling, HeldOutProof
-from sim.lab.discrepancy.fitting.baseline import frame_of, on
+from sim.lab.discrepancy.fitting.baseline import build_frame, move_frame
 from sim.lab.discrepancy.fitting.candidates import catalogue
 from sim.lab.discrepancy.fitting.free_run_fit import Fitted, fit
-from sim.lab.discrepancy.fitting.record import record_of
+from sim.lab.discrepancy.fitting.record import build_record
 from sim.lab.discrepancy.gap import Excess
-from sim.lab.discrepancy.heat import REACH, implied_heat
+from sim.lab.discrepancy.heat import REACH_DELAYS, implied_heat
 from sim.lab.discrepancy.held_out import let_run
-from sim.lab.discrepancy.judging import NamingResult, doubts, evidence_of, left_over
+from sim.lab.discrepancy.judging import NamingResult, doubts, gap_evidence, leftover_reasons
 from sim.lab.discrepancy.naming import NamingStep, confirm, step
 from sim.lab.discrepancy.rules import RULES
-from sim.lab.discrepancy.story import sentence_of
+from sim.lab.discrepancy.story import verdict_sentence
 from tests.discrepancy.plants import model, plant
 
 
 @pytest.fixture(scope="module")
 def base() -> Fitted:
-    record = record_of(model(), [plant(3, days=2, pump=2e-4)], ("MarciaPmpFango",))
-    return fit(on(frame_of(record), record))
+    record = build_record(model(), [plant(3, days=2, pump=2e-4)], ("MarciaPmpFango",))
+    return fit(move_frame(build_frame(record), record))
 
 
 def confirmed(base: Fitted, name: str) -> NamingStep:
@@ -58,8 +58,8 @@ def test_an_error_that_the_floor_covers_is_no_gap_however_little_the_model_state
 ) -> None:
     chance = NamingResult(base, base, ((replace(pumped, evidence=(replace(pumped.evidence[0], gain=1.0),)), "chance"),))
     rougher = Excess(median=2.0, low=1.5)
-    assert evidence_of(chance, None, rougher, covered=False) == (rougher.words(),)
-    assert evidence_of(chance, None, rougher, covered=True) == ()
+    assert gap_evidence(chance, None, rougher, covered=False) == (rougher.words(),)
+    assert gap_evidence(chance, None, rougher, covered=True) == ()
 
 
 @pytest.mark.parametrize(("gains", "withheld"), [((50.0,), True), ((40.0, 30.0), False), ((70.0,), False)])
@@ -70,7 +70,7 @@ def test_names_that_are_beyond_doubt_together_need_not_bring_the_error_within_th
     assert best.fitted is not None
     steps = tuple((replace(pumped, evidence=(replace(best, gain=gain),)), "") for gain in gains)
     path = NamingResult(base, best.fitted, steps)
-    reasons = left_over(path, 10.0, Excess(median=3.4, low=2.0), Excess(median=2.4, low=1.5))
+    reasons = leftover_reasons(path, 10.0, Excess(median=3.4, low=2.0), Excess(median=2.4, low=1.5))
     assert bool(reasons) is withheld
 
 
@@ -78,13 +78,15 @@ def test_heat_is_not_judged_where_a_change_is_on_its_way_through_a_dead_time() -
     trace = plant(3, days=1)
     read = trace.signals["T"]
     late = replace(trace, signals={**trace.signals, "T": np.concatenate([np.full(8, read[0]), read[:-8]])})
-    record = record_of(model(), [late], ())
-    base = fit(on(frame_of(record), record))
+    record = build_record(model(), [late], ())
+    base = fit(move_frame(build_frame(record), record))
     delayed = confirmed(base, "dead-time").evidence[0].fitted
     assert delayed is not None and delayed.state.named[0].params["delay"] > 120.0
     runs = record.runs
     changes = runs.time[np.diff(runs.place, prepend=-1) != 0]
-    soon = np.array([np.any((time > changes + 60.0) & (time < changes + REACH * 120.0)) for time in record.times])
+    soon = np.array(
+        [np.any((time > changes + 60.0) & (time < changes + REACH_DELAYS * 120.0)) for time in record.times]
+    )
     assert np.isnan(implied_heat(delayed)[soon]).all()
     assert 0.3 < np.isfinite(implied_heat(delayed)).mean() < 0.95
     # Where the switch fell between two rows by more than the sensor errs nothing is known without a delay either.
@@ -137,7 +139,7 @@ def test_heat_of_some_minutes_does_not_speak_against_names_that_bring_the_error_
 def test_a_gap_within_the_noise_of_held_out_cycles_is_not_said_to_be_beyond_it() -> None:
     held = HeldOutProof(2, 2, 2.6, 2.54, 2.54, 1.8, None, None, ())
     said = {
-        gap: sentence_of("unexplained", (), unexplained=(), shifts=(), held=held, cycles=6, unit="°C", gap=gap)
+        gap: verdict_sentence("unexplained", (), unexplained=(), shifts=(), held=held, cycles=6, unit="°C", gap=gap)
         for gap in (False, True)
     }
     assert "further off than noise allows" in said[True]

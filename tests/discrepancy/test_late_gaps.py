@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from sim.lab.discrepancy.fitting.effects import deviation, lagged_signal
-from sim.lab.discrepancy.fitting.record import Record, record_of
+from sim.lab.discrepancy.fitting.record import Record, build_record
 from sim.sha.automaton import Effect
 from sim.sha.events import encode
 from tests.discrepancy.plants import ALPHABET, PERIOD, model, plant
@@ -22,7 +22,7 @@ def recorded(hours_lost: float) -> tuple[Record, float]:
     kept[stop - 5 : end] = False
     signals = {name: column[kept] for name, column in trace.signals.items()}
     rows = replace(trace, times=trace.times[kept], signals=signals, events=())
-    return record_of(model(), [replace(rows, events=encode(rows, ALPHABET))], ("Assorbimento",)), float(
+    return build_record(model(), [replace(rows, events=encode(rows, ALPHABET))], ("Assorbimento",)), float(
         trace.times[end]
     )
 

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from sim.artefacts.effect_lines import read_effect_lines
-from sim.lab.discrepancy.advice import in_words, law_sentence, look_at, overlap_sentence
+from sim.lab.discrepancy.advice import advice_lines, in_words, law_sentence, overlap_sentence
 from sim.lab.discrepancy.diagnosis import CandidateLaw, Diagnosis, HeatPlace
-from sim.lab.discrepancy.fitting.baseline import frame_of, on
+from sim.lab.discrepancy.fitting.baseline import build_frame, move_frame
 from sim.lab.discrepancy.fitting.candidates import catalogue, own_roles
 from sim.lab.discrepancy.fitting.free_run_fit import fit
-from sim.lab.discrepancy.fitting.record import record_of
+from sim.lab.discrepancy.fitting.record import build_record
 from sim.lab.discrepancy.law_search import candidate_laws
-from sim.lab.discrepancy.layout import measured_signals, present_roles, signals_needed
+from sim.lab.discrepancy.layout import measured_signals, present_roles, required_signals
 from sim.lab.discrepancy.naming import step
 from sim.lab.discrepancy.output.diagnosis_json import document, document_text
 from sim.lab.discrepancy.output.report import Occasion, report_html
@@ -33,10 +33,10 @@ SPREAD = 0.39
 def laws_of(hidden: Hidden, seed: int = 1, days: int = 4) -> tuple[CandidateLaw, ...]:
     """The laws of what the plant's own model leaves, without the naming before."""
     trace = plant(seed, hidden, days)
-    record = record_of(model(), [trace], measured_signals(model(), [trace], RULES))
+    record = build_record(model(), [trace], measured_signals(model(), [trace], RULES))
     last = int(np.quantile(np.unique(record.cycle), 0.7))
-    training = record.where(record.cycle < last)
-    base = fit(on(frame_of(record), training), rounds=2)
+    training = record.select(record.cycle < last)
+    base = fit(move_frame(build_frame(record), training), rounds=2)
     return candidate_laws(base, record, last, SPREAD, RULES)
 
 
@@ -63,7 +63,7 @@ def test_a_hidden_exchange_is_described_by_its_law_and_not_named(found: Diagnosi
         and written["cycles"] == f"{law.cycles[0]}/{law.cycles[1]}"
         and written["tried"] == law.tried
     )
-    assert any(look.startswith("what goes with (TMandata - temperature)") for look in look_at(found))
+    assert any(look.startswith("what goes with (TMandata - temperature)") for look in advice_lines(found))
 
 
 def test_the_report_shows_laws_and_what_to_look_at_first(found: Diagnosis, tmp_path: Path) -> None:
@@ -96,7 +96,7 @@ def test_a_law_that_a_person_names_is_named_by_the_next_diagnosis(found: Diagnos
     trace = plant(2, coupled, days=2)
     entries = catalogue([line])
     present = present_roles([trace], {"current": "Assorbimento", **own_roles([line])})
-    base = fit(frame_of(record_of(model(), [trace], signals_needed(model(), present))), rounds=2)
+    base = fit(build_frame(build_record(model(), [trace], required_signals(model(), present))), rounds=2)
     offered = [entry for entry in entries if entry.name in ("rinse", "startup-churning", "quadratic-current-heating")]
     best = step(base, offered, present, rules=RULES).best
     assert best is not None and best.fitted is not None

@@ -11,11 +11,11 @@ from sim.lab.discrepancy import layout
 from sim.lab.discrepancy.fitting import fit
 from sim.lab.discrepancy.layout import (
     SplitCycles,
+    build_layout,
     following_roles,
-    lay_out,
     measured_signals,
     present_roles,
-    signals_needed,
+    required_signals,
     split_cycles,
 )
 from sim.lab.discrepancy.rules import RULES
@@ -26,7 +26,7 @@ ROLES = {"current": "Assorbimento", "pump": "MarciaPmpFango"}
 
 
 def split_of(trace: Trace) -> SplitCycles:
-    return split_cycles(lay_out(model(), [trace], [], ROLES, RULES), RULES)
+    return split_cycles(build_layout(model(), [trace], [], ROLES, RULES), RULES)
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +62,7 @@ class Cut:
     cycle: Any
     by: str = ""
 
-    def where(self, keep: Any) -> "Cut":
+    def select(self, keep: Any) -> "Cut":
         return Cut(self.cycle[keep])
 
     def by_cycles(self) -> "Cut":
@@ -75,9 +75,9 @@ class Cut:
 def test_the_last_cycles_are_held_out_and_experiments_are_fitted(
     count: int, experiments: int, share: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(layout, "frame_of", lambda record: record)
-    monkeypatch.setattr(layout, "on", lambda frame, record: record)
-    monkeypatch.setattr(layout, "anchored", lambda frame: frame)
+    monkeypatch.setattr(layout, "build_frame", lambda record: record)
+    monkeypatch.setattr(layout, "move_frame", lambda frame, record: record)
+    monkeypatch.setattr(layout, "with_priors", lambda frame: frame)
     # Three knots a cycle; cycle 1 has no reading, so that it is none of those that count.
     numbers = [0, *range(2, count + 1)]
     record = Cut(np.repeat(np.arange(count + 1 + experiments), 3))
@@ -100,9 +100,11 @@ def test_an_experiment_comes_behind_the_traces_and_is_seen_by_the_fit() -> None:
     later = [replace(each, times=each.times + 1e6 * place) for place, each in enumerate((usual, other), 1)]
     later[1] = replace(later[1], units={"T": "degF", "Assorbimento": "A"})
     roles = ROLES | {"ambient": "Assorbimento", "feed": "MarciaPmpFango"}
-    laid_out = lay_out(model(), later[::-1], [made], roles, RULES)
-    assert laid_out.model.unit == "degF" and lay_out(model(), later[:1], [], ROLES, RULES).model.unit == model().unit
-    kelvin = lay_out(replace(model(), unit="K"), [replace(usual, units={})], [], ROLES, RULES)
+    laid_out = build_layout(model(), later[::-1], [made], roles, RULES)
+    assert (
+        laid_out.model.unit == "degF" and build_layout(model(), later[:1], [], ROLES, RULES).model.unit == model().unit
+    )
+    kelvin = build_layout(replace(model(), unit="K"), [replace(usual, units={})], [], ROLES, RULES)
     assert kelvin.model.unit == "K", "where no trace says it"
     assert [trace.name for trace in laid_out.traces][-1] == "made" and len(laid_out.traces) == 3
     assert laid_out.traces[0].times[0] < laid_out.traces[1].times[0], "in the order of their times"
@@ -112,7 +114,7 @@ def test_an_experiment_comes_behind_the_traces_and_is_seen_by_the_fit() -> None:
     split = split_cycles(laid_out, RULES)
     assert split.first == laid_out.cycles[4]
     assert set(split.held_out.runs.trace) == {1} and 2 in set(split.training.record.runs.trace)
-    assert lay_out(model(), later, [], ROLES, RULES).first_made == np.inf
+    assert build_layout(model(), later, [], ROLES, RULES).first_made == np.inf
 
 
 # ---------------------------------------------------------------- roles
@@ -161,5 +163,5 @@ def test_what_follows_the_temperature_is_no_cause_unless_the_model_reads_it(monk
 
 
 def test_what_is_needed_is_named_once_inputs_first() -> None:
-    assert signals_needed(driven("b", "a"), {"x": "c", "y": "a", "z": "c"}) == ("b", "a", "c")
-    assert signals_needed(model(), {}) == ()
+    assert required_signals(driven("b", "a"), {"x": "c", "y": "a", "z": "c"}) == ("b", "a", "c")
+    assert required_signals(model(), {}) == ()

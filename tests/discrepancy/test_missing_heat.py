@@ -7,7 +7,7 @@ import pytest
 
 from sim.engine import linear_recursion
 from sim.lab.discrepancy.diagnosis import MissingHeat
-from sim.lab.discrepancy.fitting import Fitted, NoiseModel, fit, frame_of, record_of
+from sim.lab.discrepancy.fitting import Fitted, NoiseModel, build_frame, build_record, fit
 from sim.lab.discrepancy.missing_heat import as_one_heat, missing_heat
 from sim.sha import Trace
 from tests.discrepancy.plants import PERIOD, model, plant
@@ -24,7 +24,7 @@ def trace() -> Trace:
 
 @pytest.fixture(scope="module")
 def base(trace: Trace) -> Fitted:
-    return fit(frame_of(record_of(model(), [trace], ())))
+    return fit(build_frame(build_record(model(), [trace], ())))
 
 
 def heated(trace: Trace) -> Trace:
@@ -37,7 +37,7 @@ def heated(trace: Trace) -> Trace:
 
 
 def of(base: Fitted, trace: Trace) -> MissingHeat:
-    return missing_heat(base, record_of(model(), [trace], ()), np.array([4, 5]))
+    return missing_heat(base, build_record(model(), [trace], ()), np.array([4, 5]))
 
 
 def test_a_heat_that_was_put_in_is_found_when_it_was_put_and_as_much_as_it_was(base: Fitted, trace: Trace) -> None:

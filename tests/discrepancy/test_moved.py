@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.lab.discrepancy.fitting import Fitted, anchored, fit, frame_of, on, record_of
+from sim.lab.discrepancy.fitting import Fitted, build_frame, build_record, fit, move_frame, with_priors
 from sim.lab.discrepancy.moved import shifts
 from sim.lab.discrepancy.rules import RULES
-from sim.lab.discrepancy.story import sentence_of
+from sim.lab.discrepancy.story import verdict_sentence
 from sim.sha import Model
 from sim.sha.events import encode
 from tests.discrepancy.plants import ALPHABET, model, plant
@@ -30,9 +30,9 @@ def never_off(k: float) -> Fitted:
     on_rows = ran.signals["MarciaDecanter"] > 0
     signals = {name: column[on_rows] for name, column in ran.signals.items()}
     kept = replace(ran, times=ran.times[on_rows], signals=signals, events=())
-    record = record_of(of_one_rate(k), [replace(kept, events=encode(kept, ALPHABET))], ())
+    record = build_record(of_one_rate(k), [replace(kept, events=encode(kept, ALPHABET))], ())
     assert {record.model.sha.locations[place].name for place in record.runs.place.tolist()} == {"LOW", "HIGH"}
-    return fit(anchored(on(frame_of(record), record)))
+    return fit(with_priors(move_frame(build_frame(record), record)))
 
 
 def test_a_rate_that_moved_is_said_of_a_location_in_which_the_machine_was() -> None:
@@ -66,5 +66,5 @@ def test_a_target_moves_by_degrees_and_by_a_share_where_that_says_something(heig
     found = shifts(replace(fitted, off=off, covariance=np.diag(covariance)), RULES)
     assert [each.location for each in found] == ["HIGH"]
     assert found[0].change == (pytest.approx(0.1) if heights == 0.1 else None)
-    sentence = sentence_of("agree", (), unexplained=(), shifts=found, held=None, cycles=6, unit="°C")
+    sentence = verdict_sentence("agree", (), unexplained=(), shifts=found, held=None, cycles=6, unit="°C")
     assert said in sentence and "280" not in sentence

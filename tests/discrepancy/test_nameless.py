@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from sim.engine.schedules import schedule
-from sim.lab.discrepancy.advice import look_at
-from sim.lab.discrepancy.fitting import anchored, frame_of, heat_and_loss, on, record_of, rivals
+from sim.lab.discrepancy.advice import advice_lines
+from sim.lab.discrepancy.fitting import build_frame, build_record, heat_and_loss, move_frame, rivals, with_priors
 from sim.lab.discrepancy.fitting.free_run_fit import fit
-from sim.lab.discrepancy.fitting.named import Named, effect_of
+from sim.lab.discrepancy.fitting.named import Named, main_effect
 from sim.lab.discrepancy.judging import NamingResult, description, dubious
 from sim.lab.discrepancy.naming import entries_besides, step
 from sim.lab.discrepancy.rules import RULES
@@ -109,8 +109,8 @@ def neighbour(time: Array, on: Array, current: Array) -> tuple[Array, Array]:
     ids=lambda value: value.__name__ if callable(value) else "",
 )
 def test_what_has_no_name_is_held_beside_the_names_and_described(more: Plant, words: str) -> None:
-    record = record_of(model(), [plant(2, days=DAYS, more=more)], tuple(ROLES.values()))
-    base = fit(anchored(on(frame_of(record), record)))
+    record = build_record(model(), [plant(2, days=DAYS, more=more)], tuple(ROLES.values()))
+    base = fit(with_priors(move_frame(build_frame(record), record)))
     found = step(base, entries_besides(()), ROLES, rules=RULES)
     assert found.best is not None and found.best.entry.rival
     refusal = dubious(found)
@@ -120,23 +120,23 @@ def test_what_has_no_name_is_held_beside_the_names_and_described(more: Plant, wo
 
 @pytest.mark.parametrize("pump", [0.0, 8e-5])
 def test_an_unmeasured_neighbour_takes_no_place_of_what_is_there(pump: float) -> None:
-    record = record_of(model(), [plant(2, days=DAYS, pump=pump)], tuple(ROLES.values()))
-    found = step(fit(anchored(on(frame_of(record), record))), entries_besides(()), ROLES, rules=RULES)
+    record = build_record(model(), [plant(2, days=DAYS, pump=pump)], tuple(ROLES.values()))
+    found = step(fit(with_priors(move_frame(build_frame(record), record))), entries_besides(()), ROLES, rules=RULES)
     assert "unmeasured-neighbour" not in [each.entry.name for each in found.evidence]
     assert found.best is not None and (found.best.entry.name == "pump-cooling") == (pump > 0)
 
 
 def test_beside_an_unmeasured_neighbour_a_name_that_is_certain_stays() -> None:
     """The neighbour explains more than the pump does, and nothing of what the pump does."""
-    record = record_of(model(), [plant(2, days=DAYS, pump=8e-5, more=neighbour)], tuple(ROLES.values()))
-    found = step(fit(anchored(on(frame_of(record), record))), entries_besides(()), ROLES, rules=RULES)
+    record = build_record(model(), [plant(2, days=DAYS, pump=8e-5, more=neighbour)], tuple(ROLES.values()))
+    found = step(fit(with_priors(move_frame(build_frame(record), record))), entries_besides(()), ROLES, rules=RULES)
     assert found.best is not None and found.best.entry.name == "pump-cooling"
 
 
 def test_a_diagnosis_says_that_something_is_not_measured_and_where_to_look() -> None:
     found = diagnose(model(), [plant(2, days=DAYS, more=neighbour)], seed=0).diagnosis
     assert found.verdict == "unexplained" and "that is not measured" in found.sentence
-    assert look_at(found)[0].startswith("what is beside the machine and not recorded")
+    assert advice_lines(found)[0].startswith("what is beside the machine and not recorded")
 
 
 def test_the_sentence_says_what_has_no_name_and_the_advice_where_to_look() -> None:
@@ -145,7 +145,7 @@ def test_the_sentence_says_what_has_no_name_and_the_advice_where_to_look() -> No
     assert found.description.startswith("less cooling since 2023-11-17")
     assert found.description in found.sentence and any(found.description in reason for reason in found.reasons)
     assert "in no particular place" not in found.sentence
-    assert look_at(found)[0] == (
+    assert advice_lines(found)[0] == (
         f"what carries heat away: cooler, fan, filter, flow of oil and water, dirt on the housing ({found.description})"
     )
 
@@ -154,20 +154,20 @@ def test_no_engine_executes_what_has_no_name() -> None:
     made = model()
     for entry in rivals():
         params = dict.fromkeys(entry.kind.parameters, 1.0)
-        effect = effect_of(Named(entry, {role: ROLES[role] for role in entry.needs}, params), made)
+        effect = main_effect(Named(entry, {role: ROLES[role] for role in entry.needs}, params), made)
         sha = SHA(made.sha.name, made.sha.locations, made.sha.edges, made.sha.initial, effects=(effect,))
         with pytest.raises(ValueError, match=entry.name):
             schedule(sha, [], np.array([0.0, 10.0]))
 
 
 def test_an_events_running_hours_run_on_through_cuts() -> None:
-    record = record_of(model(), [plant(1, days=3)], ("Assorbimento",))
+    record = build_record(model(), [plant(1, days=3)], ("Assorbimento",))
     entry = next(each for each in rivals() if each.name == "heat-after-an-event")
     params = {"gain": 1e-3, "at": BEGIN + 0.5 * DAY, "tau": 20000.0}
-    effect = effect_of(Named(entry, {}, params), record.model)
+    effect = main_effect(Named(entry, {}, params), record.model)
     whole, _ = heat_and_loss(record, effect, np.zeros(len(record.runs)))
     later = record.cycle >= 5
-    cut = record.where(later)
+    cut = record.select(later)
     # The first step of a piece is no step of the cut record: its middle is its end.
     found, _ = heat_and_loss(cut, effect, np.zeros(len(cut.runs)))
     inside = ~cut.runs.first

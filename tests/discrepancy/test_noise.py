@@ -8,7 +8,7 @@ from scipy.linalg import expm
 
 from sim.engine.recursion import linear_recursion
 from sim.lab.discrepancy.fitting.noise import (
-    DIFFUSE,
+    DIFFUSE_VARIANCE,
     Derivatives,
     Grid,
     NoiseModel,
@@ -16,7 +16,7 @@ from sim.lab.discrepancy.fitting.noise import (
     WindowBelief,
     decay_and_pull,
     fit_noise,
-    noise_of,
+    noise_model,
     vector,
 )
 from sim.lab.learning.runs import Indices
@@ -64,7 +64,7 @@ def dense_states(grid: Grid, noise: NoiseModel) -> Array:
     for row in range(size):
         here = slice(2 * row, 2 * row + 2)
         if grid.first[row]:
-            state[here, here] = np.diag([DIFFUSE, noise.rough**2])
+            state[here, here] = np.diag([DIFFUSE_VARIANCE, noise.rough**2])
             continue
         share = noise.rest + (1 - noise.rest) * grid.running[row]
         drift = np.array([[-grid.k[row], share], [0.0, -1.0 / noise.memory]])
@@ -110,7 +110,7 @@ def test_draws_have_the_covariance_that_they_are_weighed_by(noise: NoiseModel) -
     covariance = dense(grid, noise)
     # A run's first deviation is drawn as 0, the diffuse start being no part of a plant's noise.
     conditional = covariance - sum(
-        DIFFUSE * np.outer(c, c) for c in (_decay_from(grid, int(start)) for start in starts)
+        DIFFUSE_VARIANCE * np.outer(c, c) for c in (_decay_from(grid, int(start)) for start in starts)
     )
     spread = np.sqrt(np.diag(conditional))
     np.testing.assert_allclose(drawn.std(axis=1), spread, rtol=0.06)
@@ -133,7 +133,7 @@ def test_the_smoothed_residual_is_closer_to_the_truth_than_the_reading() -> None
         rng, 1
     )[:, 0]
     read = truth + 0.05 * rng.standard_normal(truth.size)
-    smoothed = Whitener(grid, NOISE).smoothed(read)
+    smoothed = Whitener(grid, NOISE).smooth(read)
     assert np.std(smoothed - truth) < 0.9 * np.std(read - truth)
 
 
@@ -142,7 +142,7 @@ def test_an_error_that_lasts_is_no_part_of_what_is_smoothed() -> None:
     covariance, residual = dense(grid, LASTING), np.random.default_rng(7).standard_normal(grid.dt.size)
     errors = covariance - dense(grid, replace(LASTING, sensor=0.0, lasting=0.0))
     expected = residual - errors @ np.linalg.solve(covariance, residual)
-    np.testing.assert_allclose(Whitener(grid, LASTING).smoothed(residual), expected, atol=1e-8)
+    np.testing.assert_allclose(Whitener(grid, LASTING).smooth(residual), expected, atol=1e-8)
 
 
 @pytest.mark.parametrize("noise", [NOISE, LASTING])
@@ -193,7 +193,7 @@ def test_the_slopes_of_a_likelihood_are_those_of_its_differences(noise: NoiseMod
     point, step = vector(noise), 1e-4
 
     def value(at: Array) -> float:
-        whitener = Whitener(grid, noise_of(at))
+        whitener = Whitener(grid, noise_model(at))
         return whitener.logdet + float(np.trace(whitener.gram(columns)))
 
     moves = step * np.eye(point.size)
@@ -211,6 +211,6 @@ def test_each_coordinate_pulls_at_a_residual_as_the_dense_covariance_moves(noise
     # Weighed, since that is what they are for: where a run begins is not believed in, and has no weight.
     pulls = whitener.weigh(whitener.slopes(residual)[1])
     for number, move in enumerate(1e-4 * np.eye(point.size)):
-        moved = (dense(grid, noise_of(point + move)) - dense(grid, noise_of(point - move))) / 2e-4
+        moved = (dense(grid, noise_model(point + move)) - dense(grid, noise_model(point - move))) / 2e-4
         expected = inverse @ moved @ inverse @ residual[:, 0]
         np.testing.assert_allclose(pulls[:, number], expected, rtol=1e-3, atol=1e-3 * np.max(np.abs(expected)))

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from sim.lab.discrepancy import judging, path
-from sim.lab.discrepancy.evidence import candidates_of, traces_of
-from sim.lab.discrepancy.fitting.baseline import frame_of, on
+from sim.lab.discrepancy.evidence import small_effects, tried_effects
+from sim.lab.discrepancy.fitting.baseline import build_frame, move_frame
 from sim.lab.discrepancy.fitting.candidates import catalogue
 from sim.lab.discrepancy.fitting.free_run_fit import Fitted, fit
-from sim.lab.discrepancy.fitting.record import record_of
+from sim.lab.discrepancy.fitting.record import build_record
 from sim.lab.discrepancy.rules import RULES
 from sim.sha.events import encode
 from sim.sha.trace import Array
@@ -32,8 +32,8 @@ def base() -> Fitted:
 
     trace = plant(3, days=1, pump=4e-5, more=heat)
     trace = replace(trace, signals={**trace.signals, ROLES["vibration"]: shaking[: trace.times.size]}, events=())
-    record = record_of(model(), [replace(trace, events=encode(trace, ALPHABET))], tuple(ROLES.values()))
-    return fit(on(frame_of(record), record))
+    record = build_record(model(), [replace(trace, events=encode(trace, ALPHABET))], tuple(ROLES.values()))
+    return fit(move_frame(build_frame(record), record))
 
 
 def look(base: Fitted, *names: str) -> judging.NamingResult:
@@ -46,20 +46,20 @@ def test_a_small_certain_effect_is_fitted_along_and_the_one_that_matters_is_name
     found = look(base, SHAKES, COOLS)
     (small,) = found.nuisances
     assert small.best is not None and small.best.entry.name == SHAKES
-    assert [each.best.entry.name for each in found.taken if each.best is not None] == [COOLS]
+    assert [each.best.entry.name for each in found.accepted_steps if each.best is not None] == [COOLS]
     # It was fitted along while the name was looked for, and is in no fit that is given back.
-    assert [named.entry.name for named in found.taken[0].before.state.named] == [SHAKES]
+    assert [named.entry.name for named in found.accepted_steps[0].before.state.named] == [SHAKES]
     assert [named.entry.name for named in found.fitted.state.named] == [COOLS]
-    assert found.explained is found.fitted
-    fates = {each.name: each.fate for each in candidates_of(found.looks, kept=True) if each.step > 1}
+    assert found.best_fit is found.fitted
+    fates = {each.name: each.fate for each in tried_effects(found.looks, kept=True) if each.step > 1}
     assert fates[SHAKES] == judging.TOO_SMALL
-    assert [each.name for each in traces_of(found)] == [SHAKES]
+    assert [each.name for each in small_effects(found)] == [SHAKES]
 
 
 def test_where_nothing_else_is_missing_the_small_one_is_all_that_is_told(base: Fitted) -> None:
     found = look(base, SHAKES)
     ((only, refusal),) = found.steps
     assert refusal == judging.TOO_SMALL and only.best is not None and only.best.entry.name == SHAKES
-    assert (found.taken, found.nuisances) == ((), ())
+    assert (found.accepted_steps, found.nuisances) == ((), ())
     assert found.fitted is base
-    assert [each.name for each in traces_of(found)] == [SHAKES]
+    assert [each.name for each in small_effects(found)] == [SHAKES]

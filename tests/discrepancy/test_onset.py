@@ -7,9 +7,9 @@ import pytest
 
 from sim.lab.discrepancy.beginning import beginning
 from sim.lab.discrepancy.diagnosis import GapBeginning
-from sim.lab.discrepancy.fitting import Fitted, catalogue, fit, frame_of, record_of
+from sim.lab.discrepancy.fitting import Fitted, build_frame, build_record, catalogue, fit
 from sim.lab.discrepancy.held_out import let_run
-from sim.lab.discrepancy.onset import acting_since
+from sim.lab.discrepancy.onset import find_onset
 from sim.lab.discrepancy.rules import RULES, DecisionRules
 from sim.lab.discrepancy.workflow import diagnose
 from sim.sha import Array, Trace
@@ -34,12 +34,12 @@ def started(begins: float, seed: int = 4, put: float = PUT) -> Trace:
 
 
 def of_all(trace: Trace) -> Fitted:
-    record = record_of(model(), [trace], tuple(ROLES.values()))
-    return fit(frame_of(record), rounds=2)
+    record = build_record(model(), [trace], tuple(ROLES.values()))
+    return fit(build_frame(record), rounds=2)
 
 
 def dated(whole: Fitted, rules: DecisionRules = RULES) -> GapBeginning | None:
-    return acting_since(whole, catalogue(), ROLES, LEAST, rules)
+    return find_onset(whole, catalogue(), ROLES, LEAST, rules)
 
 
 @pytest.fixture(scope="module")

@@ -5,13 +5,13 @@ from dataclasses import replace
 import pytest
 
 from sim.lab.discrepancy import path
-from sim.lab.discrepancy.fitting.baseline import frame_of, on
+from sim.lab.discrepancy.fitting.baseline import build_frame, move_frame
 from sim.lab.discrepancy.fitting.candidates import catalogue, rivals
 from sim.lab.discrepancy.fitting.free_run_fit import fit
 from sim.lab.discrepancy.fitting.named import Named
-from sim.lab.discrepancy.fitting.record import record_of
+from sim.lab.discrepancy.fitting.record import build_record
 from sim.lab.discrepancy.naming import NamingStep, confirm, entries_besides, likeness, step
-from sim.lab.discrepancy.path import Judged, name, revised
+from sim.lab.discrepancy.path import Judged, name, revise_names
 from sim.lab.discrepancy.rules import RULES
 from tests.discrepancy.plants import model, plant
 
@@ -19,8 +19,8 @@ PUMP = {"pump": "MarciaPmpFango"}
 
 
 def test_twins_within_a_hundredth_of_the_gain_are_a_class_and_rivals_are_not() -> None:
-    record = record_of(model(), [plant(3, days=2)], ())
-    base = fit(on(frame_of(record), record))
+    record = build_record(model(), [plant(3, days=2)], ())
+    base = fit(move_frame(build_frame(record), record))
     found = step(base, [one for one in catalogue() if one.name in ("dead-time", "sensor-lag")], {}, rules=RULES)
     best, second = found.evidence
     names = (best.entry.name, second.entry.name)
@@ -40,8 +40,8 @@ def test_what_lies_between_what_is_done_and_the_reading_is_named_once() -> None:
 @pytest.fixture(scope="module")
 def two_names() -> tuple[NamingStep, NamingStep]:
     """Churning, which is not there, and beside it the pump, which is."""
-    record = record_of(model(), [plant(3, days=2, pump=2e-4)], tuple(PUMP.values()))
-    base = fit(on(frame_of(record), record))
+    record = build_record(model(), [plant(3, days=2, pump=2e-4)], tuple(PUMP.values()))
+    base = fit(move_frame(build_frame(record), record))
     superfluous = step(base, [one for one in catalogue() if one.name == "startup-churning"], PUMP, rules=RULES)
     assert superfluous.best is not None
     churning = confirm(base, superfluous.best)
@@ -54,7 +54,7 @@ def looked_at_again(names: tuple[NamingStep, NamingStep]) -> list[Judged]:
     """What is withdrawn when the first of the two names is looked at again; the pump stays alone."""
     superfluous, pump = names
     assert pump.best is not None and pump.best.fitted is not None
-    judged, fitted, withdrawn = revised(pump.best.fitted, [(superfluous, ""), (pump, "")], PUMP, 1)
+    judged, fitted, withdrawn = revise_names(pump.best.fitted, [(superfluous, ""), (pump, "")], PUMP, 1)
     assert [one.entry.name for one in fitted.state.named] == ["pump-cooling"]
     assert [(one.best.entry.name, refusal) for one, refusal in judged if one.best] == [("pump-cooling", "")]
     assert len(judged) == 1
@@ -80,13 +80,13 @@ def test_a_name_in_whose_place_goes_what_has_none_takes_no_other_down(
 
 def test_each_effect_that_is_fitted_is_told_before() -> None:
     """A fit may take many seconds, and a stage has several."""
-    record = record_of(model(), [plant(3, days=2, pump=2e-4)], ("MarciaPmpFango",))
-    base = fit(on(frame_of(record), record))
+    record = build_record(model(), [plant(3, days=2, pump=2e-4)], ("MarciaPmpFango",))
+    base = fit(move_frame(build_frame(record), record))
     said: list[str] = []
     (found,) = name(
         base, {"pump": "MarciaPmpFango"}, 1, lambda stage, _: said.append(stage), entries=catalogue(), rules=RULES
     )
-    fitted = [each.entry.name for each in found.steps[0][0].evidence if each.confirmed]
+    fitted = [each.entry.name for each in found.steps[0][0].evidence if each.is_joint]
     assert {f"looking for effect 1: {each}" for each in fitted} <= set(said)
     assert fitted
 
@@ -96,8 +96,8 @@ def test_a_name_that_is_looked_at_again_is_not_taken_for_what_a_later_one_left()
     present = {"ambient": "TAmbiente"}
     entries = [one for one in catalogue() if one.name in ("sensor-offset-step", "ambient-coupling")]
     alone = [one for one in entries if one.name == "sensor-offset-step"]
-    record = record_of(model(), [plant(1, days=2, offset=1.2, room=0.4)], tuple(present.values()))
-    base = fit(on(frame_of(record), record))
+    record = build_record(model(), [plant(1, days=2, offset=1.2, room=0.4)], tuple(present.values()))
+    base = fit(move_frame(build_frame(record), record))
     offset = step(base, alone, present, rules=RULES)
     assert offset.best is not None and offset.best.fitted is not None
     room = step(offset.best.fitted, entries, present, rules=RULES)

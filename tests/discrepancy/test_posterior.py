@@ -7,11 +7,11 @@ import pytest
 
 from sim.lab.discrepancy.ceiling import ceiling
 from sim.lab.discrepancy.diagnosis import Ceiling, HeldOutProof, NoiseFloor
-from sim.lab.discrepancy.fitting.baseline import frame_of, on
-from sim.lab.discrepancy.fitting.candidates import entry_of
+from sim.lab.discrepancy.fitting.baseline import build_frame, move_frame
+from sim.lab.discrepancy.fitting.candidates import catalogue_entry
 from sim.lab.discrepancy.fitting.free_run_fit import fit
-from sim.lab.discrepancy.fitting.record import record_of
-from sim.lab.discrepancy.held_out import compared
+from sim.lab.discrepancy.fitting.record import build_record
+from sim.lab.discrepancy.held_out import compare_fits
 from sim.lab.discrepancy.naming import confirm, step
 from sim.lab.discrepancy.posterior import (
     MAX_CONFIDENCE,
@@ -93,19 +93,19 @@ def test_a_cause_outside_of_the_catalogue_makes_none_of_these_likelier_than_its_
     """The same traces with a pump that cools, once with that name and once with another."""
     signals, seed = ("MarciaPmpFango", "Assorbimento"), 0
     trace = plant(3, days=2, pump=2e-4)
-    record = record_of(model(), [trace], signals)
+    record = build_record(model(), [trace], signals)
     early = record.cycle < 4
-    base = fit(on(frame_of(record), record.where(early)))
-    held_out = record.where(~early).by_cycles()
+    base = fit(move_frame(build_frame(record), record.select(early)))
+    held_out = record.select(~early).by_cycles()
     present = {"pump": signals[0], "current": signals[1]}
     floor = NoiseFloor(0.06, (0.05, 0.08), np.arange(4, 6), np.full(2, 0.06), "what is given")
     before, none = ceiling(base, seed), dict[str, float]()
     for known, name in (("inside", "pump-cooling"), ("outside", "startup-churning")):
-        found = step(base, [entry_of(name)], present, rules=RULES).best
+        found = step(base, [catalogue_entry(name)], present, rules=RULES).best
         assert found is not None
         named = confirm(base, found).fitted
         assert named is not None
-        held, _, _ = compared(base, named, held_out, seed, floor)
+        held, _, _ = compare_fits(base, named, held_out, seed, floor)
         against = names_evidence(held, before, ceiling(named, seed), RULES)
         none[known] = posterior({name: 40.0}, against, RULES).none_of_these
     assert none["inside"] < 0.1 < PRIOR_NONE < none["outside"]

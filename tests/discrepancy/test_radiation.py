@@ -3,11 +3,11 @@
 import numpy as np
 
 from sim.lab.discrepancy.diagnosis import Diagnosis
-from sim.lab.discrepancy.fitting.baseline import frame_of
-from sim.lab.discrepancy.fitting.candidates import entry_of
+from sim.lab.discrepancy.fitting.baseline import build_frame
+from sim.lab.discrepancy.fitting.candidates import catalogue_entry
 from sim.lab.discrepancy.fitting.free_run_fit import fit
 from sim.lab.discrepancy.fitting.named import Named
-from sim.lab.discrepancy.fitting.record import record_of
+from sim.lab.discrepancy.fitting.record import build_record
 from sim.lab.discrepancy.workflow import diagnose
 from tests.discrepancy.plants import model
 from tests.discrepancy.valves import plant
@@ -37,10 +37,11 @@ def test_radiation_in_the_place_of_a_draught_is_no_thermostat() -> None:
 
 def test_the_rate_at_rest_keeps_what_the_radiation_takes_over() -> None:
     """Whole radiation of that strength would need a rate below nothing at rest."""
-    frame = frame_of(record_of(model(), [plant(3, bent, days=3)], ()))
+    frame = build_frame(build_record(model(), [plant(3, bent, days=3)], ()))
     params = {"gain": 1e-12, "surroundings": ROOM, "walls": 1.0, "linear": 1.0}
     beyond, whole = (
-        fit(frame, [Named(entry_of("radiation-loss"), {}, {**params, "linear": linear})]) for linear in (1.0, 0.0)
+        fit(frame, [Named(catalogue_entry("radiation-loss"), {}, {**params, "linear": linear})])
+        for linear in (1.0, 0.0)
     )
     assert beyond.likelihood > whole.likelihood + 10.0
     assert 0.7 * GAIN < beyond.state.named[0].strength < 1.4 * GAIN

@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.lab.discrepancy.fitting import fit, frame_of, grid_at, in_order, on, patiently, record_of
+from sim.lab.discrepancy.fitting import build_frame, build_record, fit, in_order, move_frame, patiently, window_grid
 from sim.lab.discrepancy.fitting.course import run_free
-from sim.lab.discrepancy.fitting.record import Record, RecordFault, broken
-from sim.lab.discrepancy.gap import floor_of
-from sim.lab.discrepancy.held_out import compared, let_run
+from sim.lab.discrepancy.fitting.record import Record, RecordFault, record_faults
+from sim.lab.discrepancy.gap import noise_floor
+from sim.lab.discrepancy.held_out import compare_fits, let_run
 from sim.lab.discrepancy.rules import RULES
 from sim.lab.discrepancy.workflow import diagnose
 from sim.lab.learning import LearningError
@@ -158,27 +158,27 @@ def followed(traces: Sequence[Trace], seed: int, *, fits: bool) -> str:
     """What becomes of a record: "" where it is followed to its held-out cycles, else why it cannot be used."""
     try:
         laid_out = [patiently(trace, model().alphabet) for trace in in_order(traces)]
-        record = record_of(model(), laid_out, SIGNALS, windows=300)
+        record = build_record(model(), laid_out, SIGNALS, windows=300)
     except LearningError as error:
         return str(error)
     cycles = np.unique(record.window_cycle)
     last = cycles[max(round(0.7 * cycles.size), min(1, cycles.size - 1))]
-    parts = [record, record.by_cycles(), record.where(record.cycle >= last).by_cycles()]
-    parts += [record.where(record.cycle < last)] if cycles.size > 1 else []
+    parts = [record, record.by_cycles(), record.select(record.cycle >= last).by_cycles()]
+    parts += [record.select(record.cycle < last)] if cycles.size > 1 else []
     for part in parts:
-        assert not broken(part)
+        assert not record_faults(part)
         assert np.isfinite(part.times).all() and np.isfinite(part.reading).all()
         assert part.window_first.sum() == part.runs.run[-1] + 1
-        frame = frame_of(part)
+        frame = build_frame(part)
         state = run_free(frame, *np.split(frame.centre, [frame.count[0]]), part.reading[part.window_first])
-        grid = grid_at(frame, state)
+        grid = window_grid(frame, state)
         assert np.isfinite(state.mean).all() and (grid.dt > 0).all()
         assert np.isfinite(grid.heats).all() and np.isfinite(grid.late).all() and (grid.late > -1e-12).all()
     if fits and cycles.size > 1:
-        base = fit(on(frame_of(record), parts[3]), rounds=1, iterations=2)
+        base = fit(move_frame(build_frame(record), parts[3]), rounds=1, iterations=2)
         assert np.isfinite(let_run(base, parts[2]).residual).all()
         stated = np.full(np.unique(base.frame.record.whole).size, 0.06)
-        held, _, _ = compared(base, base, parts[2], seed, floor_of(stated, base, parts[2], seed, RULES))
+        held, _, _ = compare_fits(base, base, parts[2], seed, noise_floor(stated, base, parts[2], seed, RULES))
         assert np.isfinite(held.rmse_before)
     return ""
 
@@ -210,7 +210,7 @@ def test_a_cycle_without_a_reading_is_none_that_is_judged() -> None:
     third = (trace.times >= starts[2] - 60.0) & (trace.times <= starts[3] + 60.0)
     unheard = replace(trace, signals={**trace.signals, "T": np.where(third, np.nan, trace.signals["T"])}, events=())
     numbers = [
-        np.unique(record_of(model(), [patiently(each, model().alphabet)], SIGNALS).window_cycle)
+        np.unique(build_record(model(), [patiently(each, model().alphabet)], SIGNALS).window_cycle)
         for each in (trace, unheard)
     ]
     assert numbers[0].size == 6 and numbers[1].tolist() == [0, 1, 3, 4, 5]
@@ -219,7 +219,7 @@ def test_a_cycle_without_a_reading_is_none_that_is_judged() -> None:
 
 
 def test_a_record_says_what_does_not_hold_of_it() -> None:
-    record = record_of(model(), [plant(1, days=1, period=60.0)], SIGNALS)
+    record = build_record(model(), [plant(1, days=1, period=60.0)], SIGNALS)
     runs = record.runs
     unread = np.where(runs.run == runs.run[-1], np.nan, runs.reading)
     wrong: list[tuple[dict[str, object], str]] = [
@@ -238,6 +238,6 @@ def test_a_record_says_what_does_not_hold_of_it() -> None:
 
 
 def test_cycles_without_a_reading_are_input_that_cannot_be_used() -> None:
-    record: Record = record_of(model(), [plant(1, days=1, period=60.0)], SIGNALS)
+    record: Record = build_record(model(), [plant(1, days=1, period=60.0)], SIGNALS)
     with pytest.raises(LearningError, match="none of these cycles has a reading of 'T'"):
-        record.where(record.cycle > record.cycle[-1])
+        record.select(record.cycle > record.cycle[-1])

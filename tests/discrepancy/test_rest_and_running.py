@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.lab.discrepancy.augment import as_white, augmented
-from sim.lab.discrepancy.fitting.baseline import anchored, frame_of, on
-from sim.lab.discrepancy.fitting.free_run_fit import LEAST_STILL, first_noise, fit, stated_process
-from sim.lab.discrepancy.fitting.record import Record, record_of
+from sim.lab.discrepancy.augment import as_white, augment_model
+from sim.lab.discrepancy.fitting.baseline import build_frame, move_frame, with_priors
+from sim.lab.discrepancy.fitting.free_run_fit import MIN_REST_NOISE_RATIO, first_noise, fit, stated_process
+from sim.lab.discrepancy.fitting.record import Record, build_record
 from sim.sha.automaton import Flow
 from sim.sha.events import encode
 from sim.sha.model import Model
@@ -39,8 +39,8 @@ def plant(seed: int, at_rest: float, running: float, rough: float, days: int = 2
 
 def noise_of_the_new_model(given: Model, trace: Trace) -> dict[str, float]:
     """degC/sqrt(s) by location, heat with a memory as the white noise that it amounts to."""
-    record = record_of(given, [trace], ())
-    new = augmented(fit(anchored(on(frame_of(record), record))))
+    record = build_record(given, [trace], ())
+    new = augment_model(fit(with_priors(move_frame(build_frame(record), record))))
     white = {place.name: place.flow.params for place in new.sha.locations}
     heats = [each.params for each in new.sha.effects if each.kind == "heat-disturbance"]
     kept = {
@@ -65,11 +65,11 @@ def test_a_new_model_has_the_noise_of_rest_at_rest_and_that_of_running_while_it_
 
 
 def test_a_new_model_keeps_heat_with_a_memory_only_as_far_as_it_acts_at_rest_too() -> None:
-    record = record_of(random_model(1e-3, MEMORY, 5.0), [plant(1, 0.001, 0.001, 1e-3, days=1)], ())
-    fitted = fit(on(frame_of(record), record), rounds=1, iterations=1)
+    record = build_record(random_model(1e-3, MEMORY, 5.0), [plant(1, 0.001, 0.001, 1e-3, days=1)], ())
+    fitted = fit(move_frame(build_frame(record), record), rounds=1, iterations=1)
     for rest, sigma in ((0.9, 1e-3), (0.1, 1e-4)):
         noise = replace(fitted.noise, process=0.0, rough=1e-3, memory=MEMORY, rest=rest)
-        new = augmented(replace(fitted, noise=noise)).sha
+        new = augment_model(replace(fitted, noise=noise)).sha
         assert new.effects[0].params["sigma"] == pytest.approx(sigma)
         own = new.by_name["HIGH"].flow.params
         left = 0.0 if rest > 0.5 else as_white(1e-3, MEMORY, own["k"]) * np.sqrt(1.0 - rest**2)
@@ -91,7 +91,7 @@ def noisy(noise: dict[str, float], unknown: str = "") -> Model:
 
 
 def record_by(given: Model) -> Record:
-    return record_of(given, [plant(1, 0.001, 0.001, 0.0, days=1)], ())
+    return build_record(given, [plant(1, 0.001, 0.001, 0.0, days=1)], ())
 
 
 def test_the_fit_begins_from_the_noise_that_the_model_states_of_rest_and_of_running() -> None:
@@ -99,7 +99,7 @@ def test_the_fit_begins_from_the_noise_that_the_model_states_of_rest_and_of_runn
     assert stated_process(record) == pytest.approx((0.005, 0.0005))
     assert first_noise(record.model, record).still == pytest.approx(0.1)
     silent = record_by(noisy({"OFF": 1e-7, "LOW": 0.005, "HIGH": 0.005}))
-    assert first_noise(silent.model, silent).still == LEAST_STILL
+    assert first_noise(silent.model, silent).still == MIN_REST_NOISE_RATIO
 
 
 def test_what_a_model_states_of_the_unknown_is_no_noise_of_the_plant() -> None:

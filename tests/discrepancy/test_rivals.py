@@ -13,16 +13,16 @@ from sim.engine.open_loop_run import errors, open_loop
 from sim.engine.schedules import schedule
 from sim.engine.simulation import simulate
 from sim.lab.discrepancy import naming
-from sim.lab.discrepancy.augment import augmented
+from sim.lab.discrepancy.augment import augment_model
 from sim.lab.discrepancy.diagnosis import Diagnosis
-from sim.lab.discrepancy.fitting import frame_of, heat_and_loss, on, record_of, rivals
-from sim.lab.discrepancy.fitting.candidates import catalogue, entry_of
+from sim.lab.discrepancy.fitting import build_frame, build_record, heat_and_loss, move_frame, rivals
+from sim.lab.discrepancy.fitting.candidates import catalogue, catalogue_entry
 from sim.lab.discrepancy.fitting.effects import deviation
 from sim.lab.discrepancy.fitting.free_run_fit import fit
-from sim.lab.discrepancy.fitting.named import Named, effect_of
+from sim.lab.discrepancy.fitting.named import Named, main_effect
 from sim.lab.discrepancy.naming import ONE_CHAIN, begins, likeness, step, without_idle
 from sim.lab.discrepancy.rules import RULES
-from sim.lab.discrepancy.screen import refined, screen
+from sim.lab.discrepancy.screen import refine_shape, screen
 from sim.lab.discrepancy.workflow import diagnose
 from sim.proof.verification import verify
 from sim.sha.automaton import Effect, Flow
@@ -35,8 +35,8 @@ LATE = {"gain": 1e-5, "reference": 200.0, "lag": 300.0}
 
 
 def test_late_heat_goes_on_after_a_stop() -> None:
-    record = record_of(model(), [plant(1, days=1)], ("Assorbimento",))
-    effect = effect_of(Named(entry_of("late-current-heating"), CURRENT, LATE), record.model)
+    record = build_record(model(), [plant(1, days=1)], ("Assorbimento",))
+    effect = main_effect(Named(catalogue_entry("late-current-heating"), CURRENT, LATE), record.model)
     heat, loss = heat_and_loss(record, effect, np.zeros(len(record.runs)))
     stop = int(np.flatnonzero(np.diff(record.running) < 0)[0]) + 1
     assert heat[stop] > 0 and not loss.any()
@@ -44,22 +44,22 @@ def test_late_heat_goes_on_after_a_stop() -> None:
 
 
 def test_what_comes_late_runs_on_through_cuts() -> None:
-    record = record_of(model(), [plant(1, days=2)], ("Assorbimento",))
-    effect = effect_of(Named(entry_of("late-current-heating"), CURRENT, {**LATE, "lag": 3000.0}), record.model)
+    record = build_record(model(), [plant(1, days=2)], ("Assorbimento",))
+    effect = main_effect(Named(catalogue_entry("late-current-heating"), CURRENT, {**LATE, "lag": 3000.0}), record.model)
     whole = deviation(record, effect)
     later = record.cycle >= 3
-    for cut, kept in ((record.where(later), later), (record.by_cycles(), later | True)):
+    for cut, kept in ((record.select(later), later), (record.by_cycles(), later | True)):
         begun = np.flatnonzero(cut.runs.first)
         assert np.array_equal(deviation(cut, effect), whole[kept])
         assert np.abs(deviation(cut, effect)[begun[1:] + 1]).max(initial=0.0) > 0 or begun.size == 1
-    assert deviation(record.where(later), effect)[1] != 0.0
+    assert deviation(record.select(later), effect)[1] != 0.0
 
 
 def test_what_does_no_better_than_its_special_case_is_that_case() -> None:
-    record = record_of(model(), [plant(3, days=2)], ("Assorbimento",))
-    base = fit(on(frame_of(record), record))
-    (special,) = step(base, [entry_of("current-heating")], CURRENT, rules=RULES).evidence
-    late = replace(special, entry=entry_of("late-current-heating"))
+    record = build_record(model(), [plant(3, days=2)], ("Assorbimento",))
+    base = fit(move_frame(build_frame(record), record))
+    (special,) = step(base, [catalogue_entry("current-heating")], CURRENT, rules=RULES).evidence
+    late = replace(special, entry=catalogue_entry("late-current-heating"))
     for ahead, left in ((5.0, 1), (7.0, 2)):
         evidence = [special, replace(late, gain=special.gain + ahead)]
         assert len(without_idle(evidence, RULES)) == left
@@ -67,17 +67,17 @@ def test_what_does_no_better_than_its_special_case_is_that_case() -> None:
 
 def test_special_cases_are_fitted_where_what_has_them_is(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(naming, "CONFIRMED", 1)
-    record = record_of(model(), [plant(3, days=2, winding=0.01)], ("Assorbimento",))
-    late = entry_of("late-current-heating")
+    record = build_record(model(), [plant(3, days=2, winding=0.01)], ("Assorbimento",))
+    late = catalogue_entry("late-current-heating")
     special = late.candidate.special
     few = [entry for entry in catalogue() if entry.name in special]
-    found = step(fit(on(frame_of(record), record)), [*few, late], CURRENT, rules=RULES)
-    assert {each.entry.name for each in found.evidence if each.confirmed} == {*special, "late-current-heating"}
+    found = step(fit(move_frame(build_frame(record), record)), [*few, late], CURRENT, rules=RULES)
+    assert {each.entry.name for each in found.evidence if each.is_joint} == {*special, "late-current-heating"}
 
 
 def test_where_the_plant_is_rough_and_the_sensor_may_err_for_long_a_fit_begins_from_a_quiet_plant_too() -> None:
-    record = record_of(model(), [plant(3, days=1)], ("Assorbimento",))
-    fitted = fit(on(frame_of(record), record))
+    record = build_record(model(), [plant(3, days=1)], ("Assorbimento",))
+    fitted = fit(move_frame(build_frame(record), record))
     rough = replace(fitted, noise=replace(fitted.noise, process=0.1))
     assert begins(rough) == (rough,)
     lasting = replace(rough, noise=replace(rough.noise, lasting=0.3))
@@ -98,7 +98,7 @@ def test_what_the_diagnosis_gives_a_step_is_what_the_engine_executes() -> None:
     )
     made = replace(made, sha=replace(made.sha, locations=still, effects=(effect,), low=-1e9, high=1e9))
     trace = plant(1, days=2)
-    record = record_of(replace(made, sha=replace(made.sha, effects=())), [trace], ("Assorbimento",))
+    record = build_record(replace(made, sha=replace(made.sha, effects=())), [trace], ("Assorbimento",))
     found = record.runs.dt * heat_and_loss(record, effect, np.zeros(len(record.runs)))[0]
     course = moments(schedule(made, trace.events, record.runs.time, inputs=trace, policy="resync"), 0.0).mean
     within = ~record.runs.first[1:]
@@ -108,7 +108,9 @@ def test_what_the_diagnosis_gives_a_step_is_what_the_engine_executes() -> None:
 def test_a_run_begins_with_nothing_that_comes_late_and_what_was_not_read_adds_nothing() -> None:
     trace = plant(1, days=2)
     current = np.where(trace.times < trace.times[0] + 6 * 3600.0, np.nan, trace.signals["Assorbimento"])
-    record = record_of(model(), [replace(trace, signals={**trace.signals, "Assorbimento": current})], ("Assorbimento",))
+    record = build_record(
+        model(), [replace(trace, signals={**trace.signals, "Assorbimento": current})], ("Assorbimento",)
+    )
     effect = Effect("quadratic-current-heating", {"gain": 1e-8, "reference": 200.0, "lag": 75.0}, CURRENT, ("LOW",))
     late = deviation(record, effect)
     begun = int(np.flatnonzero(np.isfinite(record.signal("Assorbimento")))[0])
@@ -128,7 +130,7 @@ def test_the_heat_of_a_winding_is_named_with_its_lag() -> None:
     assert 120.0 < params["lag"] < 240.0
     assert params["gain"] * 200.0**2 == pytest.approx(0.006, rel=0.25)
     assert found.fitted is not None
-    made = parse_model(model_text(augmented(found.fitted, readings=[trace])))
+    made = parse_model(model_text(augment_model(found.fitted, readings=[trace])))
     assert made.sha.effects[0].params["lag"] == pytest.approx(params["lag"])
     assert verify(made).deployable
     before, after = (errors(open_loop(each, trace), trace, "T").at_samples.rmse for each in (model(), made))
@@ -149,15 +151,15 @@ def on_its_way(delay: float, lag: float, period: float) -> Callable[[Array, Arra
 def test_heat_of_the_current_that_is_on_its_way_for_minutes_looks_like_what_it_is(seed: int) -> None:
     delay, lag = np.exp(np.random.default_rng(seed).uniform(np.log(30.0), np.log(1800.0), 2)).tolist()
     trace = plant(seed, days=2, period=60.0, more=on_its_way(delay, lag, 60.0))
-    record = record_of(model(), [trace], ("Assorbimento",))
-    base = fit(on(frame_of(record), record), rounds=1, iterations=3)
-    chain = [entry_of(name) for name in ("late-current-heating", "dead-time", "sensor-lag", "current-heating")]
+    record = build_record(model(), [trace], ("Assorbimento",))
+    base = fit(move_frame(build_frame(record), record), rounds=1, iterations=3)
+    chain = [catalogue_entry(name) for name in ("late-current-heating", "dead-time", "sensor-lag", "current-heating")]
     clocks = [entry for entry in rivals() if entry.name in ("heat-by-the-clock", "heat-in-a-shift")]
     screened, _ = screen(base, [*chain, *clocks], CURRENT)
     best = screened.best()
     number = best["late-current-heating"]
     assert next(iter(best)) in ONE_CHAIN and screened.gain[number] > RULES.least_gain_nats
-    found = refined(base, screened.shapes[number], 1e-5).params
+    found = refine_shape(base, screened.shapes[number], 1e-5).params
     # What is on its way is told; how it parts into heat and lateness, where both are short against the rows, is not.
     late = found.get("delay", 0.0) + found["lag"]
     assert found["gain"] * late == pytest.approx(4e-5 * (delay + lag), rel=0.4)
@@ -170,20 +172,20 @@ def test_heat_that_comes_after_half_an_hour_is_named_and_executed() -> None:
     (params,) = named(found.diagnosis).values()
     assert params["delay"] == pytest.approx(1500.0, rel=0.1)
     assert found.fitted is not None
-    made = parse_model(model_text(augmented(found.fitted, readings=[trace])))
+    made = parse_model(model_text(augment_model(found.fitted, readings=[trace])))
     before, after = (errors(open_loop(each, trace), trace, "T").at_samples.rmse for each in (model(), made))
     assert after < 0.2 * before and verify(made).deployable
 
 
 def test_a_moment_that_is_looked_for_lies_in_the_record() -> None:
     trace = plant(3, days=2, period=60.0)
-    record = record_of(model(), [trace], ())
-    base = fit(on(frame_of(record), record), rounds=1, iterations=3)
+    record = build_record(model(), [trace], ())
+    base = fit(move_frame(build_frame(record), record), rounds=1, iterations=3)
     begin, end = record.runs.time[0], record.runs.time[-1]
     less = [entry for entry in rivals() if entry.name == "less-and-less-cooling"]
     screened, _ = screen(base, less, {})
     for shape in screened.shapes:
-        assert begin <= refined(base, shape, 1e-5).params["at"] <= end
+        assert begin <= refine_shape(base, shape, 1e-5).params["at"] <= end
 
 
 def heated(lag: float, kind: str = "quadratic-current-heating", gain: float = 2e-7) -> Trace:
@@ -216,7 +218,7 @@ def test_heat_of_the_current_that_comes_late_is_named() -> None:
     assert 250.0 < params["lag"] < 600.0, params
     assert params["gain"] == pytest.approx(8e-5, rel=0.3)
     assert found.fitted is not None
-    made = augmented(found.fitted, readings=[trace])
+    made = augment_model(found.fitted, readings=[trace])
     after = errors(open_loop(made, trace), trace, "T").at_samples.rmse
     assert after < 0.5 * errors(open_loop(random_model(2e-4, 400.0, 0.2), trace), trace, "T").at_samples.rmse
 
@@ -224,10 +226,10 @@ def test_heat_of_the_current_that_comes_late_is_named() -> None:
 def test_a_further_name_looks_like_an_earlier_one_by_the_shape_that_it_has_there() -> None:
     """Only with a long lag does heat of the current look like a sensor that lags."""
     lag = Effect("sensor-lag", {"tau": 150.0, "order": 2.0})
-    record = record_of(model(), [simulated(random_model(2e-4, 400.0, 0.2, lag), 3, days=2)], ("Assorbimento",))
+    record = build_record(model(), [simulated(random_model(2e-4, 400.0, 0.2, lag), 3, days=2)], ("Assorbimento",))
     wanted = ("sensor-lag", "quadratic-current-heating")
     few = [entry for entry in catalogue() if entry.name in wanted]
-    found = step(fit(on(frame_of(record), record)), few, CURRENT, rules=RULES)
+    found = step(fit(move_frame(build_frame(record), record)), few, CURRENT, rules=RULES)
     by_name = {each.entry.name: each for each in found.evidence}
     assert found.best is by_name["sensor-lag"]
     heat = by_name["quadratic-current-heating"]

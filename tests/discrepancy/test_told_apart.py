@@ -11,15 +11,15 @@ from sim.lab.discrepancy.fitting import (
     Named,
     Record,
     Whitener,
+    build_frame,
+    build_record,
     catalogue,
     fit,
-    frame_of,
-    on,
-    record_of,
+    move_frame,
     window_sensitivity,
 )
-from sim.lab.discrepancy.gap import with_what_is_left
-from sim.lab.discrepancy.held_out import foretold, let_run, runs_before
+from sim.lab.discrepancy.gap import add_leftover
+from sim.lab.discrepancy.held_out import foretold, let_run, reference_runs
 from sim.lab.discrepancy.judging import NamingResult
 from sim.lab.discrepancy.naming import NamingStep, confirm, entries_besides, step
 from sim.lab.discrepancy.posterior import NamesEvidence
@@ -27,13 +27,13 @@ from sim.lab.discrepancy.proving import (
     Proof,
     as_special_case,
     began_otherwise,
-    told_apart,
+    readmit_effect,
+    separate_rivals,
     unlikely,
-    with_rivals_told_apart,
     with_the_gap_itself,
 )
 from sim.lab.discrepancy.rules import RULES
-from sim.lab.discrepancy.screen import shapes_of
+from sim.lab.discrepancy.screen import candidate_shapes
 from sim.lab.discrepancy.workflow import diagnose
 from sim.sha import Array
 from tests.discrepancy.plants import model, plant
@@ -45,8 +45,8 @@ FITTED, ALL = 4, 6
 
 @pytest.fixture(scope="module")
 def parts() -> tuple[Fitted, Record]:
-    record = record_of(model(), [plant(3, days=2, pump=2e-4)], tuple(ROLES.values()))
-    return fit(on(frame_of(record), record.where(record.cycle < FITTED))), record.where(
+    record = build_record(model(), [plant(3, days=2, pump=2e-4)], tuple(ROLES.values()))
+    return fit(move_frame(build_frame(record), record.select(record.cycle < FITTED))), record.select(
         record.cycle >= FITTED
     ).by_cycles()
 
@@ -67,7 +67,7 @@ def proof_of(parts: tuple[Fitted, Record]) -> Proof:
     cycles = np.unique(held_out.window_whole)
     floor = NoiseFloor(0.1, (0.05, 0.2), cycles, np.full(cycles.size, 0.1), "the sensor alone")
     return Proof(
-        held_out=held_out, runs=runs_before(base, held_out), floor=floor, stated=np.full(FITTED, 0.1),
+        held_out=held_out, runs=reference_runs(base, held_out), floor=floor, stated=np.full(FITTED, 0.1),
         before=None, ceiling=None, seed=0, rules=RULES,
     )  # fmt: skip
 
@@ -77,7 +77,7 @@ def test_a_fit_foretells_cycles_as_surely_as_it_knows_its_parameters(parts: tupl
     run = let_run(base, held_out)
     some = Whitener(run.whitener.grid, base.noise)
     noise = np.linalg.inv(some.weigh(np.eye(run.residual.size)))
-    columns = run.started(window_sensitivity(on(base.frame, held_out), run.state, run.start))
+    columns = run.restart_residual(window_sensitivity(move_frame(base.frame, held_out), run.state, run.start))
     both = noise + columns @ base.covariance @ columns.T
     logs = [float(np.linalg.slogdet(each)[1]) for each in (both, noise)]
     expected = -0.5 * (float(run.residual @ np.linalg.solve(both, run.residual)) + logs[0] - logs[1])
@@ -86,32 +86,34 @@ def test_a_fit_foretells_cycles_as_surely_as_it_knows_its_parameters(parts: tupl
 
 def test_held_out_cycles_tell_apart_what_the_fitted_ones_do_not(parts: tuple[Fitted, Record], near: NamingStep) -> None:
     assert near.margin < RULES.margin_nats
-    apart = told_apart(proof_of(parts), near)
+    apart = separate_rivals(proof_of(parts), near)
     assert apart.best is near.best and apart.margin >= RULES.margin_nats
     # They speak for whichever they are: the wrong one in front is no longer in front by enough.
     pump, churning = near.evidence
-    wrong = told_apart(proof_of(parts), replace(near, evidence=(churning, replace(pump, gain=churning.gain - 8.0))))
+    wrong = separate_rivals(
+        proof_of(parts), replace(near, evidence=(churning, replace(pump, gain=churning.gain - 8.0)))
+    )
     assert wrong.margin < RULES.margin_nats
     # Where a free learner still finds something, the best must beat each by so much more.
-    plain, unsure = (told_apart(proof_of(parts), near, more).margin for more in (0.0, 6.0))
+    plain, unsure = (separate_rivals(proof_of(parts), near, more).margin for more in (0.0, 6.0))
     assert unsure == pytest.approx(plain - 6.0)
     far = replace(near, evidence=(pump, replace(churning, gain=pump.gain - 2.0 * RULES.told_apart_times * 6.0 - 99.0)))
-    assert told_apart(proof_of(parts), far) is far
+    assert separate_rivals(proof_of(parts), far) is far
 
 
 def test_a_name_that_only_rivals_held_back_is_given_where_held_out_cycles_tell_it_from_them(
     parts: tuple[Fitted, Record], near: NamingStep
 ) -> None:
     refused = NamingResult(parts[0], parts[0], ((near, "beats its rivals outside its class by 1.0 nats only"),))
-    found = with_rivals_told_apart(proof_of(parts), refused)
-    assert [each.best.entry.name for each in found.taken if each.best is not None] == ["pump-cooling"]
+    found = readmit_effect(proof_of(parts), refused)
+    assert [each.best.entry.name for each in found.accepted_steps if each.best is not None] == ["pump-cooling"]
     assert near.best is not None and found.fitted is near.best.fitted
     # Chance stays chance, whatever the held-out cycles say.
     little = replace(
         near, evidence=tuple(replace(each, gain=each.gain - near.evidence[0].gain + 9.0) for each in near.evidence)
     )
     chance = replace(refused, steps=((little, "adds 9.0 nats, and a name needs 14.0"),))
-    assert with_rivals_told_apart(proof_of(parts), chance) is chance
+    assert readmit_effect(proof_of(parts), chance) is chance
 
 
 def test_what_is_too_little_on_fitted_cycles_counts_with_what_held_out_ones_foretell_of_it(
@@ -122,7 +124,7 @@ def test_what_is_too_little_on_fitted_cycles_counts_with_what_held_out_ones_fore
         little = replace(near, evidence=(replace(best, gain=gain),))
         refused = NamingResult(parts[0], parts[0], ((little, f"adds {gain} nats, and a name needs 14.0"),))
         found = with_the_gap_itself(proof_of(parts), refused)
-        assert bool(found.taken) is given, "held-out cycles count for as much as the fitted ones at most"
+        assert bool(found.accepted_steps) is given, "held-out cycles count for as much as the fitted ones at most"
 
 
 def test_what_is_no_better_than_its_special_case_by_all_cycles_is_that_case(
@@ -134,7 +136,7 @@ def test_what_is_no_better_than_its_special_case_by_all_cycles_is_that_case(
     wider = replace(near, evidence=(replace(churning, entry=entry), replace(pump, gain=churning.gain - 8.0)))
     path = NamingResult(parts[0], churning.fitted, ((wider, ""),))
     found = as_special_case(proof_of(parts), path)
-    assert [step.best.entry.name for step in found.taken if step.best is not None] == ["pump-cooling"]
+    assert [step.best.entry.name for step in found.accepted_steps if step.best is not None] == ["pump-cooling"]
     assert [named.entry.name for named in found.fitted.state.named] == ["pump-cooling"]
     usual = replace(path, steps=((replace(near, evidence=(churning, pump)), ""),))
     assert as_special_case(proof_of(parts), usual) is usual
@@ -154,7 +156,7 @@ def test_what_names_leave_of_held_out_cycles_is_noise_where_chance_makes_as_much
     made = NoiseFloor(0.2, (0.1, 0.3), np.arange(4), np.full(4, 0.2), "the sensor alone")
     # Known as well as the floor, whose interval holds 99 %: both count for half, in logarithms.
     alike = replace(RULES, left_by_names_log_sd=np.log(0.3 / 0.1) / (2.0 * 2.5758))
-    told = with_what_is_left(made, left, alike)
+    told = add_leftover(made, left, alike)
     assert (told.error, told.source) == (pytest.approx(error, rel=1e-4), source)
     assert told.interval == pytest.approx((0.5 * error, 1.5 * error), rel=1e-4)
     assert told.per_cycle == pytest.approx(np.full(4, error), rel=1e-4)
@@ -206,7 +208,7 @@ def test_beside_a_name_of_what_lies_before_the_reading_no_other_heat_comes_late(
     def lags(*names: str) -> list[bool]:
         named = [Named(one, {}, {}) for one in catalogue() if one.name in names]
         entry = next(one for one in entries_besides(named) if one.name == "quadratic-current-heating")
-        shapes = shapes_of(parts[0], [entry], ROLES, parts[0].state.mean)
+        shapes = candidate_shapes(parts[0], [entry], ROLES, parts[0].state.mean)
         return ["lag" in each.params for each in shapes]
 
     assert any(lags()) and any(lags("pump-cooling")) and not all(lags())

@@ -9,13 +9,13 @@ import pytest
 from sim.engine.open_loop_run import open_loop
 from sim.engine.recursion import linear_recursion
 from sim.lab.discrepancy import evidence, judging, path, proving
-from sim.lab.discrepancy.augment import augmented
+from sim.lab.discrepancy.augment import augment_model
 from sim.lab.discrepancy.diagnosis import NoiseFloor
-from sim.lab.discrepancy.fitting.baseline import frame_of
+from sim.lab.discrepancy.fitting.baseline import build_frame
 from sim.lab.discrepancy.fitting.free_run_fit import fit
-from sim.lab.discrepancy.fitting.named import named_of
-from sim.lab.discrepancy.fitting.record import record_of
-from sim.lab.discrepancy.gap import floor_of
+from sim.lab.discrepancy.fitting.named import model_effects
+from sim.lab.discrepancy.fitting.record import build_record
+from sim.lab.discrepancy.gap import noise_floor
 from sim.lab.discrepancy.locate import places
 from sim.lab.discrepancy.rules import RULES, DecisionRules
 from sim.lab.discrepancy.workflow import DiagnosisOutcome, diagnose
@@ -62,8 +62,8 @@ def test_a_hidden_pump_is_named_with_its_strength_and_the_gap_shrinks(pumped: Di
 
 
 def test_the_heat_is_placed_where_the_pump_runs() -> None:
-    record = record_of(model(), [plant(3, pump=2e-4)], ("Assorbimento", "MarciaPmpFango", "TAmbiente"))
-    found = places(fit(frame_of(record)), 0, RULES)
+    record = build_record(model(), [plant(3, pump=2e-4)], ("Assorbimento", "MarciaPmpFango", "TAmbiente"))
+    found = places(fit(build_frame(record)), 0, RULES)
     assert found
     assert {one.correlates for one in found} == {"MarciaPmpFango"}
 
@@ -71,7 +71,7 @@ def test_the_heat_is_placed_where_the_pump_runs() -> None:
 def test_the_augmented_model_runs_as_the_diagnosis_ran(pumped: DiagnosisOutcome) -> None:
     assert pumped.fitted is not None
     fitted = pumped.fitted
-    made = augmented(fitted, name="augmented")
+    made = augment_model(fitted, name="augmented")
     assert [effect.kind for effect in made.sha.effects] == ["pump-cooling"]
     trace = plant(3, days=2, pump=2e-4)
     record = fitted.frame.record
@@ -86,8 +86,8 @@ def test_the_augmented_model_runs_as_the_diagnosis_ran(pumped: DiagnosisOutcome)
 
 def test_an_augmented_model_is_diagnosed_again_and_then_agrees(pumped: DiagnosisOutcome) -> None:
     assert pumped.fitted is not None
-    made = augmented(pumped.fitted)
-    assert [one.entry.name for one in named_of(made)] == ["pump-cooling"]
+    made = augment_model(pumped.fitted)
+    assert [one.entry.name for one in model_effects(made)] == ["pump-cooling"]
     again = diagnose(made, [plant(5, days=2, pump=2e-4)], seed=0).diagnosis
     assert again.verdict == "agree", again.sentence
 
@@ -121,7 +121,7 @@ def test_a_hidden_effect_is_named_beside_what_is_random_and_the_new_model_keeps_
     assert [one.name for one in outcome.diagnosis.effects] == ["pump-cooling"]
     assert outcome.diagnosis.effects[0].params["loss"] == pytest.approx(2e-4, rel=0.25)
     assert outcome.fitted is not None
-    new = augmented(outcome.fitted).sha
+    new = augment_model(outcome.fitted).sha
     cooling, heat, machine = new.effects
     assert (cooling.kind, heat.kind, machine) == ("pump-cooling", "heat-disturbance", made.sha.effects[1])
     assert heat.params["sigma"] == pytest.approx(1e-3, rel=0.3)
@@ -139,8 +139,8 @@ def test_a_sensors_error_that_lasts_is_not_counted_twice() -> None:
     keep = np.exp(-PERIOD / 20.0)
     fresh = 0.5 * np.sqrt(1.0 - keep**2) * rng.standard_normal(trace.times.size)
     trace = replace(trace, signals={**trace.signals, "T": trace.signals["T"] + linear_recursion(keep, fresh, 0.0)})
-    fitted = fit(frame_of(record_of(made, [trace], ())))
-    assert augmented(fitted).sensor_memory == 20.0
+    fitted = fit(build_frame(build_record(made, [trace], ())))
+    assert augment_model(fitted).sensor_memory == 20.0
     assert fitted.sensor_sigma == pytest.approx(0.5, rel=0.1)
 
 
@@ -167,7 +167,7 @@ def test_a_room_that_counts_for_more_while_the_machine_runs_is_told_with_its_sha
     assert found.held_out is not None and found.held_out.excess_removed is not None
     assert found.held_out.excess_removed > 0.95
     assert outcome.fitted is not None
-    turning, resting = augmented(outcome.fitted).sha.effects
+    turning, resting = augment_model(outcome.fitted).sha.effects
     assert (turning.kind, turning.locations) == ("ambient-coupling", ("LOW", "HIGH"))
     assert (resting.kind, resting.locations) == ("ambient-coupling", ("OFF",))
     assert resting.params["gain"] == pytest.approx(turning.params["gain"] * found.effects[0].params["at_rest"])
@@ -198,11 +198,11 @@ def test_what_names_leave_of_held_out_cycles_bounds_the_floor(monkeypatch: pytes
     """A floor that was told too high hides nothing that cycles outside the fit foresee better with a name."""
 
     def too_high(*given: Any) -> NoiseFloor:
-        floor = floor_of(*given)
+        floor = noise_floor(*given)
         low, high = floor.interval
         return replace(floor, error=20 * floor.error, interval=(20 * low, 20 * high), per_cycle=20 * floor.per_cycle)
 
-    monkeypatch.setattr(proving, "floor_of", too_high)
+    monkeypatch.setattr(proving, "noise_floor", too_high)
     found = diagnose(model(), [plant(3, days=2, pump=2e-4)], seed=0).diagnosis
     assert (found.verdict, [one.name for one in found.effects]) == ("named", ["pump-cooling"])
     held, floor = found.held_out, found.floor

@@ -13,11 +13,11 @@ import pytest
 from matplotlib.figure import Figure
 
 from sim.artefacts.model_directory import read_model_directory
-from sim.lab.discrepancy import beginning_sentence, held_out_sentence, look_at
+from sim.lab.discrepancy import advice_lines, beginning_sentence, held_out_sentence
 from sim.lab.discrepancy.diagnosis import Diagnosis, Verdict
 from sim.lab.discrepancy.heat_maps import heat_map, span
 from sim.lab.discrepancy.output import folder as output_folder
-from sim.lab.discrepancy.output.diagnosis_json import MISSING_HEAT, document, document_text
+from sim.lab.discrepancy.output.diagnosis_json import MISSING_HEAT_FILE, document, document_text
 from sim.lab.discrepancy.output.folder import check_folder, write_diagnosis
 from sim.lab.discrepancy.output.pictures import (
     CYCLES,
@@ -30,7 +30,7 @@ from sim.lab.discrepancy.output.pictures import (
     draw_missing_heat,
 )
 from sim.lab.discrepancy.output.report import Occasion, place_sentence, report_html
-from sim.lab.discrepancy.story import sentence_of
+from sim.lab.discrepancy.story import verdict_sentence
 from tests.discrepancy_report.made_diagnoses import EVIL, LATE, PLACE, beginning, course, missing, of
 from tests.gateway.support import two_modes
 
@@ -112,7 +112,7 @@ def test_what_is_named_has_a_share_of_none_of_these_and_nothing_else_has(verdict
 def test_the_sentence_of_a_name_says_how_sure_it_is_and_how_likely_none_of_these_is() -> None:
     sure = replace(of("named").effects[0], confidence=0.93)
     said = {
-        share: sentence_of(
+        share: verdict_sentence(
             "named",
             (sure,),
             unexplained=(),
@@ -127,7 +127,7 @@ def test_the_sentence_of_a_name_says_how_sure_it_is_and_how_likely_none_of_these
     assert said[0.05].endswith("while it runs), 0.93; none of these 0.05.")
     assert said[0.002].endswith("0.93; none of these below 0.01.")
     either = replace(sure, members=("pump-cooling", "feed-temperature-coupling"))
-    said_of_class = sentence_of(
+    said_of_class = verdict_sentence(
         "class", (either,), unexplained=(), shifts=(), held=None, cycles=11, unit="°C", none_of_these=0.05
     )
     assert said_of_class.endswith("pump-cooling or feed-temperature-coupling, 0.93; none of these 0.05.")
@@ -349,11 +349,11 @@ def test_a_place_with_less_than_a_fifth_of_the_heat_is_none_that_is_told() -> No
     page = flat(html_of(odd))
     assert "of the unexplained heat is in" not in page and "in no particular place" in page
     assert "19 %" in page  # the table has every place
-    assert look_at(odd) == ("what is not recorded yet: no measured signal goes with the gap",)
+    assert advice_lines(odd) == ("what is not recorded yet: no measured signal goes with the gap",)
     told = replace(odd, unexplained=(replace(little, share=0.2),))
     assert "20% of the unexplained heat is in ON/200-300" in flat(html_of(told))
     for share, said in ((0.19, "in no particular place"), (0.2, "20% of the unexplained heat is in ON/200-300")):
-        sentence = sentence_of(
+        sentence = verdict_sentence(
             "unexplained",
             (),
             unexplained=(replace(little, share=share),),
@@ -406,7 +406,7 @@ def test_a_diagnosis_replaces_an_earlier_one_and_leaves_other_files_alone(tmp_pa
     write_diagnosis(of("named"), occasion(out, ()), two_modes())
     assert read_model_directory(out / "model").sha.name == "two modes"
     first = sorted(path.name for path in out.iterdir())
-    written = ["model", "diagnosis.json", "report.html", MISSING_HEAT, MISSING, WHERE, CYCLES, ERRORS, SHEET]
+    written = ["model", "diagnosis.json", "report.html", MISSING_HEAT_FILE, MISSING, WHERE, CYCLES, ERRORS, SHEET]
     assert first == sorted(["notes.txt", *written])
     check_folder(out, tmp_path / "given")
     write_diagnosis(of("too-little-data"), occasion(out), None)

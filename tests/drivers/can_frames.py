@@ -50,4 +50,4 @@ def candump(frames: Iterable[CanFrame], channel: str = "can0") -> str:
 
 def lies_in(field: Field, data: bytes) -> bool:
     """Whether a frame's payload is of the layout that holds the field."""
-    return all(condition.met(data) for condition in field.conditions)
+    return all(condition.holds(data) for condition in field.conditions)

@@ -7,7 +7,7 @@ import pytest
 from cantools.database.can import Database
 
 from drivers.can.dbc import Dbc
-from drivers.can.fields import value_of
+from drivers.can.fields import decode_value
 from drivers.driver import open_driver
 from drivers.errors import AddressError, DriverError
 from drivers.tag import DType, Quality, Tag
@@ -85,7 +85,7 @@ def test_motorola_signals_scales_and_negative_offsets_are_read_as_cantools_reads
     for name in ("Speed", "Torque", "Gear"):
         tag, field, facts = Dbc(others).locate(Tag(name, f"dbc:Engine.{name}"))
         assert facts.key == 2566834688  # a DBC file writes the flag of a 29-bit id as the kernel does
-        value, quality, _ = value_of(tag, field, data)
+        value, quality, _ = decode_value(tag, field, data)
         assert quality is Quality.GOOD
         assert isinstance(expected, dict)
         assert value == pytest.approx(expected[name])
@@ -93,8 +93,8 @@ def test_motorola_signals_scales_and_negative_offsets_are_read_as_cantools_reads
 
 def test_named_special_values_do_not_make_the_ordinary_ones_wrong(others: Path) -> None:
     tag, field, _ = Dbc(others).locate(Tag("gear", "dbc:Engine.Gear", sentinel=7))
-    assert value_of(tag, field, bytes((0, 0, 0, 0, 5, 0, 0, 0)))[:2] == (5, Quality.GOOD)
-    assert value_of(tag, field, bytes((0, 0, 0, 0, 7, 0, 0, 0)))[:2] == (None, Quality.NO_DATA)
+    assert decode_value(tag, field, bytes((0, 0, 0, 0, 5, 0, 0, 0)))[:2] == (5, Quality.GOOD)
+    assert decode_value(tag, field, bytes((0, 0, 0, 0, 7, 0, 0, 0)))[:2] == (None, Quality.NO_DATA)
 
 
 def test_extended_multiplexing_needs_every_selector_and_has_several_numbers(others: Path) -> None:

@@ -9,7 +9,7 @@ from cantools.database.conversion import BaseConversion
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from drivers.can.fields import EXTENDED, Bits, Field, frame_key, frame_name, parse_field, raw_of, value_of
+from drivers.can.fields import EXTENDED, Bits, Field, decode_value, encode_raw, frame_key, frame_name, parse_field
 from drivers.errors import AddressError, EncodingError
 from drivers.tag import DType, Order, Quality, Tag
 from tests.drivers.can_frames import lies_in
@@ -41,7 +41,7 @@ def test_a_number_is_read_as_cantools_reads_it(place: tuple[Bits, Tag], data: by
     assert field.bits == bits
     signal = signal_of(bits, signed=tag.dtype.startswith("int"))
     expected = Message(1, "m", 8, [signal]).decode(data)["x"]
-    assert value_of(tag, field, data) == (expected, Quality.GOOD, "")
+    assert decode_value(tag, field, data) == (expected, Quality.GOOD, "")
 
 
 @settings(max_examples=100)
@@ -54,10 +54,10 @@ def test_a_number_is_put_where_it_is_read_and_no_other_bit_moves(
     put = bits.put(data, raw)
     assert bits.get(put) == raw
     assert bits.put(put, bits.get(data)) == data
-    value, quality, _ = value_of(tag, parse_field(tag), put)
+    value, quality, _ = decode_value(tag, parse_field(tag), put)
     assert quality is Quality.GOOD
     assert value is not None
-    assert raw_of(tag, parse_field(tag), value) == raw
+    assert encode_raw(tag, parse_field(tag), value) == raw
 
 
 def test_the_notation_tells_eleven_bits_from_twenty_nine() -> None:
@@ -109,7 +109,7 @@ def test_a_type_that_cannot_lie_in_the_bits_is_refused() -> None:
 
 def test_floats_texts_flags_and_sentinels_mean_what_they_mean_on_every_other_link() -> None:
     def read(tag: Tag, data: bytes) -> object:
-        return value_of(tag, parse_field(tag), data)
+        return decode_value(tag, parse_field(tag), data)
 
     assert read(Tag("x", "0x1:8|32", DType.FLOAT32), b"\0\0\0\x75\x42") == (61.25, Quality.GOOD, "")
     assert read(Tag("x", "0x1:7|32@0", DType.FLOAT32), b"\x42\x75\0\0") == (61.25, Quality.GOOD, "")
@@ -128,7 +128,7 @@ def test_floats_texts_flags_and_sentinels_mean_what_they_mean_on_every_other_lin
 
 def test_a_frame_that_is_too_short_has_no_value() -> None:
     tag = Tag("x", "0x1:8|16")
-    value, quality, reason = value_of(tag, parse_field(tag), b"\1\2")
+    value, quality, reason = decode_value(tag, parse_field(tag), b"\1\2")
     assert (value, quality) == (None, Quality.DECODING_ERROR)
     assert reason == "the frame has 2 bytes, and the value needs 3"
 
@@ -146,7 +146,7 @@ def test_a_frame_that_is_too_short_has_no_value() -> None:
 )
 def test_a_value_that_its_bits_do_not_hold_is_refused(tag: Tag, value: float) -> None:
     with pytest.raises(EncodingError):
-        raw_of(tag, parse_field(tag), value)
+        encode_raw(tag, parse_field(tag), value)
 
 
 def test_negative_numbers_of_odd_widths_keep_their_sign() -> None:
@@ -154,13 +154,13 @@ def test_negative_numbers_of_odd_widths_keep_their_sign() -> None:
         tag = Tag("x", f"0x1:3|{length}", DType.INT16)
         field = parse_field(tag)
         for number in (-(2 ** (length - 1)), -1, 0, 2 ** (length - 1) - 1):
-            data = field.bits.put(bytes(8), raw_of(tag, field, number))
-            assert value_of(tag, field, data)[0] == number
+            data = field.bits.put(bytes(8), encode_raw(tag, field, number))
+            assert decode_value(tag, field, data)[0] == number
 
 
 def test_scale_and_offset_are_the_tags() -> None:
     tag = Tag("x", "0x1:0|16", DType.INT16, scale=0.01, offset=-5.0)
     field = parse_field(replace(tag))
-    data = field.bits.put(bytes(2), raw_of(tag, field, 12.34))
-    assert value_of(tag, field, data)[0] == pytest.approx(12.34)
+    data = field.bits.put(bytes(2), encode_raw(tag, field, 12.34))
+    assert decode_value(tag, field, data)[0] == pytest.approx(12.34)
     assert field == Field(1, Bits(0, 16))

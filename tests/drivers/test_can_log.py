@@ -311,7 +311,7 @@ def test_only_the_bus_that_is_asked_for_is_listened_to(tmp_path: Path) -> None:
 @given(st.lists(st.floats(-1e9, 1e12), min_size=1, max_size=50))
 def test_the_line_of_times_never_goes_back_and_no_pause_is_longer_than_allowed(logged: list[float]) -> None:
     line = Timeline(60.0)
-    played = [line.at(time) for time in logged]
+    played = [line.play_time(time) for time in logged]
     assert played[0] == 0.0
     for before, after in pairwise(played):
         assert before <= after <= before + 60.0 + 1e-3
@@ -319,9 +319,9 @@ def test_the_line_of_times_never_goes_back_and_no_pause_is_longer_than_allowed(l
 
 def test_times_that_jitter_keep_their_line_and_a_clock_set_back_goes_on() -> None:
     line = Timeline(60.0)
-    assert [line.at(time) for time in (100.0, 101.0, 100.5, 102.0)] == [0.0, 1.0, 1.0, 2.0]
-    assert [line.at(time) for time in (50.0, 51.0)] == [2.0, 3.0]
-    assert line.at(5000.0) == 63.0
+    assert [line.play_time(time) for time in (100.0, 101.0, 100.5, 102.0)] == [0.0, 1.0, 1.0, 2.0]
+    assert [line.play_time(time) for time in (50.0, 51.0)] == [2.0, 3.0]
+    assert line.play_time(5000.0) == 63.0
     assert line.counts == {"back": 2, "shortened": 1}
 
 

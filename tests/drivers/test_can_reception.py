@@ -8,7 +8,7 @@ from drivers.can.bus.load import BusLoad, frame_bits
 from drivers.can.errors_on_bus import BusErrors, ControllerState
 from drivers.can.fields import Bits, LayoutCondition
 from drivers.can.frame import CanFrame
-from drivers.can.protection import Count, Protection, checked, crc, protected
+from drivers.can.protection import Count, Protection, check_frame, crc, protect_frame
 from drivers.can.reception import Channel, MessageRules, Reception, Slot
 from drivers.tag import Quality
 
@@ -28,7 +28,7 @@ def frame(data: bytes, time: float = 0.0) -> CanFrame:
 
 
 def quality(reception: Reception, channel: Channel, slot: Slot, now: float) -> Quality | None:
-    missing = reception.missing(channel, slot, now)
+    missing = reception.absence(channel, slot, now)
     return None if missing is None else missing[0]
 
 
@@ -38,7 +38,7 @@ def test_a_message_is_awaited_then_missing_then_there_then_too_old() -> None:
     assert quality(reception, channel, slot, 1.5) is Quality.TIMEOUT
     reception.take(KEY, frame(b"\1"), 2.0)
     assert quality(reception, channel, slot, 3.0) is None
-    assert reception.missing(channel, slot, 3.25) == (Quality.TIMEOUT, "no frame Speed for 1.25 s (limit 1 s)")
+    assert reception.absence(channel, slot, 3.25) == (Quality.TIMEOUT, "no frame Speed for 1.25 s (limit 1 s)")
 
 
 def test_each_layout_of_a_multiplexed_message_has_an_age_of_its_own() -> None:
@@ -58,7 +58,7 @@ def test_a_frame_of_another_length_is_no_reading_and_is_named_once_the_last_one_
     for moment in (0.5, 0.9, 1.5):
         assert not reception.take(KEY, frame(b"\1"), moment)
     assert quality(reception, channel, slot, 0.9) is None
-    assert reception.missing(channel, slot, 1.5) == (
+    assert reception.absence(channel, slot, 1.5) == (
         Quality.DECODING_ERROR,
         "frame Speed cannot be used: it has 1 bytes, not 2",
     )
@@ -77,36 +77,36 @@ def test_what_was_heard_before_a_new_connection_counts_no_more() -> None:
 
 def test_the_checksum_is_that_of_the_profiles_published_example() -> None:
     # AUTOSAR E2E profile 5: data id 0x1234, eight bytes, all zero, as an independent Python library (e2e) has it.
-    assert protected(GUARD, 0, bytes(8)).hex() == "1cca000000000000"
-    assert protected(GUARD, 1, bytes(8)).hex() == "cf8d010000000000"
+    assert protect_frame(GUARD, 0, bytes(8)).hex() == "1cca000000000000"
+    assert protect_frame(GUARD, 1, bytes(8)).hex() == "cf8d010000000000"
 
 
 def test_frames_in_sequence_are_used_with_gaps_and_over_the_wrap() -> None:
     last: Count | None = None
     for counter in (250, 251, 253, 0, 9, 10):
-        last, problem = checked(GUARD, last, protected(GUARD, counter, bytes(8)))
+        last, problem = check_frame(GUARD, last, protect_frame(GUARD, counter, bytes(8)))
         assert problem == ""
 
 
 def test_a_repeated_frame_is_no_reading() -> None:
-    last, _ = checked(GUARD, None, protected(GUARD, 7, bytes(8)))
-    assert checked(GUARD, last, protected(GUARD, 7, bytes(8))) == (last, "its counter has not moved on")
+    last, _ = check_frame(GUARD, None, protect_frame(GUARD, 7, bytes(8)))
+    assert check_frame(GUARD, last, protect_frame(GUARD, 7, bytes(8))) == (last, "its counter has not moved on")
 
 
 def test_after_a_jump_frames_must_follow_it_before_one_is_used() -> None:
-    last, _ = checked(GUARD, None, protected(GUARD, 7, bytes(8)))
+    last, _ = check_frame(GUARD, None, protect_frame(GUARD, 7, bytes(8)))
     problems = []
     for counter in (100, 101, 102, 103):
-        last, problem = checked(GUARD, last, protected(GUARD, counter, bytes(8)))
+        last, problem = check_frame(GUARD, last, protect_frame(GUARD, counter, bytes(8)))
         problems.append(bool(problem))
     assert problems == [True, True, False, False]
 
 
 def test_two_old_frames_repeated_in_turn_are_never_used() -> None:
-    old = [protected(GUARD, counter, bytes(8)) for counter in (7, 8)]
+    old = [protect_frame(GUARD, counter, bytes(8)) for counter in (7, 8)]
     last: Count | None = Count(8)
     for place in range(20):
-        last, problem = checked(GUARD, last, old[place % 2])
+        last, problem = check_frame(GUARD, last, old[place % 2])
         assert problem
 
 
@@ -115,18 +115,18 @@ def test_of_random_payloads_as_good_as_none_has_the_checksum_and_none_is_used() 
     last: Count | None = Count(0)
     used = 0
     for _ in range(20_000):
-        last, problem = checked(GUARD, last, rng.randbytes(8))
+        last, problem = check_frame(GUARD, last, rng.randbytes(8))
         used += not problem
     assert used == 0
 
 
 def test_a_wrong_bit_anywhere_or_another_messages_frame_is_found() -> None:
-    data = protected(GUARD, 5, b"abcdefgh")
+    data = protect_frame(GUARD, 5, b"abcdefgh")
     for bit in range(8 * len(data)):
         wrong = (int.from_bytes(data, "big") ^ 1 << bit).to_bytes(len(data), "big")
-        assert checked(GUARD, Count(4), wrong)[1]
-    assert checked(Protection(0x1235), Count(4), data)[1] == "its CRC is wrong"
-    assert checked(GUARD, Count(4), b"\1\2")[1].startswith("it has 2 bytes")
+        assert check_frame(GUARD, Count(4), wrong)[1]
+    assert check_frame(Protection(0x1235), Count(4), data)[1] == "its CRC is wrong"
+    assert check_frame(GUARD, Count(4), b"\1\2")[1].startswith("it has 2 bytes")
     assert crc(GUARD, data) == int.from_bytes(data[:2], "little")
 
 

@@ -165,7 +165,7 @@ async def test_asking_goes_on_after_the_bus_has_taken_no_frame_for_a_while(
 ) -> None:
     unit, opened = car
     unit.answers = lambda _: [(0x7E8, isotp(b"\x41\x0c\x1a\xf8")[0])]
-    monkeypatch.setattr("drivers.vehicle.live._RETRY", 0.02)
+    monkeypatch.setattr("drivers.vehicle.live._RETRY_S", 0.02)
     send, refused = VirtualBus.send, []
 
     def full(bus: VirtualBus, message: can.Message, timeout: float | None = None) -> None:

@@ -2,8 +2,8 @@
 
 import random
 
-from drivers.canopen.emergency import MOST, Emergencies
-from drivers.canopen.life import CONFIRMED, Life
+from drivers.canopen.emergency import MAX_ACTIVE_ERRORS, Emergencies
+from drivers.canopen.life import MIN_CONFIRMING_FRAMES, Life
 from drivers.canopen.place import ObjectPlace
 from drivers.tag import Quality
 
@@ -56,13 +56,15 @@ def test_random_frames_are_refused_but_for_the_few_that_guess_the_very_next_coun
 
 def test_a_program_that_has_begun_anew_is_believed_after_a_few_frames_that_continue_one_another() -> None:
     life, _, moment = running(3000)
-    answers = [life.own(1 + number, 0.0, moment + number * CYCLE) for number in range(CONFIRMED + 1)]
-    assert answers == [False] * (CONFIRMED - 1) + [True, True]
+    answers = [life.own(1 + number, 0.0, moment + number * CYCLE) for number in range(MIN_CONFIRMING_FRAMES + 1)]
+    assert answers == [False] * (MIN_CONFIRMING_FRAMES - 1) + [True, True]
 
 
 def test_a_program_that_stops_and_starts_is_believed_after_a_few_frames_and_one_zero_alone_is_not() -> None:
     life, value, moment = running()
-    assert [life.own(0, 0.0, moment + number * CYCLE) for number in range(4)] == [False] * (CONFIRMED - 1) + [True] * 2
+    assert [life.own(0, 0.0, moment + number * CYCLE) for number in range(4)] == [False] * (
+        MIN_CONFIRMING_FRAMES - 1
+    ) + [True] * 2
     assert [life.own(number, 0.0, moment + 5.0) for number in (7, 7, 8)] == [False, False, True]
     life, value, moment = running()
     assert not life.own(0, 0.0, moment)
@@ -83,9 +85,9 @@ def test_a_count_that_is_repeated_is_as_old_as_when_it_was_first_heard() -> None
 
 def test_emergencies_are_kept_by_code_and_never_without_bound() -> None:
     emergencies = Emergencies()
-    for code in range(0x8100, 0x8100 + 10 * MOST):
+    for code in range(0x8100, 0x8100 + 10 * MAX_ACTIVE_ERRORS):
         emergencies.take(code.to_bytes(2, "little") + bytes(6))
-    assert len(emergencies.active) == MOST
+    assert len(emergencies.active) == MAX_ACTIVE_ERRORS
     emergencies.take(b"\x00\x50\x01")
     assert emergencies.malformed == 1
     verdict = emergencies.verdict()

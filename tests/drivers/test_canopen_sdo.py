@@ -153,7 +153,7 @@ class Line:
     def release(self) -> None:
         waiting, self.waiting = self.waiting, []
         for answer in waiting:
-            asyncio.get_running_loop().call_soon(self.channel.heard, answer)
+            asyncio.get_running_loop().call_soon(self.channel.receive, answer)
 
 
 async def test_a_late_answer_is_never_taken_for_the_next_request() -> None:

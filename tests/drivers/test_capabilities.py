@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from drivers.capabilities import Capabilities
-from drivers.driver import DRIVERS, LINKS, capabilities, link_of, load_function
+from drivers.driver import DRIVERS, LINKS, capabilities, link_name, load_function
 from drivers.errors import DriverError
 from drivers.survey import open_bus_survey, open_registers, read_plan
 
@@ -88,11 +88,11 @@ def test_what_a_row_names_is_there(name: str) -> None:
 def test_a_link_is_named_by_its_settings() -> None:
     assert all(link.driver in DRIVERS for link in LINKS.values())
     for name, link in LINKS.items():
-        assert link_of(link.driver, link.settings) == name
-    assert link_of("modbus", {"serial": "/dev/ttyS0"}) == "modbus-rtu"
-    assert link_of("modbus", {"transport": "tcp", "serial": "/dev/ttyS0"}) == "modbus"
-    assert link_of("modbus", {"transport": "udp"}) == "modbus-udp"
-    assert link_of("soft", {}) == "soft"
+        assert link_name(link.driver, link.settings) == name
+    assert link_name("modbus", {"serial": "/dev/ttyS0"}) == "modbus-rtu"
+    assert link_name("modbus", {"transport": "tcp", "serial": "/dev/ttyS0"}) == "modbus"
+    assert link_name("modbus", {"transport": "udp"}) == "modbus-udp"
+    assert link_name("soft", {}) == "soft"
 
 
 def test_what_a_driver_lacks_is_refused_in_a_sentence() -> None:

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.codec import decode, encode, encoder, judge, reader, registers_needed
+from drivers.codec import decode, encode, encoder, judge, reader, register_count
 from drivers.errors import AddressError, EncodingError
 from drivers.tag import DType, Order, Quality, Tag, Value
 
@@ -65,7 +65,7 @@ def test_every_number_in_every_order_decodes_as_struct_packs_it_and_encodes_back
     assert (value, quality) == (number, Quality.GOOD)
     assert type(value) is type(number)
     assert encode(tag, number) == registers
-    assert len(registers) == registers_needed(tag)
+    assert len(registers) == register_count(tag)
 
 
 def test_the_four_orders_of_one_number_by_hand() -> None:
@@ -276,7 +276,7 @@ def test_what_cannot_be_encoded_is_refused_in_one_sentence_that_names_the_tag(
 )
 def test_a_tag_that_cannot_be_is_an_address_error(tag: Tag) -> None:
     with pytest.raises(AddressError, match="x: "):
-        registers_needed(tag)
+        register_count(tag)
 
 
 @given(data=st.data(), order=orders, words=st.lists(st.integers(0, 65535), min_size=1, max_size=4))
@@ -296,7 +296,7 @@ def test_a_reader_says_what_decode_says(data: st.DataObject, order: Order, words
         labels=data.draw(st.sampled_from([{}, {1: "one"}])),
         unit="A",
     )
-    for registers in (tuple(words), tuple(words[: registers_needed(tag)])):
+    for registers in (tuple(words), tuple(words[: register_count(tag)])):
         said, reference = reader(tag)(registers), decode(tag, registers)
         assert repr(said) == repr(reference) and type(said[0]) is type(reference[0])
 
@@ -504,7 +504,7 @@ def test_a_small_limit_is_drawn_as_wide_as_it_is_small() -> None:
 @pytest.mark.parametrize("text", ["X", "MIXX", "XX XX", " x", "a b"])
 def test_of_a_text_only_blanks_at_its_end_are_padding(text: str) -> None:
     tag = Tag("t", "holding:0", DType.STRING, length=len(text))
-    assert registers_needed(tag) == (len(text) + 1) // 2
+    assert register_count(tag) == (len(text) + 1) // 2
     words = encode(tag, text)
     assert decode(tag, words) == (text, Quality.GOOD, "")
     if len(text) % 2 == 0:

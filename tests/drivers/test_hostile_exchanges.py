@@ -39,10 +39,10 @@ def test_the_judge_sees_a_reply_that_was_cut_short_and_made_whole(monkeypatch: p
             self._give(frame)
 
     monkeypatch.setattr(ReplyStream, "take", take)
-    monkeypatch.setattr(ReplyStream, "unfinished", b"")
+    monkeypatch.setattr(ReplyStream, "remainder", b"")
     assert suffer("tcp", 3000, seed=36).wrong > 0
 
 
 def test_the_judge_sees_a_late_reply_on_a_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(LineWire, "_awaited", lambda *_: None)
+    monkeypatch.setattr(LineWire, "_find_owed_reply", lambda *_: None)
     assert suffer("rtu-tcp", 3000, seed=36).wrong > 0

@@ -13,7 +13,7 @@ from drivers.codec import Reading
 from drivers.errors import AddressError
 from drivers.tag import DType, Quality, Tag
 from drivers.vehicle.dm1 import trouble_codes
-from drivers.vehicle.j1939 import Identifier, J1939Listener, identifier, special, wanted
+from drivers.vehicle.j1939 import Identifier, J1939Listener, identifier, parse_tag, special
 from drivers.vehicle.spns import SPNS
 from tests.drivers.can_frames import bam, timed
 
@@ -137,7 +137,7 @@ def test_a_signal_of_a_dbc_file_is_found_by_its_parameter_group_whatever_the_sou
     (absent,) = timed([(0x0CF00405, bytes.fromhex("FFFFFFFFFFFFFFFF"))])
     assert {one.reading[1] for one in listener.take(absent)} == {Quality.NO_DATA}
     with pytest.raises(AddressError, match="29-bit"):
-        wanted(Tag("x", "j1939:Short.Other"), 0, Dbc(path))
+        parse_tag(Tag("x", "j1939:Short.Other"), 0, Dbc(path))
 
 
 DM1_ONE = bytes.fromhex("04FF6E000305FFFF")
@@ -197,7 +197,7 @@ def test_older_ways_to_write_an_spn_are_read_as_configured(conversion: int) -> N
 )
 def test_an_address_that_means_nothing_is_refused_with_what_would_be_right(address: str, words: str) -> None:
     with pytest.raises(AddressError, match=r"^it: ") as caught:
-        wanted(Tag("it", address), 0, None)
+        parse_tag(Tag("it", address), 0, None)
     assert words in str(caught.value)
 
 

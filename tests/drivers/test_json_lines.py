@@ -13,14 +13,14 @@ from drivers.json_lines import NoObject
 
 
 def test_an_object_is_read_from_text_and_from_bytes_and_written_as_one_line() -> None:
-    assert json_lines.parsed('{"a": 1}') == json_lines.parsed(b'{"a": 1}\n') == {"a": 1}
-    assert json_lines.packed({"a": "\ud800\n"}) == b'{"a": "\\ud800\\n"}\n'
+    assert json_lines.parse_object('{"a": 1}') == json_lines.parse_object(b'{"a": 1}\n') == {"a": 1}
+    assert json_lines.format_object({"a": "\ud800\n"}) == b'{"a": "\\ud800\\n"}\n'
 
 
 @pytest.mark.parametrize("line", ["[1]", "7", "", "{", "no json", b"\xff\n", "[" * 100_000])
 def test_what_is_no_object_is_refused_in_one_sentence(line: str | bytes) -> None:
     with pytest.raises(NoObject, match="is no JSON object; give one, such as") as caught:
-        json_lines.parsed(line)
+        json_lines.parse_object(line)
     assert len(str(caught.value)) < 200
 
 

@@ -114,10 +114,10 @@ async def test_a_closed_link_can_be_opened_again(wires: Wires) -> None:
 async def test_three_failed_exchanges_in_a_row_end_the_connection_and_it_is_reopened_at_once(wires: Wires) -> None:
     link = wires.link(first=30, cap=30)
     await link.open()
-    link.answered(1)
+    link.note_answer(1)
     for _ in range(2):
         link.failed(1, 0.1, "no reply")
-    link.answered(1)
+    link.note_answer(1)
     for _ in range(3):
         assert link.connection == 1
         link.failed(1, 0.1, "no reply")
@@ -168,14 +168,14 @@ async def test_wake_tries_at_once(wires: Wires) -> None:
 async def test_reports_about_a_replaced_connection_are_ignored(wires: Wires) -> None:
     link = wires.link()
     await link.open()
-    link.answered(1)
+    link.note_answer(1)
     link.lost(1, "reset")
     await asyncio.sleep(0.05)
     assert link.connection == 2
     for _ in range(5):
         link.failed(1, 1.0, "late")
     link.lost(1, "late")
-    link.answered(1)
+    link.note_answer(1)
     assert link.connection == 2
     assert not link.proven
     await link.close()
@@ -185,7 +185,7 @@ async def test_only_a_valid_reply_proves_the_peer(wires: Wires) -> None:
     link = wires.link()
     await link.open()
     assert not link.proven
-    link.answered(1)
+    link.note_answer(1)
     assert link.proven
     link.lost(1, "reset")
     assert not link.proven

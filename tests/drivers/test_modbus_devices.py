@@ -15,7 +15,7 @@ from drivers.modbus.ascii import AsciiStream, ascii_frame
 from drivers.modbus.driver import PinnedDriver, open_modbus
 from drivers.modbus.identity import pinned_marks, stranger, text_of_server_id
 from drivers.modbus.rtu import crc
-from drivers.modbus.settings import place_of, read_settings
+from drivers.modbus.settings import connection_place, read_settings
 from drivers.tag import DType, Quality, Sample, Tag
 
 TAGS = [Tag(f"T{number}", f"holding:{number}", DType.INT16, writable=True) for number in range(8)]
@@ -31,7 +31,7 @@ class Device:
     server_id: bytes = b""
     serial: str = "SN-0001"
     refused: frozenset[int] = frozenset()
-    hangs_up: bool = False
+    ends_connections: bool = False
     even: bool = False
     silent_next: int = 0
     registers: dict[int, int] = field(default_factory=lambda: {number: number for number in range(64)})
@@ -99,7 +99,7 @@ class Socket:
                 if pdu is None:
                     continue
                 writer.write(head[:4] + (len(pdu) + 1).to_bytes(2, "big") + head[6:] + pdu)
-                if self.device.hangs_up:
+                if self.device.ends_connections:
                     break
         except (asyncio.IncompleteReadError, OSError, asyncio.CancelledError):
             pass
@@ -434,7 +434,7 @@ async def test_a_write_without_an_answer_ends_the_connection_that_it_was_sent_on
         async with asyncio.timeout(60):
             while not good(await driver.read(TAGS)) or plug.connections < 5:
                 await asyncio.sleep(0.01)
-        plug.device.hangs_up = False  # it has the habit, and is in the middle of a connection
+        plug.device.ends_connections = False  # it has the habit, and is in the middle of a connection
         async with asyncio.timeout(60):
             while not plug.open or not good(await driver.read(TAGS)):
                 await asyncio.sleep(0.01)
@@ -589,7 +589,7 @@ async def test_ascii_frames_are_read_and_written(noise: bytes) -> None:
 def test_a_host_is_taken_as_people_write_it(given: str, host: str, port: int) -> None:
     settings = read_settings({"host": given})
     assert (settings.host, settings.port) == (host, port)
-    assert place_of(settings) == place_of(read_settings({"host": host, "port": port}))
+    assert connection_place(settings) == connection_place(read_settings({"host": host, "port": port}))
 
 
 def test_a_host_that_contradicts_the_port_is_refused() -> None:

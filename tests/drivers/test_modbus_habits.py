@@ -47,7 +47,7 @@ class Habit:
     echo: bool = False
     hidden: bool = False
     single: bool = False
-    hangs_up: bool = False
+    ends_connections: bool = False
     even: bool = False
     most: int = 125
     serial: bool = False
@@ -103,7 +103,7 @@ class Habit:
                     continue
                 number = head[:2] if self.transaction is None else self.transaction.to_bytes(2, "big")
                 writer.write(number + b"\0\0" + (len(pdu) + 1).to_bytes(2, "big") + unit + pdu)
-                if self.hangs_up:
+                if self.ends_connections:
                     writer.close()
                     return
         except (asyncio.IncompleteReadError, OSError, asyncio.CancelledError):
@@ -318,7 +318,7 @@ async def walk(rows: Sequence[DeviceHabit], link: str, folder: Path) -> None:
                     await asyncio.sleep(0.01)
                 except WriteUnverified as error:
                     # One that hangs up under a question whose answer would not say what it answers is waited for.
-                    assert habit.hangs_up and "not asked" in str(error), link
+                    assert habit.ends_connections and "not asked" in str(error), link
                     break
         assert (habit.registers[0], habit.registers[1]) == (100, 101)
 

@@ -5,7 +5,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.errors import DeviceException, ReplyMismatch
-from drivers.modbus.verify import EXCEPTIONS, Asked, asked, check_reply, quality_of, split_frames, words_of
+from drivers.modbus.verify import (
+    EXCEPTIONS,
+    Asked,
+    check_reply,
+    exception_quality,
+    parse_request,
+    split_frames,
+    unpack_words,
+)
 from drivers.tag import Quality
 from tests.drivers.scripted import ScriptedPlc, mbap
 
@@ -19,10 +27,10 @@ def request(function: int, address: int, count: int, *, unit: int = 1) -> bytes:
 def test_an_honest_reply_passes_and_any_byte_more_or_less_does_not(function: int, address: int, count: int) -> None:
     sent = request(function, address, count)
     reply = ScriptedPlc().answer(sent)
-    check_reply(asked(sent), reply)
+    check_reply(parse_request(sent), reply)
     for bent in (reply + b"\0", reply[:-1], reply[:8] + bytes([reply[8] ^ 1]) + reply[9:]):
         with pytest.raises(ReplyMismatch):
-            check_reply(asked(sent), bent)
+            check_reply(parse_request(sent), bent)
 
 
 @settings(max_examples=60)
@@ -70,24 +78,26 @@ def test_of_a_header_that_is_not_whole_each_byte_that_can_be_wrong_is_looked_at(
 def test_a_request_is_read_as_it_was_written(function: int) -> None:
     for transaction, unit, address, count in [(0, 0, 0, 1), (0x0102, 3, 0x0405, 0x0607), (65535, 255, 65535, 125)]:
         request = mbap(transaction, unit, struct.pack(">BHH", function, address, count) + b"\x2b\x2b")
-        assert asked(request) == Asked(transaction, unit, function, address, count)
+        assert parse_request(request) == Asked(transaction, unit, function, address, count)
 
 
 def test_a_request_for_the_identity_has_neither_address_nor_count() -> None:
     for transaction, unit in [(0x0102, 9), (65535, 0)]:
-        assert asked(mbap(transaction, unit, b"\x2b\x0e\x01\x00")) == Asked(transaction, unit, 43, 0, 0)
+        assert parse_request(mbap(transaction, unit, b"\x2b\x0e\x01\x00")) == Asked(transaction, unit, 43, 0, 0)
 
 
 def test_registers_and_bits_come_in_their_order_and_of_a_write_comes_nothing() -> None:
-    assert words_of(Asked(7, 1, 3, 0, 3), b"\0\1\x80\0\xff\xfe") == (1, 0x8000, 0xFFFE)
-    assert words_of(Asked(7, 1, 4, 0, 1), b"\1\2") == (0x0102,)
+    assert unpack_words(Asked(7, 1, 3, 0, 3), b"\0\1\x80\0\xff\xfe") == (1, 0x8000, 0xFFFE)
+    assert unpack_words(Asked(7, 1, 4, 0, 1), b"\1\2") == (0x0102,)
     for function in (1, 2):
         for count in range(1, 18):
             for place in range(count):
                 data = (1 << place).to_bytes((count + 7) // 8, "little")
-                assert words_of(Asked(7, 1, function, 0, count), data) == tuple(int(n == place) for n in range(count))
+                assert unpack_words(Asked(7, 1, function, 0, count), data) == tuple(
+                    int(n == place) for n in range(count)
+                )
     for function in (15, 16):
-        assert words_of(Asked(7, 1, function, 0, 2), b"\0\0\0\2") == ()
+        assert unpack_words(Asked(7, 1, function, 0, 2), b"\0\0\0\2") == ()
 
 
 READ = Asked(7, 1, 3, 100, 4)
@@ -141,8 +151,8 @@ def test_every_code_of_an_exception_has_its_sentence_and_takes_the_value_away() 
             check_reply(READ, mbap(7, 1, bytes([0x83, code])))
         words = EXCEPTIONS[code][0] if code in EXCEPTIONS else "a code that the standard does not know"
         assert str(caught.value) == f"holding:100 count 4: exception {code}, {words}"
-        assert quality_of(code) is (EXCEPTIONS[code][1] if code in EXCEPTIONS else Quality.BAD)
-        assert quality_of(code).is_bad
+        assert exception_quality(code) is (EXCEPTIONS[code][1] if code in EXCEPTIONS else Quality.BAD)
+        assert exception_quality(code).is_bad
 
 
 @pytest.mark.parametrize(("code", "words"), [(2, "illegal data address"), (6, "busy"), (99, "does not know")])

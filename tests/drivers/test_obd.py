@@ -14,9 +14,9 @@ from drivers.can.frame import TagReading
 from drivers.codec import Reading
 from drivers.errors import AddressError
 from drivers.tag import DType, Quality, Tag
-from drivers.vehicle.obd import ObdListener, trouble_code, wanted
+from drivers.vehicle.obd import ObdListener, parse_tag, trouble_code
 from drivers.vehicle.obd_pids import FILE, pids
-from drivers.vehicle.obd_poll import requests_for
+from drivers.vehicle.obd_poll import plan_requests
 from tests.drivers.can_frames import isotp, timed
 
 SPEED = Tag("speed", "obd:0C", unit="rpm")
@@ -197,13 +197,13 @@ def test_a_value_beyond_the_tags_range_is_out_of_range_and_its_own_scale_comes_o
 )
 def test_an_address_that_means_nothing_is_refused_with_what_would_be_right(address: str, words: str) -> None:
     with pytest.raises(AddressError, match=r"^it: ") as caught:
-        wanted(Tag("it", address, DType.BOOL))
+        parse_tag(Tag("it", address, DType.BOOL))
     assert words in str(caught.value)
 
 
 def test_a_limit_on_a_tag_that_is_no_switch_is_refused() -> None:
     with pytest.raises(AddressError, match="a limit belongs to a tag of dtype bool"):
-        wanted(Tag("it", "obd:0C>100"))
+        parse_tag(Tag("it", "obd:0C>100"))
 
 
 @settings(max_examples=200)
@@ -216,10 +216,10 @@ def test_noise_on_the_answers_identifiers_never_raises(frames: list[tuple[int, b
 
 def test_requests_are_made_once_a_parameter_and_go_to_the_unit_that_shall_answer() -> None:
     tags = [SPEED, replace(SPEED, name="running", address="obd:0C>9", dtype=DType.BOOL), VIN, CODES]
-    ones = [wanted(tag) for tag in (*tags, replace(COOLANT, address="obd:05@7E9"))]
-    short = requests_for(ones, extended=False)
+    ones = [parse_tag(tag) for tag in (*tags, replace(COOLANT, address="obd:05@7E9"))]
+    short = plan_requests(ones, extended=False)
     assert [(one.request_id, one.data[:3].hex()) for one in short] == [
         (0x7E0, "02010c"), (0x7E0, "020902"), (0x7E0, "010355"), (0x7E1, "020105"),
     ]  # fmt: skip
     assert all(len(one.data) == 8 for one in short)
-    assert requests_for(ones, extended=True)[0][:3] == (0x18DAF110, 0x18DA10F1, True)
+    assert plan_requests(ones, extended=True)[0][:3] == (0x18DAF110, 0x18DA10F1, True)

@@ -16,7 +16,7 @@ from drivers.modbus.plan import (
     retry_delay,
     worst_cycle,
 )
-from drivers.modbus.preview import planned
+from drivers.modbus.preview import plan_requests
 from drivers.tag import DType, Tag
 
 
@@ -229,6 +229,6 @@ def test_the_plan_is_described_request_by_request() -> None:
 )
 def test_a_plan_says_by_which_function_a_block_is_written(own: dict[str, object], said: str, writes: list[str]) -> None:
     words = [Tag(f"Writeback.{number}", f"holding:{400 + number}", writable=True) for number in range(4)]
-    plan = planned({"host": "h", "timeout": 0.5, **own}, [Tag("T", "holding:1")], words)
+    plan = plan_requests({"host": "h", "timeout": 0.5, **own}, [Tag("T", "holding:1")], words)
     assert (plan.written_by, [request.kind for request in plan.writes]) == (said, writes)
     assert plan.writes[0].seconds == pytest.approx(0.5 * (4 if "write_with" in own else 1))

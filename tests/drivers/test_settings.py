@@ -7,7 +7,7 @@ import pytest
 from pydantic import Field
 
 from drivers.errors import DriverError
-from drivers.settings import ConfigError, Section, check_settings, checked
+from drivers.settings import ConfigError, Section, check_settings, validate_section
 
 
 class Cold(Section):
@@ -60,7 +60,7 @@ class Rooms(Section):
 )
 def test_a_sentence_has_place_key_reason_and_remedy(given: dict[str, object], sentence: str) -> None:
     with pytest.raises(ConfigError) as caught:
-        checked(Rooms, given, Path("f"))
+        validate_section(Rooms, given, Path("f"))
     assert caught.value.problems == (sentence,)
     with pytest.raises(DriverError) as refused:
         check_settings("f", Rooms, given)

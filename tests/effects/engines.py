@@ -10,11 +10,11 @@ from sim.engine.open_loop_run import open_loop
 from sim.engine.schedules import schedule
 from sim.engine.simulation import simulate
 from sim.engine.tracker import compile_model
-from sim.lab.discrepancy.fitting.baseline import frame_of
-from sim.lab.discrepancy.fitting.candidates import entry_of
-from sim.lab.discrepancy.fitting.course import at
-from sim.lab.discrepancy.fitting.named import Named, effects_of
-from sim.lab.discrepancy.fitting.record import record_of
+from sim.lab.discrepancy.fitting.baseline import build_frame
+from sim.lab.discrepancy.fitting.candidates import catalogue_entry
+from sim.lab.discrepancy.fitting.course import run_frame
+from sim.lab.discrepancy.fitting.named import Named, automaton_effects
+from sim.lab.discrepancy.fitting.record import build_record
 from sim.lab.learning.structure import contexts, product_sha
 from sim.lab.uppaal.model_export import export
 from sim.sha.automaton import SHA, Distribution, Edge, Flow, Location
@@ -106,19 +106,19 @@ def trace_of(first: float = 0.0) -> Trace:
 
 def named(kind: str, signals: dict[str, str], params: dict[str, float]) -> Named:
     """The effect as a diagnosis has it."""
-    return Named(entry_of(kind), signals, params)
+    return Named(catalogue_entry(kind), signals, params)
 
 
 def with_effects(model: Model, one: Named) -> Model:
     """The model to which a diagnosis would have added the effect."""
-    return replace(model, sha=replace(model.sha, effects=effects_of(one, model), low=-500.0, high=500.0))
+    return replace(model, sha=replace(model.sha, effects=automaton_effects(one, model), low=-500.0, high=500.0))
 
 
 def fitted(model: Model, one: Named, trace: Trace) -> Array:
     """(n,) what the free run of the fit reads at the OUTPUTS."""
-    record = record_of(model, [trace], tuple(name for name in trace.signals if name != "T"))
-    frame = frame_of(record)
-    state = at(frame, np.append(frame.centre, one.strength), np.array([REST]), [one])
+    record = build_record(model, [trace], tuple(name for name in trace.signals if name != "T"))
+    frame = build_frame(record)
+    state = run_frame(frame, np.append(frame.centre, one.strength), np.array([REST]), [one])
     return np.interp(OUTPUTS, record.runs.time, state.mean)
 
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from sim.effects.expressed import expressed
+from sim.effects.expressed import compile_held_heat
 from sim.effects.kind import BoundLaw, EffectCandidate, EffectKind, Parameter, Role, Roles, UppaalLaw
 from sim.effects.kinds import EFFECTS
 
@@ -22,7 +22,7 @@ HUMIDITY_HEATING = EffectKind(
     },
     roles=Roles(needed=(HUMIDITY,)),
     acts="anywhere",
-    **expressed("gain * (humidity - reference)"),
+    **compile_held_heat("gain * (humidity - reference)"),
     candidate=EffectCandidate(
         strength="gain",
         sign=1.0,

@@ -12,11 +12,11 @@ from sim.effects.expression.functions import (
     ExpressionName,
     ExpressionNumber,
     bounds,
-    compiled,
+    compile_expression,
     derivative,
+    format_expression,
     problem,
-    substituted,
-    written,
+    substitute,
 )
 from sim.effects.expression.parser import ExpressionError, parse
 
@@ -74,7 +74,7 @@ def exact(tree: Expression, values: dict[str, Fraction]) -> Fraction:
 @pytest.mark.parametrize("text", LINES)
 def test_what_is_written_is_read_as_it_was(text: str) -> None:
     tree = parse(text)
-    assert parse(written(tree)) == tree
+    assert parse(format_expression(tree)) == tree
 
 
 def test_values_and_slopes_are_those_of_rational_arithmetic() -> None:
@@ -88,7 +88,9 @@ def test_values_and_slopes_are_those_of_rational_arithmetic() -> None:
             continue  # a bend: its slope is one of two
         values = {"a": Fraction(a, 3), "b": Fraction(b, 2), "c": Fraction(c, 3)}
         floats = {name: np.array(float(value)) for name, value in values.items()}
-        assert float(compiled(tree)(floats)) == pytest.approx(float(exact(tree, values)), rel=1e-14, abs=1e-14)
+        assert float(compile_expression(tree)(floats)) == pytest.approx(
+            float(exact(tree, values)), rel=1e-14, abs=1e-14
+        )
         assert exact(by_a, values) == exact(parse(slope), values)
 
 
@@ -99,9 +101,9 @@ def test_slopes_are_those_of_small_differences() -> None:
         tree = parse(made(rng, 3))
         points = {name: rng.uniform(-3.0, 3.0, 20) for name in NAMES}
         for name in NAMES:
-            slope = np.broadcast_to(compiled(derivative(tree, name))(points), (20,))
+            slope = np.broadcast_to(compile_expression(derivative(tree, name))(points), (20,))
             sides = [
-                np.broadcast_to(compiled(tree)({**points, name: points[name] + h}), (20,))
+                np.broadcast_to(compile_expression(tree)({**points, name: points[name] + h}), (20,))
                 for h in (-2e-6, -1e-6, 1e-6, 2e-6)
             ]
             near, far = (sides[2] - sides[1]) / 2e-6, (sides[3] - sides[0]) / 4e-6
@@ -118,10 +120,10 @@ def test_no_sample_leaves_its_bounds() -> None:
         low = {name: rng.uniform(-3.0, 3.0) for name in NAMES}
         high = {name: value + rng.choice([0.0, 1e-9, 0.1, 3.0]) for name, value in low.items()}
         inside = {name: np.append(rng.uniform(low[name], high[name], 300), [low[name], high[name]]) for name in NAMES}
-        values = np.broadcast_to(compiled(tree)(inside), (302,))
+        values = np.broadcast_to(compile_expression(tree)(inside), (302,))
         box = {name: (np.asarray(low[name]), np.asarray(high[name])) for name in NAMES}
         for least, most in (bounds(tree, box), enclosure(tree, {}, box)):
-            assert np.all(values >= least) and np.all(values <= most), written(tree)
+            assert np.all(values >= least) and np.all(values <= most), format_expression(tree)
 
 
 def test_cells_and_slopes_make_bounds_that_are_nearly_exact() -> None:
@@ -129,7 +131,7 @@ def test_cells_and_slopes_make_bounds_that_are_nearly_exact() -> None:
     params, ranges = {"gain": 2e-4, "reference": 20.0}, {"feed": (5.0, 60.0), "pump": (0.0, 3.0)}
     low, high = enclosure(tree, params, cells(ranges))
     feed, pump = np.meshgrid(np.linspace(5.0, 60.0, 400), np.linspace(0.0, 3.0, 200))
-    values = compiled(tree)({**params, "feed": feed, "pump": pump})
+    values = compile_expression(tree)({**params, "feed": feed, "pump": pump})
     span = float(np.ptp(values))
     assert (
         0.0 <= float(values.min() - low.min()) < 0.05 * span and 0.0 <= float(high.max() - values.max()) < 0.05 * span
@@ -149,7 +151,7 @@ def test_an_interval_without_end_is_not_lost() -> None:
 
 def test_constants_are_worked_out() -> None:
     assert derivative(parse("3 * a + 2"), "a") == ExpressionNumber(3.0)
-    assert substituted(parse("a * (b + c)"), "a", ExpressionNumber(0.0)) == ExpressionNumber(0.0)
+    assert substitute(parse("a * (b + c)"), "a", ExpressionNumber(0.0)) == ExpressionNumber(0.0)
 
 
 @pytest.mark.parametrize(

@@ -16,8 +16,8 @@ from sim.engine.belief import start
 from sim.engine.plant import compile_plant
 from sim.engine.tracker import compile_model
 from sim.forecast.fan import forecast
-from sim.lab.discrepancy.augment import augmented
-from sim.lab.discrepancy.fitting.candidates import entry_of
+from sim.lab.discrepancy.augment import augment_model
+from sim.lab.discrepancy.fitting.candidates import catalogue_entry
 from sim.lab.discrepancy.workflow import diagnose
 from sim.lab.uppaal.model_export import ExportError, export
 from sim.proof.envelope import Assumptions
@@ -113,7 +113,7 @@ def test_a_diagnosis_names_it_and_adds_it_to_the_model() -> None:
     assert HUMIDITY_HEATING.meaning in found.diagnosis.sentence
     assert found.diagnosis.effects[0].params["gain"] == pytest.approx(1e-4, rel=0.2)
     assert found.fitted is not None
-    (effect,) = augmented(found.fitted).sha.effects
+    (effect,) = augment_model(found.fitted).sha.effects
     assert (effect.kind, effect.signals) == ("humidity-heating", {"humidity": "Umidita"})
 
 
@@ -211,4 +211,4 @@ def test_a_diagnosis_refuses_a_kind_that_is_no_candidate() -> None:
         known(replace(HUMIDITY_HEATING, candidate=None)),
         pytest.raises(ValueError, match="a diagnosis does not know effects of the kind 'humidity-heating'"),
     ):
-        entry_of("humidity-heating")
+        catalogue_entry("humidity-heating")

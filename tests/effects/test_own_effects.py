@@ -14,14 +14,14 @@ from sim.artefacts.model_json import model_hash, model_text, parse_model
 from sim.effects.correction import in_sensor_scale
 from sim.effects.kinds import effect_summary
 from sim.files import ArtefactError
-from sim.lab.discrepancy.augment import augmented
-from sim.lab.discrepancy.fitting.baseline import frame_of
+from sim.lab.discrepancy.augment import augment_model
+from sim.lab.discrepancy.fitting.baseline import build_frame
 from sim.lab.discrepancy.fitting.candidates import catalogue, entry_of_line, own_roles
 from sim.lab.discrepancy.fitting.free_run_fit import fit
-from sim.lab.discrepancy.fitting.named import Named, named_of
-from sim.lab.discrepancy.fitting.record import record_of
-from sim.lab.discrepancy.judging import untested
-from sim.lab.discrepancy.layout import present_roles, signals_needed
+from sim.lab.discrepancy.fitting.named import Named, model_effects
+from sim.lab.discrepancy.fitting.record import build_record
+from sim.lab.discrepancy.judging import untested_effects
+from sim.lab.discrepancy.layout import present_roles, required_signals
 from sim.lab.discrepancy.naming import step
 from sim.lab.discrepancy.rules import RULES
 from sim.proof.envelope import Assumptions
@@ -204,7 +204,7 @@ def test_a_diagnosis_finds_it_and_adds_it_to_the_model(tmp_path: Path) -> None:
     trace = replace(trace, signals={**trace.signals, "Ventil": trace.signals["MarciaPmpFango"]})
     present = present_roles([trace], own_roles(lines))
     assert present == {"cold-water.valve": "Ventil"}
-    base = fit(frame_of(record_of(small_model(), [trace], signals_needed(small_model(), present))), rounds=2)
+    base = fit(build_frame(build_record(small_model(), [trace], required_signals(small_model(), present))), rounds=2)
     entries = catalogue(lines)
     offered = [entry for entry in entries if entry.name in ("cold-water", "startup-churning", "pump-cooling")]
     found = step(base, offered, present, rules=RULES).best
@@ -212,12 +212,12 @@ def test_a_diagnosis_finds_it_and_adds_it_to_the_model(tmp_path: Path) -> None:
     assert (found.entry.name, found.gain > 40.0) == ("cold-water", True)
     named = found.fitted.state.named[-1]
     assert named.strength == pytest.approx(2e-4, rel=0.3) and 5.0 < named.params["cold"] < 28.0
-    made = augmented(found.fitted, name="with water", readings=[trace])
+    made = augment_model(found.fitted, name="with water", readings=[trace])
     again = parse_model(model_text(made))
     assert again == made and [effect.kind for effect in again.sha.effects] == ["cold-water"]
     assert effect_summary(again.sha.effects[0]).endswith("heat gain * max(valve, 0) * (cold - temperature)")
-    assert [each.entry.line for each in named_of(again)] == list(lines), "it can be diagnosed again"
-    assert "cold-water" in untested(entries, {}, own_roles(lines))
+    assert [each.entry.line for each in model_effects(again)] == list(lines), "it can be diagnosed again"
+    assert "cold-water" in untested_effects(entries, {}, own_roles(lines))
     proven = verify(again, assumptions=Assumptions(inputs={"Ventil": (0.0, 1.0)}))
     assert proven.deployable, proven.reasons
 

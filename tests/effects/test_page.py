@@ -68,4 +68,4 @@ def test_the_table_of_the_docs_is_the_table_of_the_program() -> None:
     assert list(written) == list(EFFECTS)
     for name, row in written.items():
         assert row[1:3] == [EFFECTS[name].meaning, EFFECTS[name].acts]
-        assert all(role in row[3] for role in (*EFFECTS[name].needed, *EFFECTS[name].optional))
+        assert all(role in row[3] for role in (*EFFECTS[name].required_roles, *EFFECTS[name].optional))

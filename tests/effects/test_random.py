@@ -87,7 +87,7 @@ def test_the_closed_step_is_that_of_the_engines_matrices(rate: float) -> None:
     ):
         np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-300)
     # As it is drawn: what is new in D, and what of X that does not tell.
-    np.testing.assert_allclose(step.into**2 * step.dd + step.own, step.xx, rtol=1e-12)
+    np.testing.assert_allclose(step.coupling**2 * step.dd + step.own, step.xx, rtol=1e-12)
 
 
 CASES = [pytest.param((effect,), id=name) for name, effect in RANDOM.items()]

@@ -29,7 +29,7 @@ from sim.plc.modbus import serial_line
 from sim.plc.modbus.framing import GAP_S
 from sim.plc.modbus.serial_line import OWN_PAIR
 from sim.plc.modbus.server import ModbusServer
-from sim.plc.modbus.tls import role_of as role_at_server
+from sim.plc.modbus.tls import certificate_role as role_at_server
 from sim.plc.modbus.tls import server_context
 from sim.plc.program import ModbusRequest, Plc
 from sim.strict_json import strict
@@ -255,7 +255,7 @@ def gateway_control(folder: Path) -> Iterator[Run]:
 
         def run(data: bytes) -> object:
             reply = strict(runner.run(answer(ControlScope({"decanter": machine}, snapshot), data)))
-            json_lines.packed(reply)
+            json_lines.format_object(reply)
             if not reply["ok"]:
                 check_sentence(reply["reason"])
             return reply
@@ -273,7 +273,7 @@ def plc_control(_: Path) -> Iterator[Run]:
     def run(data: bytes) -> object:
         now = 0.02 * next(moments)
         reply = obey(plc, data, now)
-        json_lines.packed(reply)
+        json_lines.format_object(reply)
         if not reply["ok"]:
             check_sentence(str(reply["error"]))
         plc.cycle(now)

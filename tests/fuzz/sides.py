@@ -7,19 +7,19 @@ from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 
 from drivers.can import CanFrame, TagReading
-from drivers.can.fields import parse_field, raw_of, value_of
+from drivers.can.fields import decode_value, encode_raw, parse_field
 from drivers.canopen.emergency import Emergencies
-from drivers.canopen.pdo import laid_out
+from drivers.canopen.pdo import map_objects
 from drivers.canopen.place import ObjectPlace, from_bytes
 from drivers.canopen.sdo import Transfer
 from drivers.errors import EncodingError
 from drivers.modbus import rtu
-from drivers.modbus.verify import Asked, check_reply, split_frames, words_of
+from drivers.modbus.verify import Asked, check_reply, split_frames, unpack_words
 from drivers.tag import DType, Tag
 from drivers.vehicle.isotp import Reassembler
 from drivers.vehicle.j1939_transport import Key, TransportSessions
 from drivers.vehicle.obd import ObdListener
-from gateway.outside.northbound.sparkplug import LONGEST_NAME, MOST_COMMANDS, commands_in
+from gateway.outside.northbound.sparkplug import LONGEST_NAME, MOST_COMMANDS, parse_commands
 from gateway.outside.serving import PeerServer
 from sim.plc.canopen.node import SDO_ANSWER, CanopenNode
 from sim.plc.canopen.objects import read_layout
@@ -48,7 +48,7 @@ def modbus_client(data: bytes) -> object:
 
 def sparkplug_command(data: bytes) -> object:
     """Whatever a broker hands on, what is heard of it is few short lines."""
-    heard = commands_in(data)
+    heard = parse_commands(data)
     assert len(heard) <= MOST_COMMANDS
     for command in heard:
         assert command.text.isprintable() and len(command.text) <= LONGEST_NAME and isinstance(command.is_true, bool)
@@ -61,9 +61,9 @@ def rtu_client(data: bytes) -> object:
     length = rtu.reply_length(asked, data)
     if length is None or len(data) < length:
         return None
-    check_reply(asked, rtu.unwrapped(asked, data[:length]))
+    check_reply(asked, rtu.unwrap(asked, data[:length]))
     assert length == 9 and rtu.crc(data[:7]) == data[7:9]
-    return words_of(asked, data[3 : length - 2])
+    return unpack_words(asked, data[3 : length - 2])
 
 
 class _Numbered:
@@ -196,17 +196,17 @@ def can_fields(data: bytes) -> object:
     kinds = (DType.UINT16, DType.INT16, DType.UINT32, DType.INT64, DType.FLOAT32, DType.BCD16, DType.BOOL, DType.UINT8)
     tag = Tag("T", address.decode(errors="replace"), kinds[len(payload) % len(kinds)])
     field = parse_field(tag)
-    value, quality, reason = value_of(tag, field, payload)
+    value, quality, reason = decode_value(tag, field, payload)
     assert quality.is_good == (value is not None) and (quality.is_good or reason.isprintable())
     if value is not None:
         with suppress(EncodingError):
-            assert value_of(tag, field, field.bits.put(payload, raw_of(tag, field, value)))[0] == value
+            assert decode_value(tag, field, field.bits.put(payload, encode_raw(tag, field, value)))[0] == value
     return value
 
 
 def canopen_pdo(data: bytes) -> object:
     """A tag's value is GOOD only for the bytes that its type has."""
-    objects = laid_out([(ObjectPlace(0x2001, 1 + at), size) for at, size in enumerate(data[:4])], "PDO")
+    objects = map_objects([(ObjectPlace(0x2001, 1 + at), size) for at, size in enumerate(data[:4])], "PDO")
     for mapped in objects:
         piece = mapped.cut(data[4:12])
         value, quality, _ = from_bytes(Tag("T", "0x2001:1", DType.UINT16), piece)

@@ -266,7 +266,7 @@ TARGETS: dict[str, FuzzTarget] = {
         (ReplyMismatch, DeviceException),
         "holding:100 count 2: |what arrives is not Modbus TCP",
     ),
-    "modbus-server": FuzzTarget(_requests, sides.modbus_server(framing.HEADED)),
+    "modbus-server": FuzzTarget(_requests, sides.modbus_server(framing.MBAP)),
     "modbus-server-tcp": FuzzTarget(_requests, live.plc_over_tcp(live.make_tcp), most=20_000),
     "peer-server": FuzzTarget(
         lambda: [bytes((1, 3, 0, 0, 0, 5)), bytes((1, 1, 0, 9, 0, 20)), bytes((1, 16, 0, 0, 0, 1, 2, 0, 7))],

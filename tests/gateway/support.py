@@ -41,7 +41,7 @@ class JumpClock:
 def one_machine(path: Path, tags: Iterable[Tag] = (), **options: Any) -> tuple[Historian, HistorianView]:
     """The historian of a gateway with one machine: what is opened and closed, and the machine's view of it."""
     store = open_historian(path, **options)
-    return store, store.of("decanter", tags)
+    return store, store.view("decanter", tags)
 
 
 def two_modes(gap: float = 30.0) -> Model:

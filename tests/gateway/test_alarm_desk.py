@@ -239,7 +239,7 @@ enabled = false
 
 async def test_the_plant_file_says_what_is_other_by_kind_and_by_tag(tmp_path: Path) -> None:
     config = config_in(tmp_path, ROWS)
-    conditions = make_conditions(config, config.watched)
+    conditions = make_conditions(config, config.watched_temperatures)
     one, other = conditions[HOT], conditions[f"over limit {OTHER}"]
     assert (one.priority, one.latches, one.response, one.on_delay, one.off_delay) == (2, True, "stop {it}", 0.0, 3.0)
     assert (other.priority, other.latches, other.on_delay) == (2, True, 7.0)
@@ -298,7 +298,9 @@ def test_a_machines_own_rows_go_over_those_that_all_have(tmp_path: Path) -> None
         '[[machine]]\nname = "one"\ndevice = { unit = 1 }\n'
         '[[machine]]\nname = "two"\ndevice = { unit = 2 }\n[[machine.alarm]]\nname = "link"\npriority = 3\n'
     )
-    one, two = (make_conditions(config, config.watched)["link"] for config in load_plant(tmp_path / "plant.toml"))
+    one, two = (
+        make_conditions(config, config.watched_temperatures)["link"] for config in load_plant(tmp_path / "plant.toml")
+    )
     assert (one.priority, one.on_delay, two.priority, two.on_delay) == (2, 20.0, 3, 20.0)
 
 

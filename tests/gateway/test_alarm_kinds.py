@@ -8,7 +8,7 @@ import pytest
 
 from gateway.outside.texts import LANGUAGES, all_words
 from gateway.settings import ALARM_KINDS, AlarmKind
-from gateway.settings.alarm_kinds import always, found, yes_or_no
+from gateway.settings.alarm_kinds import always, flag_value, yes_or_no
 from sim.phrase import Phrase
 from tests.gateway.support import config_in
 from tests.gateway.test_alarm_desk import QUICK, standing
@@ -23,7 +23,7 @@ TOY: dict[str, Any] = {
     "consequence": "nothing",
     "applies": always,
     "limit": yes_or_no,
-    "finding": lambda signs: found(signs.good("AcknowledgeBits") == 0),
+    "finding": lambda signs: flag_value(signs.good("AcknowledgeBits") == 0),
 }
 
 

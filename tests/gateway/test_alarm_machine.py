@@ -88,7 +88,7 @@ class AlarmLife(RuleBasedStateMachine):
             name: Sample(name, value, Quality.GOOD if value is not None else Quality.TIMEOUT, time)
             for name, value in self.values.items()
         }
-        self.board.on_measured(Scan(number=0, time=time, samples=samples, missed=0, duration=0.0))
+        self.board.take_readings(Scan(number=0, time=time, samples=samples, missed=0, duration=0.0))
 
     @rule(value=st.sampled_from((None, 20.0, 79.0, 81.0, 90.0)), seconds=st.sampled_from((0.5, 1.0, 4.0, 30.0, 700.0)))
     def read(self, value: float | None, seconds: float) -> None:

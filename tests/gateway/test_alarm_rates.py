@@ -5,7 +5,7 @@ import random
 import pytest
 
 from gateway.machine.alarms import JournalRow, alarm_rates
-from gateway.machine.alarms.rates import AlarmFlood, alarm_floods, most_within
+from gateway.machine.alarms.rates import AlarmFlood, alarm_floods, densest_window
 
 DAY = 86_400.0
 
@@ -52,9 +52,9 @@ def test_the_peak_is_of_any_ten_minutes_and_not_of_the_clocks() -> None:
 
 
 def test_ten_minutes_are_half_open() -> None:
-    assert most_within([0.0, 600.0], 600.0) == (1, 0.0)
-    assert most_within([0.0, 599.9], 600.0) == (2, 599.9)
-    assert most_within([], 600.0) == (0, None)
+    assert densest_window([0.0, 600.0], 600.0) == (1, 0.0)
+    assert densest_window([0.0, 599.9], 600.0) == (2, 599.9)
+    assert densest_window([], 600.0) == (0, None)
 
 
 def test_a_flood_begins_with_the_eleventh_and_ends_when_fewer_than_five_are_left() -> None:

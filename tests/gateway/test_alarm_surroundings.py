@@ -11,7 +11,7 @@ import pytest
 
 from gateway.clock_sync import clock_error
 from gateway.machine.alarms import make_conditions
-from gateway.network.certificates import days_left, make_all, make_application
+from gateway.network.certificates import make_all, make_application, remaining_days
 from gateway.plant.status import snapshot
 from gateway.settings import ALARM_KINDS
 from gateway.settings.config import Config, load_config
@@ -63,9 +63,9 @@ async def test_a_certificate_that_runs_out_is_an_alarm_in_time(days: int, state:
 def test_a_certificate_that_cannot_be_read_is_left_out(tmp_path: Path) -> None:
     make_all(tmp_path / "tls", hosts=["127.0.0.1"], days=10, now=BEGIN)
     (tmp_path / "tls" / "ca.pem").write_text("no certificate")
-    found = days_left(tmp_path / "tls", EPOCH)
+    found = remaining_days(tmp_path / "tls", EPOCH)
     assert len(found) == 2 and all(9.9 < days < 10.1 for days in found)
-    assert days_left(tmp_path / "nothing", EPOCH) == []
+    assert remaining_days(tmp_path / "nothing", EPOCH) == []
 
 
 async def test_a_disk_that_is_nearly_full_is_an_alarm(tmp_path: Path) -> None:
@@ -138,7 +138,7 @@ async def test_every_kind_of_alarm_can_be_had_and_each_is_looked_at_in_a_scan(tm
     text = QUICK.replace("sensors = false", "sensors = true").replace("trend = false", "trend = 300")
     text += '[[notify.to]]\nname = "a"\nwebhook = "https://example.com/x"\n' + BROKER
     config = over_tls(tmp_path, text, 100, model=two_modes())
-    conditions = make_conditions(config, config.watched, complains=True)
+    conditions = make_conditions(config, config.watched_temperatures, complains=True)
     assert {condition.kind for condition in conditions.values()} == set(ALARM_KINDS)
     for condition in conditions.values():
         kind = ALARM_KINDS[condition.kind]

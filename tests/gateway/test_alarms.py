@@ -20,8 +20,8 @@ from gateway.machine.alarms.states import (
     AlarmState,
     Change,
     acknowledge,
+    apply_change,
     from_plain,
-    moved,
     new_alarm,
     possible,
     step,
@@ -78,16 +78,16 @@ def test_every_state_can_be_hidden_and_comes_out_as_it_must(hidden: AlarmState) 
             continue
         standing = state in (AlarmState.UNACKNOWLEDGED, AlarmState.ACKNOWLEDGED)
         alarm = Alarm("c", "T", 1, state, 5.0, standing=standing)
-        inside = moved(alarm, enter, 6.0, "Ada", until=9.0, latching=latching)
+        inside = apply_change(alarm, enter, 6.0, "Ada", until=9.0, latching=latching)
         assert inside.state is hidden and not inside.active and inside.standing == standing
-        out = moved(inside, leave, 7.0, "Ada", latching=latching)
+        out = apply_change(inside, leave, 7.0, "Ada", latching=latching)
         assert out.until is None
         if standing:
             assert out.state is AlarmState.UNACKNOWLEDGED, "what stands is announced anew"
-            inside = moved(inside, Change.CLEAR, 6.5, latching=latching)
-            out = moved(inside, leave, 7.0, latching=latching)
+            inside = apply_change(inside, Change.CLEAR, 6.5, latching=latching)
+            out = apply_change(inside, leave, 7.0, latching=latching)
         # What is over comes out as it would have been had it not been hidden.
-        shown = moved(alarm, Change.CLEAR, 6.5, latching=latching)
+        shown = apply_change(alarm, Change.CLEAR, 6.5, latching=latching)
         assert out.state is shown.state
 
 
@@ -110,7 +110,7 @@ HAS = {(row.source, row.change) for row in TRANSITIONS}
 @pytest.mark.parametrize(("state", "change"), [p for p in product(AlarmState, Change) if p not in HAS])
 def test_a_change_that_the_table_does_not_have_leaves_the_alarm_as_it_is(state: AlarmState, change: Change) -> None:
     alarm = Alarm("c", "T", 1, state, 5.0)
-    assert moved(alarm, change, 9.0) == alarm
+    assert apply_change(alarm, change, 9.0) == alarm
 
 
 def test_every_move_keeps_account_of_who_made_it_when_and_why() -> None:
@@ -125,7 +125,7 @@ def test_every_move_keeps_account_of_who_made_it_when_and_why() -> None:
             raised=3.0,
             first_up=True,
         )
-        after = moved(alarm, change, 9.0, "Ada", reason="why", latching=latching, until=20.0)
+        after = apply_change(alarm, change, 9.0, "Ada", reason="why", latching=latching, until=20.0)
         if after is alarm:
             continue
         # What is hidden and stays hidden in the same state is not moved: only what it comes out as may change.
@@ -149,22 +149,22 @@ def test_every_move_keeps_account_of_who_made_it_when_and_why() -> None:
 
 def test_a_shelving_has_an_end() -> None:
     with pytest.raises(ValueError, match="needs an end"):
-        moved(new_alarm(HOT, 0.0), Change.SHELVE, 1.0, "Ada")
+        apply_change(new_alarm(HOT, 0.0), Change.SHELVE, 1.0, "Ada")
 
 
 def test_what_a_person_does_neither_shortens_nor_lengthens_a_delay() -> None:
     begun = step(SLOW, new_alarm(SLOW, 0.0), 81.0, 1.0)
-    pressed = moved(moved(begun, Change.ACKNOWLEDGE, 2.0, "Ada"), Change.RESET, 2.0, "Ada")
+    pressed = apply_change(apply_change(begun, Change.ACKNOWLEDGE, 2.0, "Ada"), Change.RESET, 2.0, "Ada")
     assert step(SLOW, pressed, 81.0, 4.0).state is AlarmState.UNACKNOWLEDGED
-    hidden = moved(begun, Change.REMOVE, 2.0, "Ada")
-    assert moved(step(SLOW, hidden, 81.0, 4.0), Change.RETURN, 5.0, "Ada").state is AlarmState.UNACKNOWLEDGED
+    hidden = apply_change(begun, Change.REMOVE, 2.0, "Ada")
+    assert apply_change(step(SLOW, hidden, 81.0, 4.0), Change.RETURN, 5.0, "Ada").state is AlarmState.UNACKNOWLEDGED
 
 
 def test_a_latching_alarm_that_came_and_went_where_nobody_saw_it_is_not_forgotten() -> None:
     condition = replace(HOT, latches=True)
-    alarm = moved(new_alarm(condition, 0.0), Change.SHELVE, 0.0, "Ada", until=9.0)
+    alarm = apply_change(new_alarm(condition, 0.0), Change.SHELVE, 0.0, "Ada", until=9.0)
     alarm = step(condition, step(condition, alarm, 90.0, 1.0), 20.0, 2.0)
-    assert moved(alarm, Change.UNSHELVE, 9.0, latching=True).state is AlarmState.LATCHED_UNACKNOWLEDGED
+    assert apply_change(alarm, Change.UNSHELVE, 9.0, latching=True).state is AlarmState.LATCHED_UNACKNOWLEDGED
 
 
 def test_an_alarm_saved_by_a_release_that_knew_four_states_is_read() -> None:
@@ -194,18 +194,18 @@ def test_of_a_saved_alarm_tag_and_priority_are_the_conditions_and_a_delay_begins
 def test_when_an_alarm_was_announced_and_whether_it_was_the_first_is_kept_until_it_comes_anew() -> None:
     first = replace(step(HOT, new_alarm(HOT, 0.0), 90.0, 1.0), first_up=True)
     assert first.raised == 1.0
-    taken = moved(first, Change.ACKNOWLEDGE, 2.0, "Ada")
+    taken = apply_change(first, Change.ACKNOWLEDGE, 2.0, "Ada")
     back = step(HOT, first, 20.0, 3.0)
     assert [(each.raised, each.first_up) for each in (taken, back)] == [(1.0, True)] * 2
     again = step(HOT, back, 90.0, 4.0)
     assert (again.state, again.raised, again.first_up) == (AlarmState.UNACKNOWLEDGED, 4.0, True)
     anew = step(HOT, replace(new_alarm(HOT, 0.0), first_up=True), 90.0, 5.0)
     assert (anew.raised, anew.first_up) == (5.0, False)
-    shelved = moved(taken, Change.SHELVE, 6.0, "Ada", until=60.0)
+    shelved = apply_change(taken, Change.SHELVE, 6.0, "Ada", until=60.0)
     assert (shelved.since, shelved.raised, shelved.first_up) == (6.0, 1.0, True)
-    out = moved(shelved, Change.UNSHELVE, 7.0)
+    out = apply_change(shelved, Change.UNSHELVE, 7.0)
     assert (out.state, out.since, out.raised) == (AlarmState.UNACKNOWLEDGED, 7.0, 7.0)
-    removed = moved(shelved, Change.REMOVE, 8.0, "Ada")
+    removed = apply_change(shelved, Change.REMOVE, 8.0, "Ada")
     assert (removed.state, removed.kept) == (AlarmState.OUT_OF_SERVICE, shelved.kept)
 
 
@@ -251,7 +251,7 @@ def test_a_rising_edge_acknowledges_and_a_standing_level_does_not() -> None:
 
 
 def test_a_new_occurrence_forgets_who_acknowledged_the_last_one() -> None:
-    alarm = moved(step(HOT, new_alarm(HOT, 0.0), 90.0, 1.0), Change.ACKNOWLEDGE, 2.0, "Ada")
+    alarm = apply_change(step(HOT, new_alarm(HOT, 0.0), 90.0, 1.0), Change.ACKNOWLEDGE, 2.0, "Ada")
     alarm = step(HOT, step(HOT, alarm, 70.0, 3.0), 90.0, 4.0)
     assert (alarm.state, alarm.acknowledged_by) == (AlarmState.UNACKNOWLEDGED, "")
 
@@ -278,7 +278,7 @@ def test_an_alarm_stands_exactly_while_its_condition_does_whoever_acknowledges(
     alarm, standing = new_alarm(HOT, 0.0), False
     for second, (value, pressed) in enumerate(history):
         if pressed:
-            alarm = moved(alarm, Change.ACKNOWLEDGE, float(second), "Ada")
+            alarm = apply_change(alarm, Change.ACKNOWLEDGE, float(second), "Ada")
         alarm = step(HOT, alarm, value, float(second))
         if value is not None:
             standing = value > 80.0 or (standing and value > 78.0)

@@ -15,7 +15,7 @@ from gateway.cli.main import main
 from gateway.machine.alarms import alarm_rates, make_conditions, read_journal
 from gateway.machine.reading import plant_clock
 from gateway.outside.notify import Notifier, attach_machine
-from gateway.outside.notify.messages import AlarmMessage, subject_of
+from gateway.outside.notify.messages import AlarmMessage, subject_line
 from gateway.outside.status import read_status
 from gateway.outside.texts import all_words
 from gateway.outside.web import machine_view
@@ -62,7 +62,7 @@ async def out_of_reach(stand: Stand, why: str = "it cannot be reached") -> None:
 
 
 def test_the_first_machine_has_them_and_they_name_the_plant(tmp_path: Path) -> None:
-    first, second = (make_conditions(config, config.watched) for config in plant_of(tmp_path, "a", "b"))
+    first, second = (make_conditions(config, config.watched_temperatures) for config in plant_of(tmp_path, "a", "b"))
     assert {name for name in first if name in OF_PLANT} == OF_PLANT and not OF_PLANT & set(second)
     assert {first[name].tag for name in OF_PLANT} == {"plant"}
     assert set(first) - OF_PLANT == set(second)
@@ -152,8 +152,8 @@ async def test_it_is_the_plants_in_journal_messages_and_on_the_page(tmp_path: Pa
         machine="a", alarm="northbound", tag="plant", priority=3, state="unacknowledged", raised=EPOCH,
         first_up=False, response="", consequence="",
     )  # fmt: skip
-    assert subject_of([told]) == "alarm, priority 3: northbound (plant)"
-    assert subject_of([replace(told, tag="a")]) == "alarm, priority 3: northbound (a)"
+    assert subject_line([told]) == "alarm, priority 3: northbound (plant)"
+    assert subject_line([replace(told, tag="a")]) == "alarm, priority 3: northbound (a)"
     for language, word in (("en", "Plant"), ("it", "Impianto"), ("de", "Anlage")):
         plain = picture(alarm_summary=[{**alarm, "since": EPOCH}])
         shown = machine_view(all_words()[language], {}, read_status(plain))

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from drivers.tag import Value
-from gateway.machine.writing.arming import ArmingError, arm_in_log, disarm_in_log, signed
+from gateway.machine.writing.arming import ArmingError, arm_in_log, disarm_in_log, sign_arming
 from gateway.machine.writing.block import Validity
 from gateway.machine.writing.writeback import Arming, Pace, Writer
 from gateway.outside.status import connect
 from gateway.plant.app import run
 from gateway.settings.config import Config, load_config
-from gateway.store.arming_rows import standing
+from gateway.store.arming_rows import find_arming
 from gateway.store.audit import ARMED, CONFIRMED, DISARMED, EXPIRED, AuditEntry, open_audit, read, verify
 from tests.gateway.support import EPOCH, Bench, JumpClock, config_in, plant_file, scan_of, two_modes
 from tests.gateway.test_writeback import CLOCK, USABLE, Wire, armed, scan
@@ -43,17 +43,17 @@ def test_an_arming_without_a_name_a_reason_or_an_end_is_refused(
     by: str, reason: str, minutes: float, words: str
 ) -> None:
     with pytest.raises(ArmingError, match=words):
-        signed(by, reason, minutes, 0.0)
-    assert signed(" Ada ", "loop test", 5, 100.0) == Arming("Ada", "loop test", 400.0)
+        sign_arming(by, reason, minutes, 0.0)
+    assert sign_arming(" Ada ", "loop test", 5, 100.0) == Arming("Ada", "loop test", 400.0)
 
 
 def test_what_is_armed_without_a_gateway_stands_in_the_log_and_can_be_taken_back(tmp_path: Path) -> None:
     path = tmp_path / "audit.sqlite"
     assert disarm_in_log(path, "Bea", "nothing there", 1.0) is None
-    arm_in_log(path, signed("Ada", "loop test", 5, 100.0), 100.0)
-    assert standing(path, 399.0) is not None
+    arm_in_log(path, sign_arming("Ada", "loop test", 5, 100.0), 100.0)
+    assert find_arming(path, 399.0) is not None
     assert disarm_in_log(path, "Bea", "enough", 200.0) is not None
-    assert standing(path, 201.0) is None and disarm_in_log(path, "Bea", "again", 202.0) is None
+    assert find_arming(path, 201.0) is None and disarm_in_log(path, "Bea", "again", 202.0) is None
     kinds = [row.entry.kind for row in read(path)]
     assert kinds == [DISARMED, ARMED, CONFIRMED, DISARMED, DISARMED], "each word is on record"
 
@@ -234,7 +234,7 @@ async def test_a_gateway_in_shadow_is_armed_and_disarmed_over_its_socket(tmp_pat
 
 async def test_a_gateway_that_starts_finds_the_commands_arming_and_a_restart_goes_on_with_it(tmp_path: Path) -> None:
     config = config_in(tmp_path, SHADOW, model=two_modes())
-    arm_in_log(config.audit, signed("Ada", "walk", 60, EPOCH), EPOCH)
+    arm_in_log(config.audit, sign_arming("Ada", "walk", 60, EPOCH), EPOCH)
     first = bench_of(config)
     first.clock.time += 1.0
     status = await go(config, first, 30)
@@ -247,7 +247,7 @@ async def test_a_gateway_that_starts_finds_the_commands_arming_and_a_restart_goe
 
 async def test_a_mode_that_was_off_in_between_does_not_bring_an_arming_back(tmp_path: Path) -> None:
     config = config_in(tmp_path, SHADOW, model=two_modes())
-    arm_in_log(config.audit, signed("Ada", "walk", 60, EPOCH), EPOCH)
+    arm_in_log(config.audit, sign_arming("Ada", "walk", 60, EPOCH), EPOCH)
     first = bench_of(config)
     first.clock.time += 1.0
     assert (await go(config, first, 30))["writeback"]["armed_by"] == "Ada"
@@ -257,7 +257,7 @@ async def test_a_mode_that_was_off_in_between_does_not_bring_an_arming_back(tmp_
     assert (await go(config, again, 30))["writeback"]["mode"] == "shadow" and not again.written
     last = [row.entry for row in read(config.audit)][-1]
     assert (last.kind, last.who, last.reason) == (EXPIRED, "Ada", "writeback.mode was set to 'off'")
-    arm_in_log(config.audit, signed("Ada", "walk", 60, first.clock.now()), first.clock.now())
+    arm_in_log(config.audit, sign_arming("Ada", "walk", 60, first.clock.now()), first.clock.now())
     signed_anew = bench_of(config, first.clock)
     assert (await go(config, signed_anew, 30))["writeback"]["mode"] == "armed" and signed_anew.written
 
@@ -300,7 +300,7 @@ async def test_what_was_disarmed_by_hand_stays_so_over_a_restart_until_it_is_sig
 @pytest.mark.parametrize("fault", [{"TCuscinettiRiduttore": None}, {"Assorbimento": None}, {"fault": "silent"}])
 async def test_a_bad_or_stale_input_clears_validity(tmp_path: Path, fault: dict[str, Value | None]) -> None:
     config = config_in(tmp_path, SHADOW, model=two_modes(), forecast__runs=20)
-    arm_in_log(config.audit, signed("Ada", "x", 60, EPOCH), EPOCH)
+    arm_in_log(config.audit, sign_arming("Ada", "x", 60, EPOCH), EPOCH)
     bench = Unhurried(config, JumpClock(), armed=True)
     bench.plan = {0: {"MarciaDecanter": True, "Assorbimento": 150.0}, 60: fault, 61: {"fault": None}}
     status = await go(config, bench, 64)
@@ -310,7 +310,7 @@ async def test_a_bad_or_stale_input_clears_validity(tmp_path: Path, fault: dict[
 
 async def test_an_input_out_of_the_models_distribution_clears_validity_and_the_zone_says_red(tmp_path: Path) -> None:
     config = config_in(tmp_path, SHADOW, model=two_modes(), forecast__runs=20)
-    arm_in_log(config.audit, signed("Ada", "x", 60, EPOCH), EPOCH)
+    arm_in_log(config.audit, sign_arming("Ada", "x", 60, EPOCH), EPOCH)
     bench = Unhurried(config, JumpClock(), armed=True)
     bench.plan = {0: {"MarciaDecanter": False}} | {
         number: {"TCuscinettiRiduttore": 25.0 + (number % 2) * 4.0} for number in range(80, 130)

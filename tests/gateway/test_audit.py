@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from gateway.store.arming_rows import given_words, standing
+from gateway.store.arming_rows import find_arming, given_words
 from gateway.store.audit import (
     ARMED,
     DISARMED,
@@ -24,7 +24,7 @@ from gateway.store.audit import (
 )
 from gateway.store.audit_damage import open_or_set_aside
 from gateway.store.confirming import confirmation
-from gateway.store.signing import key_beside, load_or_make_key
+from gateway.store.signing import key_path, load_or_make_key
 
 
 def filled(path: Path, count: int = 20) -> Audit:
@@ -119,25 +119,25 @@ def test_an_end_that_was_cut_off_shows_by_the_hash_that_was_kept(tmp_path: Path)
 def confirmed(audit: Audit, entry: AuditEntry) -> None:
     row = audit.record(entry)
     assert row is not None
-    assert audit.record(confirmation(row, load_or_make_key(key_beside(audit.path)), entry.time))
+    assert audit.record(confirmation(row, load_or_make_key(key_path(audit.path)), entry.time))
 
 
 def test_only_the_newest_arming_counts_and_only_for_its_time(tmp_path: Path) -> None:
     path = tmp_path / "a.sqlite"
-    assert standing(path, 0.0) is None and not given_words(path)
+    assert find_arming(path, 0.0) is None and not given_words(path)
     audit = open_audit(path)
     confirmed(audit, AuditEntry(100.0, ARMED, "Ada", "first", {"until": 200.0}))
-    assert standing(path, 150.0) is not None
-    assert standing(path, 200.0) is None and standing(path, 99.0) is None
+    assert find_arming(path, 150.0) is not None
+    assert find_arming(path, 200.0) is None and find_arming(path, 99.0) is None
     audit.record(AuditEntry(160.0, "write refused", "Ada", "the PLC does not permit it"))
-    assert standing(path, 170.0) is not None
+    assert find_arming(path, 170.0) is not None
     audit.record(AuditEntry(175.0, DISARMED, "Bea", "enough"))
-    assert standing(path, 176.0) is None
+    assert find_arming(path, 176.0) is None
     confirmed(audit, AuditEntry(180.0, ARMED, "Bea", "second", {"until": 300.0}))
-    found = standing(path, 181.0)
+    found = find_arming(path, 181.0)
     assert found is not None and found.entry.who == "Bea"
     audit.record(AuditEntry(181.0, EXPIRED, "Bea", "over"))
-    assert standing(path, 182.0) is None
+    assert find_arming(path, 182.0) is None
     assert audit.close()
 
 

@@ -2,9 +2,9 @@
 
 from pathlib import Path
 
-from gateway.commission.session.records import CommandRecord, append, broken_at
+from gateway.commission.session.records import CommandRecord, append, find_break
 from gateway.store.audit import AuditEntry, head, open_audit, verify
-from gateway.store.chain import BEGIN, digest, first_break, hash_of
+from gateway.store.chain import BEGIN, digest, first_break, sha256_hex
 
 AUDIT = "1b5dd4b17891e76d1dcb8748a52605002a51a8e7c99ed92a54568734fdb52b23"
 RECORDS = "a1bb554878644f20ffc4920b8cefc11ac846cf11f06b5cc2aa55de0992067616"
@@ -40,15 +40,15 @@ def test_the_records_lines_are_bound_as_they_always_were(tmp_path: Path) -> None
             machine="box",
         )
         newest = append(path, record)
-    assert newest == RECORDS and broken_at(path) is None
+    assert newest == RECORDS and find_break(path) is None
     lines = path.read_bytes().splitlines(keepends=True)
     path.write_bytes(lines[0] + lines[1].replace(b'"code": 0', b'"code": 1') + lines[2])
-    assert broken_at(path) == 3, "the line after the one that was changed no longer follows it"
+    assert find_break(path) == 3, "the line after the one that was changed no longer follows it"
     path.write_bytes(lines[0] + lines[2])
-    assert broken_at(path) == 2
+    assert find_break(path) == 2
 
 
 def test_a_row_is_bound_to_the_one_before_it() -> None:
     first = digest(BEGIN, b"a")
-    assert digest(first, b"b") != digest(BEGIN, b"b") and digest(b"", b"a").hex() == hash_of(b"a")
+    assert digest(first, b"b") != digest(BEGIN, b"b") and digest(b"", b"a").hex() == sha256_hex(b"a")
     assert first_break([("", ""), ("x", "x"), ("x", "y"), ("z", "w")]) == 3 and first_break([]) is None

@@ -198,7 +198,7 @@ def test_what_an_arming_is_for_does_not_hang_on_how_the_plant_file_is_named(
     file.write_text(f'[device]\nfile = "{ROOT / "config/devices/decanter_canopen.toml"}"\n', encoding="utf-8")
     monkeypatch.chdir(tmp_path)
     names = (file, Path("plant.toml"), tmp_path / ".." / tmp_path.name / "plant.toml")
-    armed_for = {load_config(path).armed_for for path in names}
+    armed_for = {load_config(path).arming_hash for path in names}
     assert len(armed_for) == 1
     file.write_text(file.read_text(encoding="utf-8") + "[scan]\nperiod = 2.0\n", encoding="utf-8")
-    assert load_config(file).armed_for not in armed_for
+    assert load_config(file).arming_hash not in armed_for

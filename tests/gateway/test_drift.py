@@ -12,7 +12,7 @@ import pytest
 
 from gateway.machine.alarms.conditions import make_conditions
 from gateway.machine.alarms.states import AlarmState, new_alarm, step
-from gateway.machine.model.drift import LEAST, CycleDrift, follow_cycle, rule_of
+from gateway.machine.model.drift import MIN_CYCLE_READINGS, CycleDrift, follow_cycle, make_drift_rule
 from gateway.machine.model.predict import Predictor, ScanPrediction
 from gateway.machine.pipeline import Machine
 from gateway.plant.app import run
@@ -38,7 +38,7 @@ def after(
     errors: list[float], model: Model | None = None, limit: float | None = None, *, scans: int = SCANS
 ) -> CycleDrift:
     """What is known after a cycle of each of these errors, and the start of the next one."""
-    rule, drift = rule_of(model or two_modes(), limit), CycleDrift()
+    rule, drift = make_drift_rule(model or two_modes(), limit), CycleDrift()
     assert rule is not None
     for number, error in enumerate([*errors, 0.0]):
         begin = EPOCH + number * CYCLE
@@ -59,7 +59,7 @@ def test_cycles_are_counted_while_they_are_beyond_the_models_own_band() -> None:
 
 
 def test_a_wide_band_in_one_place_hides_no_error_in_another() -> None:
-    rule, drift = rule_of(two_modes(), None), CycleDrift()
+    rule, drift = make_drift_rule(two_modes(), None), CycleDrift()
     assert rule is not None
     for cycle in range(4):
         begin = EPOCH + cycle * CYCLE
@@ -77,7 +77,7 @@ def test_a_wide_band_in_one_place_hides_no_error_in_another() -> None:
 
 def test_a_cycle_without_any_error_or_without_a_band_says_so() -> None:
     assert (after([0.0]).error, after([0.0]).limit, after([0.0]).running) == (0.0, None, 0)
-    rule, drift = rule_of(two_modes(), None), replace(CycleDrift(), begun=EPOCH)
+    rule, drift = make_drift_rule(two_modes(), None), replace(CycleDrift(), begun=EPOCH)
     assert rule is not None
     assert follow_cycle(rule, drift, prediction(EPOCH + 1, 2.0, sigma=0.0)) == drift
 
@@ -95,7 +95,7 @@ def test_the_calibration_widens_the_band_and_never_narrows_it() -> None:
 
 
 def test_the_part_before_the_first_start_and_a_cycle_of_a_few_readings_do_not_count() -> None:
-    rule = rule_of(two_modes(), None)
+    rule = make_drift_rule(two_modes(), None)
     assert rule is not None
     drift = CycleDrift()
     for scan in range(SCANS):
@@ -103,11 +103,11 @@ def test_the_part_before_the_first_start_and_a_cycle_of_a_few_readings_do_not_co
     assert (
         drift.readings == 0 and follow_cycle(rule, drift, prediction(EPOCH + 200, 0.0, events=("W_ON",))).running == 0
     )
-    assert after([2.0, 2.0], scans=LEAST - 2).running == 0
+    assert after([2.0, 2.0], scans=MIN_CYCLE_READINGS - 2).running == 0
 
 
 def test_not_knowing_for_a_while_ends_no_cycle() -> None:
-    rule, drift = rule_of(two_modes(), None), CycleDrift()
+    rule, drift = make_drift_rule(two_modes(), None), CycleDrift()
     assert rule is not None
     drift = follow_cycle(rule, drift, prediction(EPOCH, 0.0, events=("W_ON",)))
     for scan in range(1, 50):
@@ -117,7 +117,7 @@ def test_not_knowing_for_a_while_ends_no_cycle() -> None:
 
 
 def test_a_reading_without_a_free_run_is_left_out() -> None:
-    rule, drift = rule_of(two_modes(), None), replace(CycleDrift(), begun=EPOCH)
+    rule, drift = make_drift_rule(two_modes(), None), replace(CycleDrift(), begun=EPOCH)
     assert rule is not None
     for lacking in (
         replace(prediction(EPOCH + 1, 2.0), free_run=None),

@@ -17,7 +17,7 @@ from gateway.outside.texts import all_words
 from gateway.outside.web import machine_view
 from gateway.settings import load_config
 from sim.artefacts import FAMILIARITY_FILE, Familiarity
-from sim.familiarity import LEAST_CYCLES, ErrorCurve, fit_reference
+from sim.familiarity import MIN_CYCLES, ErrorCurve, fit_reference
 from sim.lab.formats import write_model_directory
 from tests.gateway.status_picture import picture
 from tests.gateway.support import TEMPERATURE, config_in, two_modes
@@ -129,7 +129,7 @@ def test_the_limit_has_a_range(tmp_path: Path) -> None:
 def test_a_reference_travels_with_its_model_and_a_damaged_one_stops_the_start(
     tmp_path: Path, known: Familiarity
 ) -> None:
-    assert known.reference.held_out.size >= LEAST_CYCLES
+    assert known.reference.held_out.size >= MIN_CYCLES
     write_model_directory(tmp_path / "m", two_modes(), more={FAMILIARITY_FILE: known.text()})
     config = config_in(tmp_path, f"[model]\npath = 'm'\ntemperature = '{TEMPERATURE}'\n")
     loaded = load_model(config)

@@ -13,16 +13,16 @@ from drivers.tag import Quality
 from gateway.store import (
     Historian,
     RowPosition,
+    find_position,
     newest_rows,
+    next_rows,
     open_historian,
-    position_at,
     reading,
     row_streams,
-    rows_after,
     samples,
     stored_rows,
 )
-from gateway.store.retention import deleted_before
+from gateway.store.retention import delete_step
 from gateway.store.schema import PACKED
 from tests.gateway.support import EPOCH
 from tests.gateway.test_notify import until
@@ -43,7 +43,7 @@ def small_batches(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def put_scan(store: Historian, machine: str, number: int, rng: random.Random) -> None:
     """One scan: two replies, so that the tags' moments are interleaved, and now and then no answer."""
-    time, view = EPOCH + number, store.of(machine)
+    time, view = EPOCH + number, store.view(machine)
     replies = [(time + 0.1, time), (time + 0.2, time + 0.1)]
     rows: list[tuple[Any, ...]] = []
     for place, tag in enumerate(TAGS):
@@ -54,7 +54,7 @@ def put_scan(store: Historian, machine: str, number: int, rng: random.Random) ->
             rows.append((tag, moment, float(number) + place / 10, int(Quality.GOOD), sent))
     view.put("scans", [(time + 0.3, 0.3, 0)])
     view.put("samples", rows)
-    own = store.of(machine, (), "A")
+    own = store.view(machine, (), "A")
     own.put("predictions", [(time + 0.3, "on", 1, float(number), 1.0, 0.0, 2.0, 1.0, 0.0, "green")])
     if rng.random() < 0.3:
         view.put("alarms", [(time + 0.3, "over limit A", "A", 1, "unacknowledged", 81.0, "")])
@@ -74,7 +74,7 @@ class Reader:
         taken = 0
         with reading(self.path) as connection:
             for stream in row_streams(connection, self.machines):
-                found = rows_after(connection, stream, self.positions.get(stream, RowPosition(0, 0.0)))
+                found = next_rows(connection, stream, self.positions.get(stream, RowPosition(0, 0.0)))
                 rows = list(found.rows)
                 end = next((n for n in range(min(most, len(rows)), 0, -1) if rows[n - 1].position), 0)
                 end = end or next((n for n, row in enumerate(rows, 1) if row.position), 0)
@@ -97,7 +97,7 @@ def test_every_row_comes_once_and_in_order_while_rows_are_packed(tmp_path: Path,
     with_restart = rng.randrange(40, 160)
     store = open_historian(path)
     for machine in machines:
-        store.of(machine)
+        store.view(machine)
     reader, number = Reader(path, machines), 0
     while number < 200:
         for _ in range(rng.choice((1, 3, 40))):
@@ -138,16 +138,16 @@ def test_the_newest_row_of_a_stream_is_its_own_where_another_machine_has_a_later
     store = open_historian(tmp_path / "h.sqlite")
     try:
         for machine in ("one", "two", "one", "two"):
-            store.of(machine).put("alarms", [(EPOCH, "over limit A", "A", 1, "unacknowledged", 81.0, "")])
+            store.view(machine).put("alarms", [(EPOCH, "over limit A", "A", 1, "unacknowledged", 81.0, "")])
             assert store.flush()
         with reading(store.path) as connection:
             for stream in row_streams(connection, ("one", "two")):
                 if stream.table == "alarms":
-                    found = rows_after(connection, stream, RowPosition(0, 0.0))
+                    found = next_rows(connection, stream, RowPosition(0, 0.0))
                     assert len(found.rows) == 2 and found.newest == found.rows[-1].key
                     after = found.rows[-1].position
-                    assert after is not None and not rows_after(connection, stream, after).rows
-                    assert not rows_after(connection, stream, rows_after(connection, stream, after).passed).rows
+                    assert after is not None and not next_rows(connection, stream, after).rows
+                    assert not next_rows(connection, stream, next_rows(connection, stream, after).passed).rows
     finally:
         store.close()
 
@@ -168,18 +168,18 @@ def test_what_retention_took_first_is_counted_and_a_position_is_found_by_time(tm
     times = [time for _, time, _ in every.seen[stream]]
     with reading(path) as connection:
         for moment in (EPOCH - 1, EPOCH + 20.0, EPOCH + 150.5, EPOCH + 199.9, EPOCH + 1e6):
-            found = position_at(connection, stream, moment)
+            found = find_position(connection, stream, moment)
             later = next((key for key, time, _ in every.seen[stream] if time > moment), len(times) + 1)
             assert later <= found.key + 1 <= later + len(TAGS)
         newest, last = newest_rows(connection, stream)
         assert last == len(times) and sorted(row.values["tag"] for row in newest) == list(TAGS)
         # A file that was begun anew has fewer rows than the position says: it goes on by the time.
-        lost = rows_after(connection, stream, RowPosition(10**6, EPOCH + 150.5))
+        lost = next_rows(connection, stream, RowPosition(10**6, EPOCH + 150.5))
         assert lost.rows and lost.rows[0].time > EPOCH + 150.5 - 1.0
     with closing(sqlite3.connect(path, isolation_level=None)) as connection:
         damaged, *_ = connection.execute("SELECT id FROM chunks WHERE kind = 'predictions' ORDER BY batch").fetchone()
         connection.execute("UPDATE chunks SET data = x'00' WHERE id = ?", (damaged,))
-        while deleted_before(connection, "samples", stream.number, EPOCH + 100.0):
+        while delete_step(connection, "samples", stream.number, EPOCH + 100.0):
             pass
     again = Reader(path, ("one",))
     while again.look():

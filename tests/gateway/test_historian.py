@@ -209,7 +209,7 @@ def test_rows_given_up_at_the_end_are_admitted(tmp_path: Path) -> None:
 
 
 def test_a_full_queue_drops_new_measurements_and_counts_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("gateway.store.historian.QUEUE", 10)
+    monkeypatch.setattr("gateway.store.historian.MAX_QUEUED_ROWS", 10)
     monkeypatch.setattr(Historian, "_commit", lambda *_args, **_keys: False)
     store, historian = one_machine(tmp_path / "h.sqlite", TAGS)
     historian.put("scans", [(EPOCH + n, 0.0, 0) for n in range(25)])
@@ -226,7 +226,7 @@ def test_old_measurements_are_deleted_and_alarms_and_audit_stay(tmp_path: Path) 
     historian.put("events", [(EPOCH + n, "W_ON", "on") for n in range(10)])
     historian.put("audit", [audit(n) for n in range(10)])
     assert historian.flush()
-    store.forget_before(EPOCH + 11_990)
+    store.delete_older(EPOCH + 11_990)
     deadline = time.monotonic() + 120.0
     while (count(path, "samples") > 10 or count(path, "events")) and time.monotonic() < deadline:
         time.sleep(0.05)
@@ -243,7 +243,7 @@ WRITER = """
 import sys
 from pathlib import Path
 from gateway.store.historian import open_historian
-historian = open_historian(Path(sys.argv[1])).of('decanter')
+historian = open_historian(Path(sys.argv[1])).view('decanter')
 first = int(sys.argv[2])
 for n in range(first, first + 1_000_000):
     historian.put("scans", [(float(n), 0.0, 0)])

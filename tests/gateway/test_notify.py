@@ -24,7 +24,7 @@ from gateway.cli.main import main
 from gateway.machine.alarms import Alarm, AlarmCondition, AlarmState
 from gateway.network.certificates import make_all
 from gateway.outside.notify import AlarmMessage, Notifier, RefusedError, UndeliveredError, make_senders
-from gateway.outside.notify.notifier import MOST
+from gateway.outside.notify.notifier import MAX_WAITING_DELIVERIES
 from gateway.settings import NotifySecrets, NotifySection, RecipientRow, load_secrets
 from tests.gateway.support import EPOCH, TEMPERATURE, Bench, JumpClock, config_in
 from tests.gateway.test_alarm_machine import Kept, Silent
@@ -328,9 +328,9 @@ def test_of_too_many_the_least_urgent_are_given_up_and_counted() -> None:
     hand = Hand(failing={"shift": UndeliveredError("away")})
     with telling(hand) as notifier:
         notifier.take("decanter", *raised(hand))
-        for number in range(MOST + 20):
+        for number in range(MAX_WAITING_DELIVERIES + 20):
             notifier.take("decanter", *raised(hand, f"rising {number}", priority=2))
-        until(lambda: notifier.waiting == MOST)
+        until(lambda: notifier.waiting == MAX_WAITING_DELIVERIES)
         assert notifier.given_up == 22 and (f"decanter\n{HOT.name}\n{hand.now()!r}", "shift") in notifier._waiting
 
 

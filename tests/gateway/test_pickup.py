@@ -15,7 +15,7 @@ from gateway.machine.model.pickup import Pickup
 from gateway.plant.app import run
 from gateway.settings.config import Config
 from sim.artefacts.model_json import model_hash
-from sim.artefacts.store import CURRENT as CURRENT_FILE
+from sim.artefacts.store import CURRENT_LINK as CURRENT_FILE
 from sim.artefacts.store import Force, promote
 from sim.lab.formats.write_model import save, write_model_directory
 from sim.sha.model import Model
@@ -199,7 +199,7 @@ def test_no_store_is_looked_at_where_the_model_is_a_file_and_no_scan_is_kept(tmp
     pickup = Pickup(config, load_model(config))
     pickup.keep(scan_of({}, 1.0))
     pickup.look(1.0, [])
-    assert pickup.collect() == "" and pickup.taken() is None and not pickup._recent
+    assert pickup.collect() == "" and pickup.take() is None and not pickup._recent
 
 
 async def test_a_model_that_fails_on_the_plants_readings_is_refused(

@@ -17,7 +17,7 @@ from drivers.settings import ConfigError
 from gateway.cli.main import main
 from gateway.machine.model.outlook import Outlook
 from gateway.machine.model.predict import Predictor
-from gateway.outside.status import findings, health_of, read_status
+from gateway.outside.status import findings, judge_health, read_status
 from gateway.plant import check_plant
 from gateway.plant.app import run
 from gateway.settings import load_plant
@@ -175,6 +175,6 @@ async def test_that_no_usable_forecast_comes_is_an_alarm_a_finding_with_its_caus
     plain = await asyncio.wait_for(run(config, clock=bench.clock, stop=bench.stop, driver=bench), 300.0)
     status = read_status(plain)
     assert plain["alarms"]["no forecast"] == "unacknowledged"
-    assert str(health_of(status)) == "attention"
+    assert str(judge_health(status)) == "attention"
     (model,) = [finding.sentence for finding in findings(status) if finding.check == "model"]
     assert model == "nothing is foreseen: no forecast has been finished yet"

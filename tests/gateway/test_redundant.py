@@ -12,7 +12,7 @@ from drivers.driver import BeforeSending, Driver, Explains, Writes, anyhow
 from drivers.errors import DeviceException, LinkDown, ReplyTimeout, WriteForbidden
 from drivers.tag import Quality, Sample, Tag, Value
 from gateway.machine.reading.redundant import RedundancyRules, Redundant, RedundantPath, SwitchOver
-from gateway.machine.reading.same_plc import RING, Pulse, agree, still, with_beat
+from gateway.machine.reading.same_plc import COUNTER_MODULUS, Pulse, agree, still, with_beat
 
 BEAT_S = 0.002
 """The device's heartbeat and its one signal count these."""
@@ -73,7 +73,7 @@ class Path:
             return [Sample(tag.name, None, Quality.NOT_CONNECTED, now(), reason="refused") for tag in tags]
         if self.quality is not Quality.GOOD:
             return [Sample(tag.name, None, self.quality, now(), sent, "bent") for tag in tags]
-        values = {COUNT: value, BEAT: (value + self.device.offset) % RING + 1, WORD: self.device.word}
+        values = {COUNT: value, BEAT: (value + self.device.offset) % COUNTER_MODULUS + 1, WORD: self.device.word}
         times = (looked, None) if self.streams else (now(), sent)
         return [Sample(tag.name, values[tag.name], Quality.GOOD, *times) for tag in tags]
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from drivers.tag import Tag
-from gateway.store.read_back import matured
+from gateway.store.read_back import mature_forecasts
 from gateway.store.score import error, scorecard, warning_score
 from tests.gateway.support import EPOCH, one_machine
 
@@ -48,11 +48,11 @@ def test_errors_forecasts_and_writes_are_those_that_were_put_in(tmp_path: Path) 
 
 
 def test_a_forecast_is_compared_with_the_first_reading_at_or_after_its_time(tmp_path: Path) -> None:
-    found = matured(filled(tmp_path / "h.sqlite"))[10.0]
+    found = mature_forecasts(filled(tmp_path / "h.sqlite"))[10.0]
     assert found.outcome.tolist()[:2] == [30.0, 40.0]
     assert found.outcome[2] == 51.0, "the reading at 30 s failed, that of 31 s came"
     assert np.isnan(found.outcome[5])
-    assert np.isnan(matured(tmp_path / "h.sqlite", tolerance=0.5)[10.0].outcome[2])
+    assert np.isnan(mature_forecasts(tmp_path / "h.sqlite", tolerance=0.5)[10.0].outcome[2])
 
 
 def test_no_common_reading_has_no_error() -> None:
@@ -62,7 +62,7 @@ def test_no_common_reading_has_no_error() -> None:
 
 def test_warnings_are_held_against_what_came_within_the_longest_horizon(tmp_path: Path) -> None:
     store, historian = one_machine(tmp_path / "h.sqlite", (Tag("T", "holding:1"),))
-    followed = store.of("decanter", (), "T")
+    followed = store.view("decanter", (), "T")
 
     def raised(seconds: float, condition: str, tag: str = "T") -> None:
         historian.put("alarms", [(EPOCH + seconds, condition, tag, 1, "unacknowledged", 1.0, "")])

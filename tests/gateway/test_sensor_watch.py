@@ -9,7 +9,7 @@ from drivers.tag import Quality, Sample
 from gateway.machine.alarms import SensorWatch
 from gateway.machine.alarms.sensors import REFERENCE_SECONDS
 from gateway.machine.reading import Scan
-from gateway.settings import FAULT
+from gateway.settings import FAULT_THRESHOLD
 from sim.plant import scenario
 
 A, B = "TCuscinettiRiduttore", "TCuscinettiAlimentazione"
@@ -38,7 +38,7 @@ def raised(
         samples = {A: Sample(A, value, quality, float(second)), B: Sample(B, b, Quality.GOOD, float(second))}
         scan = Scan(number=second, time=float(second), samples=samples, missed=0, duration=0.0)
         for name, number in watch.take(scan).items():
-            if number is not None and number > FAULT:
+            if number is not None and number > FAULT_THRESHOLD:
                 found.setdefault(name.removesuffix(f" {A}"), second)
     return found
 
@@ -112,7 +112,7 @@ def test_heating_that_is_read_at_uneven_times_is_no_noise() -> None:
         sample = Sample(A, warm, Quality.GOOD, second)
         found = watch.take(Scan(number=int(second), time=second, samples={A: sample}, missed=0, duration=0.0))
         highest = max(highest, found[f"sensor noisy {A}"] or 0.0)
-    assert 0.0 < highest < FAULT
+    assert 0.0 < highest < FAULT_THRESHOLD
 
 
 def test_a_reading_out_of_range_is_found_at_once_and_one_that_fails_is_not_judged() -> None:
@@ -145,7 +145,7 @@ def test_twins_that_drift_apart_are_found_and_a_restart_goes_on_from_their_refer
     again = SensorWatch((A, B), (A, B), None)
     again.restore(watch.to_plain())
     time, known = drifted(again, 48, 0.1, time + 3600.0)
-    assert known is not None and known > FAULT, "0.1 degC/h for two days are nearly 5 degC"
+    assert known is not None and known > FAULT_THRESHOLD, "0.1 degC/h for two days are nearly 5 degC"
     again.compare_anew()
     assert drifted(again, 2, 0.0, time)[1] is None, "until there is a reference anew"
     other = SensorWatch((B, A), (B, A), None)
@@ -178,5 +178,5 @@ def test_the_shipped_scenarios_raise_nothing(name: str) -> None:
     for time, one, other in zip(trace.times.tolist(), a.tolist(), b.tolist(), strict=True):
         samples = {A: Sample(A, one, Quality.GOOD, time), B: Sample(B, other, Quality.GOOD, time)}
         found = watch.take(Scan(number=0, time=time, samples=samples, missed=0, duration=0.0))
-        limits = {key: 80.0 if key.startswith("rising") else FAULT for key in found}
+        limits = {key: 80.0 if key.startswith("rising") else FAULT_THRESHOLD for key in found}
         assert all(value is None or value <= limits[key] for key, value in found.items())

@@ -65,8 +65,8 @@ def test_a_machine_has_what_is_common_but_for_what_it_says_itself(tmp_path: Path
 def test_a_file_of_a_former_gateway_of_one_process_means_what_it_meant(tmp_path: Path) -> None:
     plain, former = written(tmp_path, COMMON + TWO), tmp_path / "former.toml"
     former.write_text(f"[plant]\nworkers = 1\n{COMMON}{TWO}", encoding="utf-8")
-    armed_for = {config.armed_for for config in load_plant(plain)}
-    assert {config.armed_for for config in load_plant(former)} == armed_for
+    armed_for = {config.arming_hash for config in load_plant(plain)}
+    assert {config.arming_hash for config in load_plant(former)} == armed_for
 
 
 @pytest.mark.parametrize("workers", ["2", "64", "0", "1.5", '"two"', "true"])
@@ -87,7 +87,7 @@ def test_a_file_of_one_machine_means_what_it_meant(tmp_path: Path) -> None:
     (config,) = load_plant(path)
     assert config == load_config(path) == load_config(path, machine="decanter")
     assert (config.machine, config.subject, [row.tag for row in config.temperatures]) == ("decanter", "", [TEMPERATURE])
-    (followed,) = config.followed
+    (followed,) = config.temperature_configs
     assert followed == config
 
 
@@ -169,11 +169,11 @@ def test_each_temperature_has_a_limit_and_a_model_of_its_own(tmp_path: Path) -> 
     text = f'[[temperature]]\ntag = "{TEMPERATURE}"\nmodel = "m"\n[[temperature]]\ntag = "{OTHER}"\nlimit = 60.0\n'
     (tmp_path / "m").mkdir()
     config = load_config(written(tmp_path, COMMON + text))
-    first, second = config.followed
+    first, second = config.temperature_configs
     assert (first.model.path, first.alarms.limit) == (tmp_path / "m", 75.0)
     assert (second.model.path, second.model.temperature, second.alarms.limit) == (None, OTHER, 60.0)
-    assert config.watched == (TEMPERATURE, OTHER)
-    assert [config.limit_of(tag) for tag in config.watched] == [75.0, 60.0]
+    assert config.watched_temperatures == (TEMPERATURE, OTHER)
+    assert [config.find_limit(tag) for tag in config.watched_temperatures] == [75.0, 60.0]
     (problem,) = problems(written(tmp_path, f'{COMMON}{text}[model]\ntemperature = "{TEMPERATURE}"\n'))
     assert "model.temperature: stands beside [[temperature]]" in problem
 
@@ -184,7 +184,11 @@ def test_a_second_machine_is_added_to_a_file_of_one_and_taken_out_again(tmp_path
     path.write_text(with_machine(path, "south", {"host": "127.0.0.2"}).after, encoding="utf-8")
     first, second = load_plant(path)
     # The first one keeps its name, under which its records are, and all that it was.
-    assert first.machine == before.machine and first.followed[0].model == before.model and first.links == before.links
+    assert (
+        first.machine == before.machine
+        and first.temperature_configs[0].model == before.model
+        and first.links == before.links
+    )
     assert second.machine == "south" and second.links[0].settings["host"] == "127.0.0.2"
     path.write_text(without_machine(path, "south").after, encoding="utf-8")
     assert [config.machine for config in load_plant(path)] == [before.machine]

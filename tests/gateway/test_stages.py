@@ -75,13 +75,18 @@ def test_alarms_the_threshold_needs_no_model_and_findings_come_after_it(tmp_path
     with stored(config) as (historian, log):
         conditions = make_conditions(config, (TEMPERATURE,))
         board = AlarmBoard(
-            conditions, watched=config.watched, words=acknowledge_words(config), historian=historian, log=log, now=EPOCH
+            conditions,
+            watched=config.watched_temperatures,
+            words=acknowledge_words(config),
+            historian=historian,
+            log=log,
+            now=EPOCH,
         )
-        board.on_measured(scan_of({TEMPERATURE: 85.0, "AcknowledgeBits": 0}, EPOCH))
+        board.take_readings(scan_of({TEMPERATURE: 85.0, "AcknowledgeBits": 0}, EPOCH))
         assert board.word("") == 1
         board.on_predictions(scan_of({TEMPERATURE: 85.0}, EPOCH), {"predicted over limit": 0.9, "inputs bad": 0.0})
         assert board.word("") == 3
-        board.on_measured(scan_of({TEMPERATURE: 85.0, "AcknowledgeBits": 1}, EPOCH + 1))
+        board.take_readings(scan_of({TEMPERATURE: 85.0, "AcknowledgeBits": 1}, EPOCH + 1))
         assert board.alarms[f"over limit {TEMPERATURE}"].state == "acknowledged" and board.word("") == 3
     stored_states = rows(config, "SELECT state FROM alarms ORDER BY id")
     assert [state for (state,) in stored_states] == ["unacknowledged", "unacknowledged", "acknowledged"]
@@ -92,10 +97,15 @@ def test_alarms_bits_that_could_not_be_read_are_no_edge(tmp_path: Path) -> None:
     with stored(config) as (historian, log):
         conditions = make_conditions(config, (TEMPERATURE,))
         board = AlarmBoard(
-            conditions, watched=config.watched, words=acknowledge_words(config), historian=historian, log=log, now=EPOCH
+            conditions,
+            watched=config.watched_temperatures,
+            words=acknowledge_words(config),
+            historian=historian,
+            log=log,
+            now=EPOCH,
         )
         for second, bits in enumerate((0, None, 1)):
-            board.on_measured(scan_of({TEMPERATURE: 85.0, "AcknowledgeBits": bits}, EPOCH + second))
+            board.take_readings(scan_of({TEMPERATURE: 85.0, "AcknowledgeBits": bits}, EPOCH + second))
         assert board.alarms[f"over limit {TEMPERATURE}"].state == "unacknowledged"
 
 
@@ -108,11 +118,11 @@ async def test_model_follows_forecasts_and_finds_without_a_machine_around_it(tmp
         collected = []
         for second in range(3):
             scan = scan_of({RUNNING: True, CURRENT: 150.0, TEMPERATURE: 30.0}, EPOCH + second)
-            assert not unit.pick_up(scan.time)
+            assert not unit.adopt_promoted_model(scan.time)
             prediction = unit.follow(scan)
             collected.append(unit.settle(prediction))
             unit.foresee(scan, prediction)
-            await unit.outlook.finished()
+            await unit.outlook.finish()
         forecast = unit.usable(prediction)
         assert prediction.location == "on" and prediction.known
         first, finished, third = collected

@@ -18,15 +18,15 @@ from gateway.machine.writing.arming import (
     ArmingError,
     arm,
     arm_in_log,
+    arming_entry,
     disarm_in_log,
     end_by_mode,
-    entry_of,
     keep_disarming,
     newest_stamp,
     next_start,
     open_writers,
     own_process,
-    signed,
+    sign_arming,
     uptime,
 )
 from gateway.machine.writing.writeback import Arming, Pace, Writer
@@ -87,7 +87,7 @@ def test_the_words_of_a_start_in_every_state_of_the_log(tmp_path: Path) -> None:
     assert start(replace(config, stamp=config.stamp - 1.0)).arming is None
 
     # An arming by command goes on, for its configuration and until its end.
-    arm_in_log(path, signed("Cai", "loop", 60, EPOCH), EPOCH, armed_for=config.armed_for)
+    arm_in_log(path, sign_arming("Cai", "loop", 60, EPOCH), EPOCH, armed_for=config.arming_hash)
     going = start()
     assert (going.arming, going.sentence) == (Arming("Cai", "loop", END), "the arming by Cai goes on")
     assert going.file is None and going.ended is None
@@ -114,7 +114,7 @@ def test_the_words_of_a_start_in_every_state_of_the_log(tmp_path: Path) -> None:
     )
 
     # One that is not confirmed does not count, and does not hide what was said before it.
-    appended(path, entry_of(Arming("Eve", "forged", END), EPOCH + 2.0, "command"))
+    appended(path, arming_entry(Arming("Eve", "forged", END), EPOCH + 2.0, "command"))
     forged = start()
     newest = read(path, [ARMED])[-1]
     assert forged.arming is None and forged.by == "Eve" and forged.ended is not None and forged.ended.id == newest.id
@@ -128,7 +128,7 @@ def test_the_words_of_a_file_arm_once_and_only_while_they_stand_in_it(tmp_path: 
     config = config_in(tmp_path, FILE)
     first = next_start(config, config.audit, EPOCH, uptime())
     assert first.arming is not None
-    entry = entry_of(first.arming, EPOCH, "gateway began", file=first.file)
+    entry = arming_entry(first.arming, EPOCH, "gateway began", file=first.file)
     log = open_audit(config.audit)
     row = log.record(entry)
     assert row is not None
@@ -160,7 +160,7 @@ def test_the_words_of_a_file_arm_once_and_only_while_they_stand_in_it(tmp_path: 
 def test_rows_of_earlier_gateways_use_a_files_words_up_too(change: dict[str, Any], used: bool, tmp_path: Path) -> None:
     config = replace(config_in(tmp_path, FILE), stamp=EPOCH)
     arming = Arming(change.get("who", "Ada"), change.get("reason", "run"), END)
-    appended(config.audit, entry_of(arming, EPOCH + change.get("time", 0), change.get("via", "gateway began")))
+    appended(config.audit, arming_entry(arming, EPOCH + change.get("time", 0), change.get("via", "gateway began")))
     start = next_start(config, config.audit, EPOCH + 5.0, uptime())
     assert (start.arming is None) == used
 
@@ -244,7 +244,7 @@ def test_a_start_that_arms_has_it_on_record_first_and_one_arming_for_all_blocks(
     assert (detail["until"], detail["via"], detail["configuration"], detail["speed"]) == (
         END,
         "gateway began",
-        config.armed_for,
+        config.arming_hash,
         1.0,
     )
     assert detail["file"]["by"] == "Ada"
@@ -265,7 +265,7 @@ def test_where_nothing_says_arm_a_start_says_nothing_and_an_armed_file_hears_why
 
 def test_an_arming_that_is_over_gets_a_row_of_its_own(tmp_path: Path) -> None:
     config = in_mode(config_in(tmp_path, FILE), "shadow")
-    arm_in_log(config.audit, signed("Cai", "loop", 1, EPOCH), EPOCH)
+    arm_in_log(config.audit, sign_arming("Cai", "loop", 1, EPOCH), EPOCH)
     writers, told = opened(config, clock=JumpClock(EPOCH + 60.0))
     why = "the arming by Cai is over: its time is over"
     assert in_shadow(writers) and words(config)[-1] == (EXPIRED, "Cai", why)
@@ -450,7 +450,7 @@ def test_what_a_disk_does_not_take_arms_nobody(
 ) -> None:
     disk = NoDisk(rows, failure, known)
     monkeypatch.setattr(room, "open_audit", lambda path: disk)
-    arming, doubt = signed("Ada", "run", 5, EPOCH), "whether it has taken it after all cannot be told"
+    arming, doubt = sign_arming("Ada", "run", 5, EPOCH), "whether it has taken it after all cannot be told"
     with pytest.raises(ArmingError) as caught:
         arm_in_log(tmp_path / "audit.sqlite", arming, EPOCH, subject="two")
     assert str(caught.value).startswith(f"nothing has changed, as the audit log does not take it: {said}")
@@ -482,7 +482,7 @@ def test_a_damaged_log_is_disarmed_all_the_same_and_says_what_is_damaged(
 
 def test_the_row_of_an_arming_says_by_which_way_it_was_given(tmp_path: Path) -> None:
     config = config_in(tmp_path, FILE)
-    arm_in_log(config.audit, signed("Cai", "loop", 5, EPOCH), EPOCH, subject="two", armed_for="abc")
+    arm_in_log(config.audit, sign_arming("Cai", "loop", 5, EPOCH), EPOCH, subject="two", armed_for="abc")
     row, confirming = read(config.audit)
     detail = dict(row.entry.detail)
     assert detail.pop("uptime") <= uptime().seconds and detail.pop("boot") == uptime().boot
@@ -499,7 +499,7 @@ def test_the_row_of_an_arming_says_by_which_way_it_was_given(tmp_path: Path) -> 
 
 def test_what_the_machines_own_count_has_ended_is_not_in_force(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     config = config_in(tmp_path, FILE)
-    arm_in_log(config.audit, signed("Cai", "loop", 5, EPOCH), EPOCH)
+    arm_in_log(config.audit, sign_arming("Cai", "loop", 5, EPOCH), EPOCH)
     real = uptime()
     monkeypatch.setattr(room, "uptime", lambda: room.Uptime("a boot", real.seconds + 600.0))
     assert end_by_mode(config, lambda: NoDisk(1), EPOCH) is not None, "another start of the machine: the clock decides"  # type: ignore[arg-type, return-value]
@@ -521,7 +521,7 @@ def test_the_row_of_a_disarming_says_which_program_and_which_file_it_is_against(
 def test_a_machine_whose_mode_is_off_loses_its_arming_for_good(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     config = in_mode(config_in(tmp_path, FILE), "off")
     assert end_by_mode(config, lambda: pytest.fail("nothing is there"), EPOCH) is None
-    arm_in_log(config.audit, signed("Cai", "loop", 5, EPOCH), EPOCH)
+    arm_in_log(config.audit, sign_arming("Cai", "loop", 5, EPOCH), EPOCH)
     for failure, why in (("", "the disk does not answer"), ("full", "full")):
         with pytest.raises(ArmingError) as caught:
             end_by_mode(config, lambda f=failure: NoDisk(0, f), EPOCH + 1.0)  # type: ignore[misc]
@@ -542,13 +542,13 @@ def test_a_machine_whose_mode_is_off_loses_its_arming_for_good(tmp_path: Path, m
 async def test_a_disarming_of_a_machine_in_mode_off_is_kept_against_its_file(tmp_path: Path) -> None:
     config = config_in(tmp_path, FILE)
     log, waits = open_audit(config.audit), list[float]()
-    honest = log.kept
+    honest = log.keep
 
     async def kept(entry: AuditEntry, timeout: float) -> None:
         waits.append(timeout)
         await honest(entry, timeout)
 
-    log.kept = kept  # type: ignore[method-assign]
+    log.keep = kept  # type: ignore[method-assign]
     os.utime(config.path, (EPOCH + 9.0, EPOCH + 9.0))
     await keep_disarming(config, log, EPOCH, by="Bea", reason="no", process={"pid": 5})
     await asyncio.sleep(0)
@@ -561,6 +561,6 @@ async def test_a_disarming_of_a_machine_in_mode_off_is_kept_against_its_file(tmp
 
 
 def test_at_most_200_characters_of_a_name_and_480_minutes() -> None:
-    assert signed("A" * 200, "b" * 200, 480, 1.0) == Arming("A" * 200, "b" * 200, 28801.0)
+    assert sign_arming("A" * 200, "b" * 200, 480, 1.0) == Arming("A" * 200, "b" * 200, 28801.0)
     with pytest.raises(ArmingError, match=r"^the reason must be one line of at most 200 characters$"):
-        signed("A", "b" * 201, 480, 1.0)
+        sign_arming("A", "b" * 201, 480, 1.0)

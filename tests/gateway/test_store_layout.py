@@ -15,7 +15,7 @@ from drivers.tag import Quality, Tag
 from gateway.store.columns import Cell, PackedError, pack, unpack
 from gateway.store.files import HistorianError
 from gateway.store.historian import open_historian
-from gateway.store.read_back import events, history, matured, reading, samples, stored_rows, to_trace, trend
+from gateway.store.read_back import events, history, mature_forecasts, reading, samples, stored_rows, to_trace, trend
 from gateway.store.score import scorecard
 from tests.gateway.support import EPOCH, one_machine
 from tests.rig.layout_1 import FormerStore
@@ -98,7 +98,7 @@ def table(path: Path, query: str) -> list[tuple[object, ...]]:
 def everything(path: Path) -> dict[str, object]:
     """All that the readers give."""
     course = history(path)
-    by_horizon = matured(path)
+    by_horizon = mature_forecasts(path)
     return {
         "samples": [*samples(path)],
         "trace": {name: column.tolist() for name, column in to_trace(path).signals.items() if name == "T"},
@@ -115,7 +115,7 @@ def test_a_file_of_layout_1_is_converted_after_a_copy_and_says_the_same(tmp_path
     former_file(path)
     before, data = everything(path), path.read_bytes()
     store, historian = one_machine(path, (*TAGS, Tag("New", "holding:9")), heir="decanter")
-    assert historian.load("belief") is None and store.of("decanter", temperature="T").load("belief") == (EPOCH, {})
+    assert historian.load("belief") is None and store.view("decanter", temperature="T").load("belief") == (EPOCH, {})
     assert store.close()
     assert everything(path) == before
     copy = tmp_path / "h.sqlite.layout1"

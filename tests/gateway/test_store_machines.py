@@ -18,7 +18,7 @@ from gateway.store import (
     events,
     history,
     machines,
-    matured,
+    mature_forecasts,
     newest_scan,
     open_historian,
     reading,
@@ -45,11 +45,11 @@ def prediction(moment: float, mean: float) -> tuple[Any, ...]:
 
 def put_scan(historian: Historian, machine: str, number: int, offset: float) -> None:
     """A scan of a machine with two followed temperatures; its values say whose they are."""
-    now, own = EPOCH + number, historian.of(machine, TAGS)
+    now, own = EPOCH + number, historian.view(machine, TAGS)
     own.put("scans", [(now, 0.01, 0)])
     own.put("samples", [(tag.name, now, offset + number + place, 0, now) for place, tag in enumerate(TAGS)])
     for place, temperature in enumerate(FOLLOWED):
-        followed, mean = historian.of(machine, temperature=temperature), offset + 10.0 * place
+        followed, mean = historian.view(machine, temperature=temperature), offset + 10.0 * place
         followed.put("predictions", [prediction(now, mean)])
         followed.put("events", [(now, f"W_{temperature}", "on")])
         followed.put("forecasts", [(now, 5.0, "[0.05, 0.5, 0.95]", f"[{mean}, {mean}, {mean}]", 0.1, 80.0, mean)])
@@ -76,8 +76,8 @@ def three(tmp_path_factory: pytest.TempPathFactory) -> Path:
         for number in range(SCANS):
             for place in range(3 if number >= SCANS // 2 else 2):
                 put_scan(historian, "abc"[place], number, 1000.0 * place)
-            assert number % 100 or historian.of("a").flush(10.0)
-        historian.of("b").put("alarms", [(EPOCH, "over limit", "T", 1, "normal", 81.0, "")])
+            assert number % 100 or historian.view("a").flush(10.0)
+        historian.view("b").put("alarms", [(EPOCH, "over limit", "T", 1, "normal", 81.0, "")])
         assert historian.flush(10.0)
         query = "SELECT count(*) FROM samples"
         packed_until(path, lambda connection: connection.execute(query).fetchone()[0] <= 3 * 400)
@@ -115,7 +115,7 @@ def test_each_followed_temperature_has_its_own_rows(three: Path) -> None:
         assert {event.symbol for event in events(three, machine="b", temperature=temperature)} == {
             f"W_{FOLLOWED[place]}"
         }
-        (horizon,) = matured(three, machine="b", temperature=temperature).values()
+        (horizon,) = mature_forecasts(three, machine="b", temperature=temperature).values()
         assert set(horizon.quantiles[:, 1]) == {1000.0 + 10.0 * place}
         card = scorecard(three, machine="b", temperature=temperature)
         assert (card.scans, card.samples, card.events) == (SCANS, 2 * SCANS, SCANS)
@@ -123,7 +123,7 @@ def test_each_followed_temperature_has_its_own_rows(three: Path) -> None:
 
 
 def test_with_several_machines_one_has_to_be_named(three: Path) -> None:
-    for read in (history, to_trace, events, matured, scorecard, lambda path: list(samples(path))):
+    for read in (history, to_trace, events, mature_forecasts, scorecard, lambda path: list(samples(path))):
         with pytest.raises(HistorianError, match="several machines; name one of a, b, c"):
             read(three)
     with pytest.raises(HistorianError, match="no rows of a machine 'd'; it has those of a, b, c"):
@@ -134,7 +134,7 @@ def test_with_several_machines_one_has_to_be_named(three: Path) -> None:
 
 def test_states_are_kept_by_source_and_the_newest_scan_by_machine(tmp_path: Path) -> None:
     historian = open_historian(tmp_path / "h.sqlite")
-    a, b, followed = historian.of("a"), historian.of("b"), historian.of("a", temperature="T")
+    a, b, followed = historian.view("a"), historian.view("b"), historian.view("a", temperature="T")
     for number, view in enumerate((a, b, followed)):
         view.save("belief", EPOCH, {"of": number})
     a.put("scans", [(EPOCH, 0.0, 0)])
@@ -144,7 +144,7 @@ def test_states_are_kept_by_source_and_the_newest_scan_by_machine(tmp_path: Path
         assert [saved_state(view, "belief", None) for view in (a, b, followed)] == [  # type: ignore[arg-type]
             (EPOCH, {"of": number}) for number in range(3)
         ]
-    assert (a.newest(), b.newest(), followed.newest(), historian.of("c").newest()) == (EPOCH, EPOCH + 7, EPOCH, None)
+    assert (a.newest(), b.newest(), followed.newest(), historian.view("c").newest()) == (EPOCH, EPOCH + 7, EPOCH, None)
     assert historian.close()
 
 
@@ -152,7 +152,7 @@ def test_old_rows_of_each_machine_go_by_age_packed_or_not(three: Path, tmp_path:
     path = tmp_path / "h.sqlite"
     path.write_bytes(three.read_bytes())
     historian = open_historian(path)
-    historian.forget_before(EPOCH + SCANS - 50)
+    historian.delete_older(EPOCH + SCANS - 50)
     assert historian.flush() and historian.flush()
     assert historian.close()
     for machine in "abc":
@@ -182,7 +182,7 @@ def everything(path: Path, **whose: Any) -> dict[str, Any]:
         "times": to_trace(path, **machine).times.tolist(),
         "trend": trend(path, "T", EPOCH - 60, EPOCH + 500, **machine).mean.tolist(),
         "history": (course.times.tolist(), course.mean.tolist(), course.locations),
-        "matured": {horizon: one.quantiles.tolist() for horizon, one in matured(path, **whose).items()},
+        "matured": {horizon: one.quantiles.tolist() for horizon, one in mature_forecasts(path, **whose).items()},
         "events": events(path, **whose),
         "score": scorecard(path, **whose),
         **durable,
@@ -197,9 +197,9 @@ def test_a_file_of_layout_2_goes_to_the_heir_after_a_copy_and_says_the_same(tmp_
         assert machines(connection) == [("", ["T"])]
     historian = open_historian(path, heir="first")
     first, followed, second = (
-        historian.of("first", TAGS),
-        historian.of("first", temperature="T"),
-        historian.of("second"),
+        historian.view("first", TAGS),
+        historian.view("first", temperature="T"),
+        historian.view("second"),
     )
     assert first.load("clock") == (EPOCH + 399, {"key": "clock"}) and first.load("writers") is not None
     assert first.load("belief") is None and followed.load("belief") == (EPOCH + 399, {"key": "belief"})
@@ -258,7 +258,7 @@ def test_a_value_and_its_quality_stay_with_the_tag_of_their_machine(tmp_path: Pa
     """Tags of one name on two machines; rows of a tag that nobody has announced, and what is no row at all."""
     path = tmp_path / "h.sqlite"
     historian = open_historian(path)
-    a, b = historian.of("a", TAGS), historian.of("b", TAGS)
+    a, b = historian.view("a", TAGS), historian.view("b", TAGS)
     a.put("samples", [("T", EPOCH, 1.0, 0, None), ("T",), (None, EPOCH, 1.0, 0, None), ("\ud800", EPOCH, 1.0, 0, None)])
     b.put("samples", [("T", EPOCH, None, int(Quality.TIMEOUT), None), ("new", EPOCH, 2.0, 0, None)])
     assert historian.flush()

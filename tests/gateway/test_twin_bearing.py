@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from gateway.machine.model.twin import LAGS, TwinBearing, TwinEstimate, combined
+from gateway.machine.model.twin import LAGS, TwinBearing, TwinEstimate, combine
 from gateway.machine.model.virtual_sensor import LOOK_BACK_SECONDS
 
 TWIN = "TCuscinettiAlimentazione"
@@ -93,7 +93,7 @@ def test_what_was_learned_goes_on_after_a_restart_and_is_refused_where_it_makes_
 
 
 def test_two_opinions_make_a_narrower_band_unless_they_contradict_each_other() -> None:
-    agreed = combined(50.0, 2.0, TwinEstimate(50.5, 0.5))
+    agreed = combine(50.0, 2.0, TwinEstimate(50.5, 0.5))
     assert agreed.sigma < 0.5 and 50.4 < agreed.mean < 50.5
-    apart = combined(50.0, 2.0, TwinEstimate(70.0, 0.5))
+    apart = combine(50.0, 2.0, TwinEstimate(70.0, 0.5))
     assert apart.sigma > 4.0 and 68.0 < apart.mean < 70.0

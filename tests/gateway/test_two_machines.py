@@ -49,7 +49,7 @@ async def through(folder: Path, model: Model, *, hot: bool) -> tuple[Rows, Block
                 async for scan in stream:
                     await machine.take(scan)
                     assert machine.model is not None
-                    await machine.model.outlook.finished()
+                    await machine.model.outlook.finish()
         finally:
             assert machine.model is not None
             await machine.model.close()

@@ -15,7 +15,7 @@ from gateway.machine.alarms import Change
 from gateway.machine.model.predict import Predictor
 from gateway.machine.pipeline import Machine
 from gateway.machine.writing.block import Validity
-from gateway.outside.northbound.sparkplug import GOOD, STALE, metrics_of
+from gateway.outside.northbound.sparkplug import GOOD, STALE, row_metrics
 from gateway.outside.status import findings
 from gateway.outside.status.changes import topics
 from gateway.outside.texts import all_words
@@ -271,7 +271,7 @@ def test_northbound_a_prediction_without_its_sensor_is_uncertain() -> None:
         stream = RowStream("decanter", TEMPERATURE, "predictions", 0)
         own = values | {"measured": measured, "zone": zone}
         row = FollowedRow(stream=stream, key=1, time=EPOCH, values=own, position=None)
-        mean = next(metrics_of(row, {}))
+        mean = next(row_metrics(row, {}))
         assert (mean.name, mean.quality) == (f"Predicted/{TEMPERATURE}/mean", quality)
 
 

@@ -19,7 +19,7 @@ from gateway.machine.writing.writeback import (
     Attempt,
     Pace,
     Writer,
-    disarm_together,
+    disarm_writers,
 )
 from gateway.settings.devices import load_device
 from gateway.store import DISARMED, EXPIRED, AuditEntry
@@ -47,7 +47,7 @@ class Ledger:
     rows: list[tuple[str, AuditEntry]] = field(default_factory=list)
     ended_elsewhere: dict[str, EndedElsewhere] = field(default_factory=dict)
 
-    def complaint_of(self, subject: str) -> str:
+    def subject_complaint(self, subject: str) -> str:
         return self.complaint
 
     async def stored(self, entry: AuditEntry, timeout: float) -> bool:
@@ -55,7 +55,7 @@ class Ledger:
         self.rows.append((f"stored in {timeout:g} s", entry))
         return self.takes
 
-    async def kept(self, entry: AuditEntry, timeout: float) -> None:
+    async def keep(self, entry: AuditEntry, timeout: float) -> None:
         self.rows.append((f"kept in {timeout:g} s", entry))
 
     def put(self, entry: AuditEntry) -> None:
@@ -180,16 +180,16 @@ async def _after(what: Callable[[], None]) -> bool:
 @pytest.mark.parametrize(("row", "verdict"), [(6, "written"), (7, "written"), (8, "not permitted")])
 async def test_only_an_end_behind_the_armings_own_row_ends_it(row: int, verdict: str) -> None:
     desk = Desk(subject="two")
-    assert desk.writer.ended_elsewhere == ""
+    assert desk.writer.foreign_end == ""
     desk.ledger.ended_elsewhere = {"": EndedElsewhere(9, "Bea", "enough")}
-    assert desk.writer.ended_elsewhere == "", "another block's"
+    assert desk.writer.foreign_end == "", "another block's"
     desk.writer.mode = "shadow"
     desk.writer.arm(desk.line, Arming("Ada", "test", END), 7)
     assert desk.writer.armed
     desk.ledger.ended_elsewhere = {"two": EndedElsewhere(row, "Bea", "enough")}
     said = f"Bea took the arming back in the audit log (row {row}): enough" if verdict == "not permitted" else ""
-    assert await desk.offer() == (verdict, said) and desk.writer.ended_elsewhere == said
-    assert Writer(LAYOUT, desk.clock, "shadow", 1).ended_elsewhere == ""
+    assert await desk.offer() == (verdict, said) and desk.writer.foreign_end == said
+    assert Writer(LAYOUT, desk.clock, "shadow", 1).foreign_end == ""
 
 
 async def test_without_an_account_nothing_is_sent() -> None:
@@ -492,7 +492,7 @@ async def test_of_a_disarming_there_is_one_row(
         desk.writer.arming = other.writer.arming = None
     generations = []
     desk.line.meanwhile = lambda: generations.append((desk.writer.generation, other.writer.generation))
-    attempts = await disarm_together(
+    attempts = await disarm_writers(
         [desk.writer, other.writer],
         END + late,
         by,
@@ -536,7 +536,7 @@ async def test_it_is_being_disarmed_until_the_word_is_on_record() -> None:
         assert desk.writer.ending == 1
         raise OSError("gone")
 
-    desk.ledger.kept = broken  # type: ignore[method-assign]
+    desk.ledger.keep = broken  # type: ignore[method-assign]
     with pytest.raises(OSError, match="gone"):
         await desk.writer.disarm(EPOCH, "Bea", "enough")
     assert desk.writer.ending == 0 and not desk.writer.armed

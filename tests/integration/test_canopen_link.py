@@ -9,8 +9,8 @@ from benchmarks.canopen import BenchmarkError, garbage, latency
 from benchmarks.canopen_rig import FAULTS, PERIOD, TOLERATED, canopen_rig, measure, outside, repeated
 from benchmarks.fault_matrix import Matrix, reading_lost
 from drivers.can.bus.hub_bus import HubBus
+from sim.plc.program.faults import FAULT_FACES
 from sim.plc.program.faults import FAULTS as KINDS
-from sim.plc.program.faults import ONLY_AT
 from sim.plc.record.recording import PlcRecording, read_recording
 from tests.rig.pair import restless_trace
 from tests.rig.stalls import STILL_S, TRIES, measured_again
@@ -28,7 +28,7 @@ BACK_S = 1.5
 
 
 def test_every_fault_of_a_canopen_node_is_in_the_matrix() -> None:
-    own = {kind for kind, faces in ONLY_AT.items() if "canopen" in faces}
+    own = {kind for kind, faces in FAULT_FACES.items() if "canopen" in faces}
     assert own <= {str(fault["kind"]) for fault in FAULTS.values()} <= set(KINDS)
     assert set(SEEN) <= set(FAULTS)
 

@@ -9,7 +9,7 @@ from click.testing import CliRunner
 
 from benchmarks.commissioning import ANALOGUE, FLAGS, Walk, WalkError, made
 from gateway.cli.main import main
-from gateway.commission.session.records import broken_at, read_records
+from gateway.commission.session.records import find_break, read_records
 from gateway.store.audit import read, verify
 
 
@@ -38,7 +38,7 @@ def test_an_unknown_plc_is_commissioned_by_commands_alone(tmp_path: Path, monkey
     monkeypatch.setenv("DECANTER_BY", "M. Rossi")
     walked, _ = made(tmp_path, soak_s=2.0, conformance=False, kind=InProcessWalk)
     records = read_records(tmp_path / "out/commissioning.jsonl")
-    assert broken_at(tmp_path / "out/commissioning.jsonl") is None
+    assert find_break(tmp_path / "out/commissioning.jsonl") is None
     failed = [(record.command, record.reason) for record in records if record.code not in (0, 6)]
     assert failed == []
     proved = next(record for record in reversed(records) if record.command == "verify").result

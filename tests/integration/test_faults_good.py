@@ -20,7 +20,7 @@ from benchmarks.fault_matrix import (
 )
 from drivers.tag import Quality, Sample
 from sim.plc.program.faults import FAULTS as KINDS
-from sim.plc.program.faults import shown_at
+from sim.plc.program.faults import face_shows
 from sim.plc.record.recording import PlcRecording, RequestRow
 from tests.rig.pair import MAP
 from tests.rig.stalls import measured_again
@@ -38,7 +38,7 @@ BACK_S = 1.0
 
 
 def test_every_fault_of_the_software_plc_is_in_the_matrix() -> None:
-    assert {fault["kind"] for fault in FAULTS.values()} == {kind for kind in KINDS if shown_at(kind, "tcp")}
+    assert {fault["kind"] for fault in FAULTS.values()} == {kind for kind in KINDS if face_shows(kind, "tcp")}
 
 
 @pytest.fixture(scope="module")

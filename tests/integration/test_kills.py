@@ -20,7 +20,7 @@ from gateway.machine.writing.writeback import WRITE
 from gateway.settings import load_device
 from gateway.store.audit import read, verify
 from gateway.store.read_back import samples
-from sim.plc.program.writeback import ACCEPTED, CHALLENGE, WRITER
+from sim.plc.program.writeback import ACCEPTED_REASON, CHALLENGE, WRITER
 from sim.plc.record.judge import wrong_good
 from sim.plc.record.recording import BlockRow, PlcRecording, read_recording
 from tests.rig.blocks import old_numbers, unaccounted
@@ -255,10 +255,10 @@ def test_the_check_tells_lost_and_changed_rows_from_new_ones() -> None:
 
 def test_the_check_tells_a_session_that_ended_on_the_way_from_a_gateway_that_goes_on_with_it() -> None:
     def row(challenge: float, verdict: str) -> BlockRow:
-        return BlockRow(0.0, 0.0, "", 0, (), {"challenge": challenge}, verdict, verdict == ACCEPTED)
+        return BlockRow(0.0, 0.0, "", 0, (), {"challenge": challenge}, verdict, verdict == ACCEPTED_REASON)
 
-    assert held_on([row(1, WRITER), row(1, WRITER), row(1, CHALLENGE), row(2, ACCEPTED), row(2, CHALLENGE)]) == 0
-    assert held_on([row(1, ACCEPTED), row(1, CHALLENGE), row(1, CHALLENGE), row(1, CHALLENGE)]) == 2
+    assert held_on([row(1, WRITER), row(1, WRITER), row(1, CHALLENGE), row(2, ACCEPTED_REASON), row(2, CHALLENGE)]) == 0
+    assert held_on([row(1, ACCEPTED_REASON), row(1, CHALLENGE), row(1, CHALLENGE), row(1, CHALLENGE)]) == 2
 
 
 @pytest.mark.timeout(1200)

@@ -7,7 +7,7 @@ from click.testing import CliRunner, Result
 
 from gateway.cli.main import main
 from gateway.store.read_back import reading
-from sim.artefacts.store import CURRENT
+from sim.artefacts.store import CURRENT_LINK
 from sim.lab.formats.write_model import save, write_model_directory
 from sim.plc.record.recording import read_recording
 from sim.sha.automaton import Distribution, Effect, Flow
@@ -63,7 +63,7 @@ def promoted(store: Path, folder: Path, model: Model) -> str:
     write_model_directory(folder / model.sha.name, model)
     done = decanter("model", "promote", store, "--add", folder / model.sha.name)
     assert done.exit_code == 0, done.stderr
-    return (store / CURRENT).read_text(encoding="utf-8").strip()
+    return (store / CURRENT_LINK).read_text(encoding="utf-8").strip()
 
 
 def on_a_store(folder: Path) -> tuple[Rig, Path]:
@@ -104,7 +104,7 @@ def test_promoted_versions_run_without_a_restart_one_with_effects_too_and_one_th
         bad = save(store, diverging(), created=1.0)
         refused = decanter("model", "promote", store, bad)
         assert refused.exit_code == 2 and "is not promoted, as it does not verify: growth" in refused.stderr
-        (store / CURRENT).write_text(bad + "\n", encoding="utf-8")  # past the command, which refused it
+        (store / CURRENT_LINK).write_text(bad + "\n", encoding="utf-8")  # past the command, which refused it
         said = gateway.wait_for(lambda status: bool(status["model"]["refused"]))
         assert said["model"]["version"] == third and "growth refuted" in said["model"]["refused"]
         go_on(gateway, 10)

@@ -11,7 +11,7 @@ import pytest
 from drivers.driver import open_driver
 from drivers.settings import ConfigError
 from drivers.tag import DType, Quality, Tag
-from gateway.plant.shortfalls import NORTHBOUND, checked_northbound, of_plant
+from gateway.plant.shortfalls import NORTHBOUND, load_sink_secrets, of_plant
 from gateway.settings import load_plant
 from sim.lab.recordings import write_trace
 from tests.gateway.support import ROOT, plant_file
@@ -71,7 +71,7 @@ def test_a_section_that_needs_it_is_refused_by_its_name(
     plant = plant_file(tmp_path, SINKS[sink])
     monkeypatch.setitem(sys.modules, sink, None)  # as the import system has it: ModuleNotFoundError
     with pytest.raises(ConfigError, match=rf"northbound\.\w+: needs {sink}, a part of the program"):
-        checked_northbound(load_plant(plant)[0])
+        load_sink_secrets(load_plant(plant)[0])
     # A running gateway goes without, under an alarm that stands, and the commissioning check says the same.
     assert sink in of_plant(load_plant(plant)[0])[NORTHBOUND]
 

@@ -31,7 +31,7 @@ class ShownPlant:
 
     file: Path
     plc: Plc
-    served: int
+    client_values: int
     metrics: int
     lines: list[str]
 
@@ -122,7 +122,7 @@ def beats_alike(peer: ModbusTcpClient, direct: ModbusTcpClient, row: Any, unit: 
 
 def test_peers_and_browsers_are_shown_all_machines(plant: ShownPlant) -> None:
     configs = {config.machine: config for config in load_plant(plant.file)}
-    with ModbusTcpClient("127.0.0.1", port=plant.served) as peer:
+    with ModbusTcpClient("127.0.0.1", port=plant.client_values) as peer:
         for unit, name in enumerate(MACHINES, start=1):
             rows = {row.tag.name: row for row in served_rows(configs[name])}
             plc = ModbusTcpClient("127.0.0.1", port=plant.plc.ready["machines"][name]["port"])

@@ -6,7 +6,7 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from sim.lab.learning import DriverEvidence, drivers_of
+from sim.lab.learning import DriverEvidence, find_drivers
 from sim.sha import Array, Trace
 
 DT, TAU = 10.0, 1200.0
@@ -58,7 +58,7 @@ def plant(seed: int, rows: int = 12_000, *, regular: bool = False) -> Trace:
 
 def evidence(trace: Trace, names: tuple[str, ...] = ()) -> dict[str, DriverEvidence]:
     wanted = names or tuple(name for name in trace.signals if name != "temperature")
-    return {one.signal: one for one in drivers_of([trace], "temperature", wanted, gap=60.0)}
+    return {one.signal: one for one in find_drivers([trace], "temperature", wanted, gap=60.0)}
 
 
 @pytest.mark.parametrize("regular", [False, True])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sim.effects import with_targets
-from sim.lab.learning import GroupTargets, LearningError, StandsOut, grouped_targets, outstanding, own_targets
+from sim.lab.learning import GroupTargets, LearningError, StandsOut, find_outliers, grouped_targets, own_targets
 from sim.lab.learning.bins.candidates import CANDIDATES
 from sim.lab.learning.bins.learn import learn_bins
 from sim.sha import Model
@@ -30,7 +30,7 @@ def drawn(
         told = true * np.sqrt(rng.chisquare(7, machines) / 7)
         for (name, own), one, error in zip(fleet.items(), offset.tolist(), told.tolist(), strict=True):
             own[group] = GroupTargets(one + (shifts or {}).get((name, group), 0.0), error, 8)
-    return outstanding(fleet)
+    return find_outliers(fleet)
 
 
 @pytest.mark.parametrize("differ", [0.0, 2.0])

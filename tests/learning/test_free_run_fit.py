@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.lab.learning.bins.candidates import BinsCandidate, basis_of, build
+from sim.lab.learning.bins.candidates import BinsCandidate, build, build_basis
 from sim.lab.learning.data import resolution, without_spikes
 from sim.lab.learning.free_run import FreeRunFit, fit_free_run, predict
 from sim.lab.learning.refit import refit
-from sim.lab.learning.runs import FreeRuns, free_runs, pieces, sampled, thinned
+from sim.lab.learning.runs import FreeRuns, free_runs, pieces, sample_runs, thin_runs
 from sim.lab.learning.structure import LearningError, bare_sha
 from sim.sha.automaton import SHA, Distribution, Edge, Flow, Location
 from sim.sha.events import DECANTER
@@ -26,7 +26,7 @@ def runs_of(traces: list[Trace]) -> FreeRuns:
 
 
 def fitted(runs: FreeRuns, candidate: BinsCandidate = DRIVEN) -> tuple[dict[str, float], FreeRunFit]:
-    _, shape, names = build(candidate, basis_of(runs, DECANTER))
+    _, shape, names = build(candidate, build_basis(runs, DECANTER))
     fit = fit_free_run(runs, shape)
     values = dict(zip(names.targets, fit.linear, strict=False))
     values |= {f"gain {group}": fit.linear[len(names.targets) + n] for n, (group, _) in enumerate(names.gains)}
@@ -99,7 +99,7 @@ def test_a_start_up_begins_a_new_run_only_after_a_whole_cycle() -> None:
 def test_merged_steps_give_the_same_free_run_where_inputs_are_steady() -> None:
     trace = simulate(replace(EXACT, gain=0.0), 6, cycles=1, rows=600, period=2.0)[0]
     runs = runs_of([trace])
-    few = thinned(runs, 150)
+    few = thin_runs(runs, 150)
     assert len(few) < 220
     assert few.dt.sum() == pytest.approx(runs.dt.sum())
     values, _ = fitted(runs, BinsCandidate("constant", "switch"))
@@ -110,7 +110,7 @@ def test_merged_steps_give_the_same_free_run_where_inputs_are_steady() -> None:
 def test_too_many_changes_are_sampled_in_windows_that_span_the_whole_time() -> None:
     trace = simulate(EXACT, 7, cycles=1, rows=3000, hold=1)[0]
     runs = runs_of([trace])
-    few = sampled(runs, 400)
+    few = sample_runs(runs, 400)
     assert len(few) < 600
     assert few.time[-1] - few.time[0] > 0.9 * (runs.time[-1] - runs.time[0])
     assert np.all(few.dt[few.first] == 0)
@@ -142,7 +142,7 @@ def test_lasting_outliers_are_held_down_by_the_loss_and_not_by_squares() -> None
     trace = simulate(Truth(scatter=0.0), 9, cycles=4)
     stuck = [with_signal(one, T=np.where((np.arange(240) % 60) < 6, 5.0, one.signals["T"])) for one in trace]
     runs = runs_of(stuck)
-    _, shape, _ = build(BinsCandidate("constant", "shared"), basis_of(runs, DECANTER))
+    _, shape, _ = build(BinsCandidate("constant", "shared"), build_basis(runs, DECANTER))
     truth = np.array([20.0, 35.0, 50.0, 65.0, 80.0])
     robust = np.abs(fit_free_run(runs, shape).linear - truth).max()
     squares = np.abs(fit_free_run(runs, shape, loss="squares").linear - truth).max()
@@ -163,7 +163,7 @@ def test_standard_errors_cover_the_truth() -> None:
 def test_held_out_prediction_uses_the_given_parameters() -> None:
     traces = simulate(EXACT, 10, cycles=4)
     known = runs_of(traces[:3])
-    _, shape, _ = build(DRIVEN, basis_of(known, DECANTER))
+    _, shape, _ = build(DRIVEN, build_basis(known, DECANTER))
     fit = fit_free_run(known, shape)
     ahead = runs_of(traces[3:])
     np.testing.assert_allclose(predict(ahead, shape, fit.linear, fit.rates, 0.1), ahead.reading, atol=0.2)

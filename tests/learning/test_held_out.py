@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from sim.lab.learning import held_out
-from sim.lab.learning.free_run import HUBER
+from sim.lab.learning.free_run import HUBER_LIMIT
 from sim.lab.learning.held_out import HeldOutErrors, choose, cross_validate, folds, huber_scale, judged_part
 from sim.lab.learning.runs import FreeRuns
 from sim.sha import Array
@@ -172,7 +172,7 @@ def test_the_scale_is_where_the_mean_of_what_counts_is_one() -> None:
         error = rng.normal(0.0, 0.3, 200)
         error[:20] += gross
         z = np.abs(error) / huber_scale(error)
-        assert np.mean(z * np.minimum(z, HUBER)) == pytest.approx(1.0, rel=1e-6)
+        assert np.mean(z * np.minimum(z, HUBER_LIMIT)) == pytest.approx(1.0, rel=1e-6)
     assert huber_scale(np.zeros(5)) == 1e-6 == huber_scale(np.array([1e-9, -1e-9]))
 
 

@@ -12,7 +12,7 @@ from sim.lab.learning.bins import learn as bins
 from sim.lab.learning.bins.candidates import Basis, BinsCandidate
 from sim.lab.learning.bins.learn import CANDIDATES, Learned, learn_bins
 from sim.lab.learning.held_out import HeldOutErrors, choose, huber_scale
-from sim.lab.learning.runs import sampled
+from sim.lab.learning.runs import sample_runs
 from sim.lab.learning.structure import LearningError, contexts
 from sim.sha.automaton import nondeterminism
 from sim.sha.distributions import check_distribution
@@ -112,7 +112,7 @@ def test_a_single_rest_does_not_hide_what_the_load_does() -> None:
     # error of 20 degC that every candidate makes would hide a gain that is seen in all other runs.
     trace = simulate(DRIVEN, 7, cycles=1, rows=3000)[0]
     runs, base = bins._ground([without_rows(trace, np.arange(3000) < 2400)], DECANTER, "T")
-    cut = held_out.folds(sampled(runs, bins.CHOICE_BUDGET))
+    cut = held_out.folds(sample_runs(runs, bins.CHOICE_BUDGET))
     assert cut is not None
     judged = held_out.judged_part(cut)
     assert judged is not None
@@ -125,7 +125,7 @@ def test_a_single_rest_does_not_hide_what_the_load_does() -> None:
 
 def test_where_no_fold_teaches_another_nothing_is_compared() -> None:
     runs, _ = bins._ground(simulate(DRIVEN, 2, cycles=2), DECANTER, "T")
-    two = runs.where(np.cumsum(runs.first) <= 2)
+    two = runs.select(np.cumsum(runs.first) <= 2)
     assert held_out.judged_part(two) is not None
     assert held_out.judged_part(replace(two, place=two.run - two.run[0])) is None
 

@@ -5,7 +5,7 @@ import pytest
 
 from sim.lab.learning.bins.candidates import BinsCandidate
 from sim.lab.learning.bins.learn import learn_bins
-from sim.lab.learning.calibrate import HORIZONS, Scored, calibrate, coverage_of, score_forecasts
+from sim.lab.learning.calibrate import HORIZONS_S, Scored, calibrate, horizon_coverage, score_forecasts
 from sim.sha.events import DECANTER
 from tests.learning.plants import Truth, simulate
 from tests.rig.no_bands import without_bands
@@ -20,27 +20,27 @@ def scored(z: np.ndarray, horizon: float = 60.0, every: float = 60.0) -> list[Sc
 
 def test_a_band_that_is_too_narrow_is_widened_by_as_much() -> None:
     z = 1.7 * np.abs(np.random.default_rng(0).normal(size=2000))
-    (one,) = coverage_of(scored(z))
+    (one,) = horizon_coverage(scored(z))
     assert one.factor == pytest.approx(1.7, rel=0.07)
     assert one.covered < 0.75
 
 
 def test_an_honest_band_stays_as_it_is() -> None:
-    (one,) = coverage_of(scored(np.abs(np.random.default_rng(1).normal(size=2000))))
+    (one,) = horizon_coverage(scored(np.abs(np.random.default_rng(1).normal(size=2000))))
     assert one.factor == pytest.approx(1.0, abs=0.05)
     assert one.covered == pytest.approx(0.9, abs=0.03)
 
 
 def test_overlapping_forecasts_count_for_the_time_they_span() -> None:
-    (one,) = coverage_of(scored(np.ones(100), horizon=900.0, every=9.0))
+    (one,) = horizon_coverage(scored(np.ones(100), horizon=900.0, every=9.0))
     assert one.forecasts == 100
     assert one.independent == pytest.approx(1 + 99 * 9 / 900)
 
 
 def test_little_evidence_leaves_the_factor_near_its_cautious_start() -> None:
-    (one,) = coverage_of(scored(np.zeros(1)))
+    (one,) = horizon_coverage(scored(np.zeros(1)))
     assert 0.9 < one.factor < 1.25
-    assert coverage_of([]) == ()
+    assert horizon_coverage([]) == ()
 
 
 def test_only_forecasts_after_the_given_moment_count(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -52,7 +52,7 @@ def test_only_forecasts_after_the_given_moment_count(monkeypatch: pytest.MonkeyP
     due = [one.due for one in score_forecasts(model, [trace], [since], np.random.default_rng(0), origins=30)]
     assert due
     assert min(due) >= since + 60
-    assert set(calibrate(model, [trace], np.random.default_rng(0))) == set(HORIZONS)
+    assert set(calibrate(model, [trace], np.random.default_rng(0))) == set(HORIZONS_S)
 
 
 @pytest.mark.parametrize(
@@ -67,8 +67,8 @@ def test_ninety_per_cent_bands_cover_ninety_per_cent_of_unseen_cycles(
     model = learn_bins(traces[:7], DECANTER, "T", seed=seed, candidates=[candidate]).model
     begins = [float(trace.times[0]) for trace in traces[7:]]
     found = score_forecasts(model, traces[7:], begins, np.random.default_rng(seed))
-    judged = coverage_of(found)
-    assert [one.horizon for one in judged] == list(HORIZONS)
+    judged = horizon_coverage(found)
+    assert [one.horizon for one in judged] == list(HORIZONS_S)
     for one in judged:
         z = np.array([each.z for each in found if each.horizon == one.horizon]) / model.calibration[one.horizon]
         share, spread = float(np.mean(z <= 1.6449)), np.sqrt(0.09 / one.independent)

@@ -15,17 +15,17 @@ from benchmarks.known_automata import random_automaton, traces_of
 from sim.artefacts.model_directory import read_model_directory
 from sim.artefacts.model_json import model_hash
 from sim.effects.check import check_sha
-from sim.engine.open_loop_run import measured, open_loop
+from sim.engine.open_loop_run import open_loop, readings
 from sim.lab.formats.foreign.bundle import read_artefacts
 from sim.lab.formats.write_model import write_model_directory
 from sim.lab.learning.lsha import flow_hypotheses
-from sim.lab.learning.lsha.flow_hypotheses import FlowHypothesis, choose_flow, flowing_over
+from sim.lab.learning.lsha.flow_hypotheses import FlowHypothesis, choose_flow, transfer_hypothesis
 from sim.lab.learning.lsha.learn import LearnedLsha, learn_lsha
 from sim.lab.learning.lsha.report import counterexamples, report_document, report_text
 from sim.lab.learning.lsha.settings import LshaSettings
 from sim.lab.learning.lsha.structures import choose_structure
-from sim.lab.learning.lsha.teacher import beginnings, teacher_of
-from sim.lab.learning.structure import LearningError, name_of
+from sim.lab.learning.lsha.teacher import beginnings, make_teacher
+from sim.lab.learning.structure import LearningError, location_name
 from sim.plant.scenarios import scenario
 from sim.sha.automaton import nondeterminism, transitions
 from sim.sha.events import DECANTER, Alphabet, Bins, Switch, alphabet_symbols, encode
@@ -88,13 +88,13 @@ def found_again(seed: int) -> bool:
     """Whether exactly the four locations of `by_context` come back, from traces that hold them evenly."""
     traces = random_traces(by_context, seed)
     chosen = LshaSettings()
-    teacher = teacher_of(traces, PLANT, "T", chosen.n_min, chosen.split)
+    teacher = make_teacher(traces, PLANT, "T", chosen.n_min, chosen.split)
     flowing, _ = choose_flow(teacher, chosen.default_flow, chosen.alpha, chosen.n_min)
     structure, _ = choose_structure(teacher, flowing.sample, chosen)
     members: dict[int, set[str]] = {}
     for key, location in zip(structure.classes.keys, structure.partition.location.tolist(), strict=True):
         if structure.partition.modelled[location]:
-            members.setdefault(location, set()).add(name_of(key.context, PLANT))
+            members.setdefault(location, set()).add(location_name(key.context, PLANT))
     return {frozenset(words) for words in members.values()} == FOUR and len(members) == 4
 
 
@@ -128,10 +128,12 @@ def test_more_events_do_not_leave_words_out() -> None:
 def test_what_is_left_out_is_said(known: LearnedLsha) -> None:
     # Where the last move tells all, single words are not worth their cost, and the table says so.
     traces = random_traces(by_context, 20, count=56, stays=30)
-    teacher = teacher_of(traces, PLANT, "T", 5, 5)
+    teacher = make_teacher(traces, PLANT, "T", 5, 5)
     assert teacher.words.events > 1500
     hypothesis = FlowHypothesis("exponential", alone=True)
-    _, rivals = choose_structure(teacher, flowing_over(hypothesis, teacher, 0.05, 5).sample, LshaSettings(delta=0.05))
+    _, rivals = choose_structure(
+        teacher, transfer_hypothesis(hypothesis, teacher, 0.05, 5).sample, LshaSettings(delta=0.05)
+    )
     word = next(rival for rival in rivals if "memory word" in rival.label)
     assert word.note.startswith("not tried: more of a word than its last move explains")
     report = replace(known.report, structures=(*known.report.structures, word), flow_traces=3, flow_events=70)
@@ -154,7 +156,7 @@ def test_a_sample_is_of_whole_traces_or_of_beginnings_spread_over_all() -> None:
 def test_single_words_without_an_automaton_behind_them_are_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(flow_hypotheses, "FIRST_QUERIES", 0)
     monkeypatch.setattr(flow_hypotheses, "QUERIES_PER_WORD", 0)
-    teacher = teacher_of(random_traces(by_context, 3, count=6), PLANT, "T", 5, 5)
+    teacher = make_teacher(random_traces(by_context, 3, count=6), PLANT, "T", 5, 5)
     flowing, _ = choose_flow(teacher, "exponential", 0.05, 5)
     structure, rivals = choose_structure(teacher, flowing.sample, LshaSettings())
     assert structure.classes.memory != "word"
@@ -171,7 +173,7 @@ def test_runs_that_begin_where_nothing_has_a_law_do_no_harm(debounce: float) -> 
     alphabet = replace(DECANTER, debounce=debounce)
     traces = [scenario(name, 0) for name in ("cd1", "cd4", "cd6", "cd9")]
     again = [replace(one, events=encode(replace(one, events=()), alphabet)) for one in traces]
-    teacher = teacher_of(again, alphabet, "TCuscinettiRiduttore", 5, 5)
+    teacher = make_teacher(again, alphabet, "TCuscinettiRiduttore", 5, 5)
     places = np.unique(teacher.runs.place)
     assert (debounce > 0) == bool(np.any(~teacher.modelled[places]))
     flowing, _ = choose_flow(teacher, None, 0.05, 5)
@@ -355,7 +357,7 @@ def test_the_artefacts_hold_the_table_and_read_back(known: LearnedLsha, tmp_path
 def test_it_runs_freely_along_a_trace_it_has_never_seen(known: LearnedLsha) -> None:
     error = []
     for trace in random_traces(by_context, 99, count=4):
-        times, values = measured(trace, "T")
+        times, values = readings(trace, "T")
         run = open_loop(known.model, trace, "reject")
         error.append(run.mean[np.searchsorted(run.times, times, side="right") - 1] - values)
     assert np.sqrt(np.mean(np.concatenate(error) ** 2)) < 1.5

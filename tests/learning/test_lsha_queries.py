@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from sim.lab.learning.lsha.evidence import PooledEvidence, between, evidence_of, same_distribution, sample_of
+from sim.lab.learning.lsha.evidence import PooledEvidence, pool_sums, same_distribution, segment_scatter, weigh_segments
 from sim.lab.learning.lsha.identify import identify, rate_alone
 from sim.lab.learning.lsha.merging import Partition, learn_partition
 from sim.lab.learning.lsha.segments import Motion, TraceSegments, levels, parameters
 from sim.lab.learning.lsha.settings import MEMORIES, LshaSettings
-from sim.lab.learning.lsha.teacher import placed
-from sim.lab.learning.lsha.words import Classes, WordHistory, classes_of, coordinates, meaning, words_of
+from sim.lab.learning.lsha.teacher import renumber_places
+from sim.lab.learning.lsha.words import Classes, WordHistory, build_classes, build_words, coordinates, meaning
 from sim.lab.learning.runs import free_runs
 from sim.sha.automaton import Flow
 from sim.sha.events import Alphabet, Bins
@@ -23,7 +23,7 @@ N_MIN = 5
 def evidence(value: np.ndarray, variance: np.ndarray, scatter: float) -> PooledEvidence:
     w = 1.0 / (scatter**2 + variance)
     rows = (np.ones_like(w), w, w * value, w**2, w**2 * value, w**2 * value**2, w**2 * variance)
-    return evidence_of(tuple(float(row.sum()) for row in rows), N_MIN)
+    return pool_sums(tuple(float(row.sum()) for row in rows), N_MIN)
 
 
 def drawn(rng: np.random.Generator, mu: float, count: int, scatter: float) -> tuple[np.ndarray, np.ndarray]:
@@ -61,7 +61,7 @@ def test_evidence_of_two_sets_is_that_of_all_their_segments() -> None:
     rng = np.random.default_rng(3)
     (a, va), (b, vb) = drawn(rng, 1.0, 9, 1.0), drawn(rng, 4.0, 7, 1.0)
     both = evidence(np.append(a, b), np.append(va, vb), 1.0)
-    joined = evidence(a, va, 1.0).joined(evidence(b, vb, 1.0))
+    joined = evidence(a, va, 1.0).merge(evidence(b, vb, 1.0))
     assert joined.count == 16
     assert (joined.mean, joined.variance) == pytest.approx((both.mean, both.variance))
 
@@ -71,8 +71,8 @@ def test_the_scatter_between_segments_is_kept_apart_from_their_errors() -> None:
     variance = 10.0 ** rng.uniform(-1, 1, 400)
     value = 7.0 + rng.normal(0, np.sqrt(0.8**2 + variance))
     rows = np.zeros(400, dtype=np.intp)
-    sample = sample_of(TraceSegments(value, variance, rows, rows, rows, variance, variance, 0.1), [rows[:1]])
-    mean, error, scatter = between(sample, np.ones(400, dtype=bool))
+    sample = weigh_segments(TraceSegments(value, variance, rows, rows, rows, variance, variance, 0.1), [rows[:1]])
+    mean, error, scatter = segment_scatter(sample, np.ones(400, dtype=bool))
     assert mean == pytest.approx(7.0, abs=4 * error)
     assert error < 0.2
     assert scatter == pytest.approx(0.8, abs=0.25)
@@ -100,7 +100,7 @@ def classes_with(keys: tuple[WordHistory, ...], edges: tuple[dict[str, int], ...
 
 def partition(classes: Classes, found: list[PooledEvidence], delta: float = 0.0, alpha: float = 0.05) -> Partition:
     modelled = np.arange(len(classes)) > 0
-    nothing = evidence_of((0.0,) * 7, N_MIN)
+    nothing = pool_sums((0.0,) * 7, N_MIN)
     return learn_partition(classes, [nothing, *found], modelled, delta=delta, alpha=alpha, n_min=N_MIN)
 
 
@@ -195,7 +195,7 @@ def test_a_merge_is_refused_when_a_suffix_speaks_against_it() -> None:
 
 def test_every_segment_is_attached_once_and_to_one_class() -> None:
     traces = random_traces(by_context, 0, count=4)
-    words = words_of(traces, PLANT, N_MIN)
+    words = build_words(traces, PLANT, N_MIN)
     runs = free_runs(traces, words.sha, "T", signals=("Load",), jumps=True)
     found = levels(runs, runs.trace)
     events = [[e.time for e in trace.events] for trace in traces]
@@ -204,16 +204,16 @@ def test_every_segment_is_attached_once_and_to_one_class() -> None:
     )
     assert found.value.size == stays
     assert found.readings.sum() == sum(trace.times.size for trace in traces)
-    sample = sample_of(found, [classes_of(words, "previous").of_state])
+    sample = weigh_segments(found, [build_classes(words, "previous").of_state])
     for memory in MEMORIES:
-        classes = classes_of(words, memory)
-        pooled = sample.pooled(classes.of_state, len(classes), N_MIN)
+        classes = build_classes(words, memory)
+        pooled = sample.pool_classes(classes.of_state, len(classes), N_MIN)
         assert sum(one.count for one in pooled) == stays
 
 
 def test_a_segment_s_parameter_and_its_error_are_right() -> None:
     traces = random_traces(by_context, 1, count=20, scatter=0.0, tau=200.0)
-    words = words_of(traces, PLANT, N_MIN)
+    words = build_words(traces, PLANT, N_MIN)
     runs = free_runs(traces, words.sha, "T", signals=("Load",), jumps=True)
     decay, pull, _ = coefficients(Flow("exponential", {"k": 1 / 200.0, "noise": 0.0}), runs.age, runs.dt)
     found = parameters(runs, runs.trace, Motion(decay, pull, np.zeros(len(runs))), 1600.0)
@@ -227,21 +227,21 @@ def test_a_segment_s_parameter_and_its_error_are_right() -> None:
 def test_single_segments_tell_the_rate_whatever_they_have_in_common() -> None:
     # The scatter of 15 degC from stay to stay hides which of them belong together; the shape of each stay is left.
     traces = random_traces(by_context, 9, count=12, scatter=15.0, tau=150.0)
-    words = words_of(traces, PLANT, N_MIN)
+    words = build_words(traces, PLANT, N_MIN)
     runs = free_runs(traces, words.sha, "T", signals=("Load",), jumps=True)
     assert 1.0 / rate_alone(runs, "exponential") == pytest.approx(150.0, rel=0.05)
 
 
 def test_every_word_of_the_traces_is_told_apart_however_many_events_there_are() -> None:
     traces = random_traces(by_context, 10, count=4)
-    few, many = words_of(traces, PLANT, 2), words_of(traces * 40, PLANT, 200)
+    few, many = build_words(traces, PLANT, 2), build_words(traces * 40, PLANT, 200)
     assert many.events > 3000
     for words in (few, many):
-        assert len(classes_of(words, "word")) == 1 + len(
+        assert len(build_classes(words, "word")) == 1 + len(
             {e[: n + 1] for e in spelled_out(traces) for n in range(len(e))}
         )
-    longest = max(range(len(few.tree)), key=lambda node: len(few.spelled(node + 1)))
-    assert few.spelled(longest + 1) in spelled_out(traces)
+    longest = max(range(len(few.tree)), key=lambda node: len(few.node_word(node + 1)))
+    assert few.node_word(longest + 1) in spelled_out(traces)
 
 
 def spelled_out(traces: list[Trace]) -> list[tuple[str, ...]]:
@@ -250,9 +250,9 @@ def spelled_out(traces: list[Trace]) -> list[tuple[str, ...]]:
 
 def test_a_location_with_another_flow_is_identified_and_the_others_keep_the_default() -> None:
     traces = random_traces(by_context, 2, count=10, tau=60.0, scatter=0.5)
-    words = words_of(traces, PLANT, N_MIN)
-    classes = classes_of(words, "context")
-    runs = placed(free_runs(traces, words.sha, "T", signals=("Load",), jumps=True), classes.of_state)
+    words = build_words(traces, PLANT, N_MIN)
+    classes = build_classes(words, "context")
+    runs = renumber_places(free_runs(traces, words.sha, "T", signals=("Load",), jumps=True), classes.of_state)
     linear = Flow("linear", {"noise": 0.0})
     rates = {"exponential": Flow("exponential", {"k": 1 / 60.0, "noise": 0.0}), "linear": linear}
     motions = {

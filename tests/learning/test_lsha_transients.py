@@ -12,10 +12,10 @@ from sim.lab.formats.foreign.convert import to_sha
 from sim.lab.formats.write_model import write_model_directory
 from sim.lab.learning.lsha.flow_hypotheses import hold_out_levels
 from sim.lab.learning.lsha.learn import LearnedLsha, learn_lsha
-from sim.lab.learning.lsha.segments import stays_after
-from sim.lab.learning.lsha.teacher import Teacher, placed, teacher_of
+from sim.lab.learning.lsha.segments import find_next_stays
+from sim.lab.learning.lsha.teacher import Teacher, make_teacher, renumber_places
 from sim.lab.learning.lsha.transients import TransientLaw, transient_law
-from sim.lab.learning.lsha.words import classes_of
+from sim.lab.learning.lsha.words import build_classes
 from sim.sha.trace import Array, Trace
 from tests.learning.lsha_plants import PLANT, by_context, random_traces
 from tests.rig.no_bands import without_bands
@@ -64,7 +64,7 @@ def test_a_known_transient_comes_back_where_it_is_and_nowhere_else(known: Learne
 def test_a_plant_without_a_transient_gets_none_and_no_rival() -> None:
     """No location shows an amplitude, so that nothing is compared that was not compared before."""
     for seed in range(5, 9):
-        teacher = teacher_of(random_traces(by_context, seed, count=8, jumps=True), PLANT, "T", 5, 5)
+        teacher = make_teacher(random_traces(by_context, seed, count=8, jumps=True), PLANT, "T", 5, 5)
         law, amplitude = amplitudes(teacher)
         assert law is not None and not amplitude.any(), seed
 
@@ -96,7 +96,7 @@ def test_the_model_is_written_and_read_again_as_json_and_as_artefacts(known: Lea
 
 def test_the_amplitude_does_not_depend_on_which_levels_belong_together() -> None:
     """Levels that differ from stay to stay by far more than the transient: within stays nothing of that is seen."""
-    teacher = teacher_of([with_transient(trace) for trace in wild_levels()], PLANT, "T", 5, 5)
+    teacher = make_teacher([with_transient(trace) for trace in wild_levels()], PLANT, "T", 5, 5)
     law, amplitude = amplitudes(teacher)
     assert law is not None and law.tau == pytest.approx(TAU, rel=0.1)
     shown = amplitude[amplitude != 0.0]
@@ -108,21 +108,21 @@ def wild_levels() -> list[Trace]:
 
 
 def amplitudes(teacher: Teacher) -> tuple[TransientLaw | None, Array]:
-    classes = classes_of(teacher.words, "context")
-    runs = placed(teacher.runs, classes.of_state)
+    classes = build_classes(teacher.words, "context")
+    runs = renumber_places(teacher.runs, classes.of_state)
     law = transient_law(runs, len(classes), 0.05, 5)
     return law, np.zeros(0) if law is None else law.amplitudes(runs, len(classes))
 
 
 @pytest.mark.parametrize("tau", [3.0, 40.0])
 def test_settling_takes_off_what_the_law_says(tau: float) -> None:
-    teacher = teacher_of(plants(5, 2, amplitude=0.0), PLANT, "T", 5, 5)
+    teacher = make_teacher(plants(5, 2, amplitude=0.0), PLANT, "T", 5, 5)
     law, size = TransientLaw(tau, 0.05, 5), len(teacher.words.states)
     amplitude = np.arange(float(size))
-    settled = law.settled(teacher.runs, amplitude)
-    back = law.settled(settled, -amplitude)
+    settled = law.remove_transients(teacher.runs, amplitude)
+    back = law.remove_transients(settled, -amplitude)
     np.testing.assert_allclose(back.reading, teacher.runs.reading)
-    _, place = stays_after(teacher.runs)
+    _, place = find_next_stays(teacher.runs)
     # Readings at an event belong to the stay that it begins: they are off by the whole amplitude.
     runs = teacher.runs
     entered = np.append((np.diff(runs.stay) != 0) & (np.diff(runs.run) == 0), False) & np.isfinite(runs.reading)
@@ -133,8 +133,8 @@ def test_settling_takes_off_what_the_law_says(tau: float) -> None:
 
 @pytest.mark.parametrize("law", [None, TransientLaw(TAU, 0.05, 5)])
 def test_what_is_foretold_of_a_run_that_is_held_out_does_not_depend_on_its_readings(law: TransientLaw | None) -> None:
-    teacher = teacher_of(plants(5, 8), PLANT, "T", 5, 5)
-    runs = placed(teacher.runs, classes_of(teacher.words, "direction").of_state)
+    teacher = make_teacher(plants(5, 8), PLANT, "T", 5, 5)
+    runs = renumber_places(teacher.runs, build_classes(teacher.words, "direction").of_state)
     own = np.isfinite(runs.reading) & (np.cumsum(runs.first) == 3)
     changed = replace(runs, reading=np.where(own, 90.0 - 0.5 * runs.reading, runs.reading))
     first, second = (

@@ -8,7 +8,7 @@ import pytest
 from sim.artefacts.model_json import model_text, parse_model
 from sim.engine.belief import advance, machine_offset, observe, on_event, start
 from sim.engine.tracker import compile_model
-from sim.forecast import LEVELS, forecast
+from sim.forecast import FAN_LEVELS, forecast
 from sim.lab.learning.bins.candidates import CANDIDATES
 from sim.lab.learning.bins.learn import Learned, learn_bins
 from sim.lab.learning.calibrate import UNSEEN_WIDENING, HeldOutForecasts, Scored
@@ -164,7 +164,7 @@ def test_beyond_the_models_range_the_trend_is_still_followed() -> None:
     for second in range(1, 301):
         belief = observe(trend, belief, float(second), model.sha.high + 10.0 + 0.01 * second)
     fan = forecast(trend, belief, (60.0,), np.random.default_rng(0), runs=64)
-    assert float(fan.quantiles[LEVELS.index(0.5), 0]) == pytest.approx(model.sha.high + 13.6, abs=0.3)
+    assert float(fan.quantiles[FAN_LEVELS.index(0.5), 0]) == pytest.approx(model.sha.high + 13.6, abs=0.3)
 
 
 def test_odds_are_for_who_was_better_on_data_held_out_and_go_through_json(alone: Learned) -> None:

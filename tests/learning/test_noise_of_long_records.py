@@ -5,7 +5,7 @@ import pytest
 
 from sim.engine import linear_recursion
 from sim.lab.learning.plain import TREND, learn_plain
-from sim.lab.learning.runs import free_runs, sampled, stretches
+from sim.lab.learning.runs import free_runs, sample_runs, stretches
 from sim.lab.learning.structure import bare_sha
 from sim.sha import DECANTER, Trace
 from tests.learning.plants import Truth, simulate
@@ -35,7 +35,7 @@ def test_a_trend_is_learned_from_a_day_as_from_twenty(days: int) -> None:
 def test_stretches_keep_readings_close_and_span_the_whole_time() -> None:
     traces = simulate(Truth(), 9, cycles=40, rows=1500, period=8.0, hold=100)
     runs = free_runs(traces, bare_sha(DECANTER), "T")
-    evenly, close = sampled(runs, 1000), stretches(runs, 1000, 60.0)
+    evenly, close = sample_runs(runs, 1000), stretches(runs, 1000, 60.0)
     assert len(close) <= 1500
     assert np.max(evenly.dt) > 300.0, "thinned over all of the time"
     assert np.max(close.dt) <= 120.0

@@ -11,7 +11,7 @@ import numpy as np
 from drivers.supervision import Supervisor
 from drivers.tag import DType, Quality, Tag
 from gateway.outside.northbound import Sink, SinkFeed
-from gateway.store import Historian, RowPosition, open_historian, reading, row_streams, rows_after, to_trace
+from gateway.store import Historian, RowPosition, next_rows, open_historian, reading, row_streams, to_trace
 from sim.sha import Trace
 from tests.gateway.support import EPOCH
 
@@ -57,7 +57,7 @@ class Plant:
         self.supervisor = Supervisor()
         self.store = open_historian(self.folder / "h.sqlite", supervisor=self.supervisor)
         for machine in MACHINES:
-            self.store.of(machine, TAGS.values())
+            self.store.view(machine, TAGS.values())
 
     def now(self) -> float:
         return EPOCH + self.scans
@@ -68,7 +68,7 @@ class Plant:
             self.scans += 1
             time = self.now()
             for place, machine in enumerate(MACHINES):
-                own, good = self.store.of(machine), self.rng.random() < 0.9
+                own, good = self.store.view(machine), self.rng.random() < 0.9
                 values = {
                     "T": 20.0 + self.scans + place,
                     "Run": float(self.scans % 2),
@@ -84,7 +84,7 @@ class Plant:
                     ],
                 )
                 own.put("scans", [(time, 0.1, 0)])
-                followed = self.store.of(machine, (), "T")
+                followed = self.store.view(machine, (), "T")
                 row = (time, "on", 1, values["T"], values["T"] + 0.5, 1.0, 2.0, float("nan"), 0.25, "green")
                 followed.put("predictions", [row])
                 if self.scans % 10 == 0:
@@ -100,7 +100,7 @@ class Plant:
             "it",
             sink,
             path=self.store.path,
-            view=self.store.of,
+            view=self.store.view,
             now=self.now,
             supervisor=self.supervisor,
             log=KeptLog(self.logged),  # type: ignore[arg-type]
@@ -116,7 +116,7 @@ class Plant:
             for stream in row_streams(connection, MACHINES):
                 position, batch = RowPosition(0, 0.0), None
                 while stream.table == table and (batch is None or batch.rows):
-                    batch = rows_after(connection, stream, position)
+                    batch = next_rows(connection, stream, position)
                     found += [(stream.machine, row.key, row.values) for row in batch.rows]
                     position = batch.rows[-1].position if batch.rows else position  # type: ignore[assignment]
         return found

@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 from gateway.cli.plant import records as historian_commands
-from gateway.lab.fleet.sources import sources_in
+from gateway.lab.fleet.sources import find_sources
 from gateway.store import TABLE_COLUMNS, HistorianError, row_streams
 from sim.lab.recordings import load_map
 from tests.cli.support import decanter, only_object, refused
@@ -58,18 +58,18 @@ def test_every_table_is_exported_whole_and_the_same_in_both_formats(plant: Plant
 def test_a_fleet_is_read_from_what_was_exported_as_the_historian_has_it(plant: Plant, file: Path) -> None:
     exported(file, "samples.parquet", "--since", "all")
     column_map = load_map(MAPS / "decanter.toml")
-    fleet = sources_in(str(file.with_name("samples.parquet")), column_map, "")
+    fleet = find_sources(str(file.with_name("samples.parquet")), column_map, "")
     assert [source.machine for source in fleet] == sorted(MACHINES)
     for source in fleet:
         (trace,) = source.read(column_map).traces
         assert_as_on_record(trace, plant)
     exported(file, "events.parquet", "--table", "events", "--since", "all")
     with pytest.raises(ValueError, match=r"events\.parquet: holds no samples"):
-        sources_in(str(file.with_name("events.parquet")), column_map, "")
+        find_sources(str(file.with_name("events.parquet")), column_map, "")
     file.with_name("no.parquet").write_text("text")
     for name, words in (("no.parquet", "is no Parquet file"), ("nowhere.parquet", "no such file")):
         with pytest.raises(ValueError, match=words):
-            sources_in(str(file.with_name(name)), column_map, "")
+            find_sources(str(file.with_name(name)), column_map, "")
 
 
 def test_a_span_a_machine_and_a_tag_are_what_is_exported_and_shown(plant: Plant, file: Path) -> None:

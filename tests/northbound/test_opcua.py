@@ -18,8 +18,8 @@ from gateway.machine.reading import plant_clock
 from gateway.network.certificates import make_all, make_application
 from gateway.outside.northbound import check_northbound, northbound
 from gateway.outside.northbound.opcua import GatewayServer, Nothing, OpcUaServer, ReadingOnly
-from gateway.outside.northbound.opcua_history import recorded
-from gateway.outside.northbound.opcua_points import OpcUaPoint, points_of
+from gateway.outside.northbound.opcua_history import recorded_points
+from gateway.outside.northbound.opcua_points import OpcUaPoint, status_points
 from gateway.outside.status import read_status
 from gateway.plant.app import run
 from gateway.settings import OpcUaSection, load_config
@@ -319,7 +319,7 @@ async def test_what_is_gone_goes_and_what_is_missed_says_so() -> None:
 
 def test_what_has_no_value_says_so_by_its_status() -> None:
     status = read_status(picture(prediction=None, forecast=None))
-    points = {point.path[1:]: point for point in points_of(status, {})}
+    points = {point.path[1:]: point for point in status_points(status, {})}
     assert all(point.value is not None or point.quality.is_bad for point in points.values())
     waiting = {
         name for (folder, *_, name), point in points.items() if point.quality is Quality.WAITING_FOR_INITIAL_DATA
@@ -337,7 +337,7 @@ def test_the_past_is_read_piece_by_piece_over_a_gap_both_ways(plant: Plant) -> N
     assert len(stored) > 300
 
     def given(low: float | None, high: float | None, *, backwards: bool = False) -> list[Any]:
-        found = recorded(plant.store.path, point, low, high, backwards=backwards)
+        found = recorded_points(plant.store.path, point, low, high, backwards=backwards)
         return [(one.time, one.value, one.quality) for one in found]
 
     assert given(None, None) == stored == given(None, None, backwards=True)[::-1]

@@ -17,8 +17,8 @@ from urllib.request import Request, urlopen
 import psycopg
 import pytest
 
-from gateway.lab.fleet.sources import sources_in
-from gateway.outside.northbound.influx import InfluxSink, line_of
+from gateway.lab.fleet.sources import find_sources
+from gateway.outside.northbound.influx import InfluxSink, format_row
 from gateway.outside.northbound.postgres import PostgresSink
 from gateway.settings import InfluxRow, PostgresRow
 from gateway.store import FollowedRow, RowPosition, RowStream
@@ -91,7 +91,7 @@ def test_postgres_has_every_row_once_over_an_outage_and_a_kill(plant: Plant, dat
     assert plant.store.flush()
     # A gateway that was killed has forgotten how far it was: all of it comes again, and nothing is there twice.
     for machine in ("one", "two"):
-        plant.store.of(machine).save("northbound it", plant.now(), {})
+        plant.store.view(machine).save("northbound it", plant.now(), {})
     plant.store.flush()
     again = plant.feed(PostgresSink(database.row(database.port), None))
     until(lambda: again.delivered == plant.count)
@@ -118,7 +118,7 @@ def test_postgres_has_every_row_once_over_an_outage_and_a_kill(plant: Plant, dat
     assert database.query("SELECT DISTINCT node, free_run FROM plant.predictions") == [("gateway", None)]
     assert database.query("SELECT DISTINCT quantiles FROM plant.forecasts") == [([1.0, 2.0, 3.0],)]
     address = f"postgresql://postgres:unused@127.0.0.1:{database.port}/postgres"
-    fleet = sources_in(address, load_map(MAPS / "decanter.toml"), "plant")
+    fleet = find_sources(address, load_map(MAPS / "decanter.toml"), "plant")
     assert [source.machine for source in fleet] == ["one", "two"] and len({each.content() for each in fleet}) == 2
     for source in fleet:
         (trace,) = source.read(load_map(MAPS / "decanter.toml")).traces
@@ -126,7 +126,7 @@ def test_postgres_has_every_row_once_over_an_outage_and_a_kill(plant: Plant, dat
         assert "unused" not in trace.origin, "a password stays where it is"
     database.query("DROP SCHEMA plant CASCADE")
     with pytest.raises(ValueError, match=r'/postgres: relation "plant\.samples" does not exist'):
-        sources_in(address, load_map(MAPS / "decanter.toml"), "plant")
+        find_sources(address, load_map(MAPS / "decanter.toml"), "plant")
 
 
 def test_what_postgres_will_not_have_is_counted_and_costs_itself(plant: Plant, database: Database) -> None:
@@ -246,6 +246,6 @@ def test_lines_bear_any_name_and_any_value() -> None:
     stream = RowStream("o n,e=", "", "samples", 1)
     values = {"tag": "a\\", "time": 1.5, "value": 'q"\\\n', "quality": 0, "sent": None, "unit": ""}
     row = FollowedRow(stream=stream, key=3, time=1.5, values=values, position=RowPosition(3, 1.5))
-    assert line_of(row, "box") == (
+    assert format_row(row, "box") == (
         'samples,node=box,machine=o\\ n\\,e\\=,tag=a\\\ufffd text="q\\"\\\\ ",quality="GOOD",row=3i 1500000'
     )

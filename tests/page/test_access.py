@@ -107,7 +107,7 @@ def test_a_session_ends_idle_after_a_shift_and_with_its_account(tmp_path: Path) 
     for _ in range(70):
         clock.time += 590.0
         assert sessions.find(busy, use=True) is not None
-        assert sessions.left(session) <= 600.0
+        assert sessions.remaining_seconds(session) <= 600.0
     assert sessions.find(idle) is None and sessions.find("guessed") is None
     clock.time += 12 * 3600.0 - 70 * 590.0 + 1.0
     session.used = clock.time
@@ -129,7 +129,7 @@ def test_wrong_passwords_lock_the_account_longer_each_time_and_the_address_at_la
     for number in range(10):
         lockout.failed(f"name {number}", "10.0.0.9")
     assert lockout.wait("ada", "10.0.0.9") == 30.0 and lockout.wait("ada", "10.0.0.10") == 0.0
-    lockout.succeeded("olga", "10.0.0.10")
+    lockout.note_success("olga", "10.0.0.10")
     assert lockout.wait("olga", "10.0.0.10") == 0.0
 
 

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from gateway.lab.models.propose import propose
-from gateway.machine.writing import places_of
+from gateway.machine.writing import witness_places
 from gateway.network.certificates import make_all
 from gateway.outside.web.access import AccountRole, change_password, remove_account
 from gateway.outside.web.backing_up import BackupMaker, BackupRefused
@@ -174,7 +174,7 @@ def test_a_version_of_the_models_store_is_proven_and_runs_once_a_person_says_so(
         said = [(kind, detail["version"]) for kind, _, detail in gateway.audited() if kind == "page: promote"]
         assert said == [("page: promote", version) for version in (third, fourth, second)]
         # Also where no block is ever written the end of the log is witnessed while the gateway runs.
-        eventually(places_of(gateway.config).heads.is_file)
+        eventually(witness_places(gateway.config).heads.is_file)
 
 
 def test_an_alarm_is_put_aside_for_a_while_with_a_reason_and_taken_back(gateway: Served) -> None:

@@ -12,9 +12,9 @@ import gateway.outside.texts
 import gateway.outside.web
 from gateway.outside.status import read_status
 from gateway.outside.status.health import CHECKS
-from gateway.outside.texts import LANGUAGES, all_words, preferred
+from gateway.outside.texts import LANGUAGES, all_words, preferred_language
 from gateway.outside.web import machine_view
-from gateway.settings import ALARM_KINDS, kind_of
+from gateway.settings import ALARM_KINDS, parse_kind
 from sim.lab.discrepancy.fitting import catalogue
 from sim.phrase import Phrase
 from tests.gateway.status_picture import alarm, picture, tag
@@ -154,7 +154,7 @@ def test_every_kind_of_alarm_and_every_check_has_its_words() -> None:
         keys = {f"{section}.{re.sub('[ -]', '_', name)}" for name in names}
         assert keys == {key for key in texts if key.startswith(f"{section}.")}
     kinds = {"over limit T 1": "over limit", "clock not steered": "clock not steered", "clock": "clock", "clocks": ""}
-    assert {name: kind_of(name) for name in kinds} == kinds
+    assert {name: parse_kind(name) for name in kinds} == kinds
 
 
 def test_what_to_do_is_said_in_the_readers_language_unless_the_plant_has_words_of_its_own() -> None:
@@ -209,7 +209,7 @@ def test_a_temperature_that_is_only_watched_has_a_row_without_a_forecast() -> No
     [("", "en"), ("it-IT,it;q=0.9,en;q=0.8", "it"), ("fr, de;q=0.5, en;q=0.4", "de"), ("*", "en"), ("x" * 9999, "en")],
 )
 def test_the_browser_is_answered_in_the_language_that_it_prefers(accepted: str, language: str) -> None:
-    assert preferred(accepted) == language
+    assert preferred_language(accepted) == language
 
 
 def test_what_is_found_of_model_and_blocks_is_said_in_the_readers_language() -> None:
@@ -233,5 +233,5 @@ def test_what_is_found_of_model_and_blocks_is_said_in_the_readers_language() -> 
 
 def test_a_phrase_is_filled_in_every_language_with_its_own_decimal_sign() -> None:
     inner = Phrase("late", it="tardi", de="spät")
-    said = Phrase("{what} by {s} s", it="{what} di {s} s", de="{what} um {s} s").filled(what=inner, s="1.5")
+    said = Phrase("{what} by {s} s", it="{what} di {s} s", de="{what} um {s} s").fill(what=inner, s="1.5")
     assert (str(said), said.it, said.de) == ("late by 1.5 s", "tardi di 1,5 s", "spät um 1,5 s")

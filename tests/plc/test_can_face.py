@@ -17,7 +17,7 @@ from drivers.can.driver import CanDriver, open_can
 from drivers.errors import WriteUnverified
 from drivers.tag import Quality, Sample, Tag
 from gateway.settings.devices import DeviceMap, load_device
-from sim.plc.can.messages import protected, read_messages
+from sim.plc.can.messages import protect_payload, read_messages
 from sim.plc.program.checks import InputError
 from sim.plc.record.judge import wrong_good
 from sim.plc.record.recording import EventRow, read_recording
@@ -122,7 +122,7 @@ def test_all_messages_come_in_their_cycles_with_checksum_and_counter(bus: can.Bu
         ones = heard[message.frame_id]
         counters = [one.data[2] for one in ones]
         assert counters == [(counters[0] + place) % 256 for place in range(len(ones))]
-        assert all(bytes(one.data) == protected(message.frame_id, one.data[2], bytes(one.data)) for one in ones)
+        assert all(bytes(one.data) == protect_payload(message.frame_id, one.data[2], bytes(one.data)) for one in ones)
         if message.cycle_time == 50:
             assert len(ones) >= 8
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from sim.plc.faces import FACES
-from sim.plc.program.faults import FAULTS, ONLY_AT
+from sim.plc.program.faults import FAULT_FACES, FAULTS
 from sim.plc.record.recording import read_recording
 from tests.drivers import certified
 from tests.drivers.scripted_line import rtu
@@ -103,8 +103,8 @@ def test_an_adapters_echo_comes_before_the_reply() -> None:
 
 
 def test_the_faults_of_single_faces_are_in_the_table_and_wrong_checksum_is_one(tmp_path: Path) -> None:
-    assert set(ONLY_AT) <= set(FAULTS)
-    assert ONLY_AT["wrong_checksum"] == ("serial", "rtu-tcp")
+    assert set(FAULT_FACES) <= set(FAULTS)
+    assert FAULT_FACES["wrong_checksum"] == ("serial", "rtu-tcp")
     with running("--serial", "pty", "--rtu-tcp", "0") as plc, client(plc.port) as raw:
         plc.fault("wrong_checksum")
         for reply in (Terminal(plc).ask(rtu(1, READ), 7), over_tcp(plc, rtu(1, READ), 7)):

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from drivers.tag import Quality, Sample
-from sim.plc.program.faults import FAULTS, ONLY_AT
+from sim.plc.program.faults import FAULT_FACES, FAULTS
 from sim.plc.record.judge import wrong_good
 from sim.plc.record.recording import read_recording
 from tests.plc.bench import (
@@ -248,7 +248,7 @@ def test_a_schedule_from_a_file_begins_with_the_replay_and_is_recorded(tmp_path:
 def test_every_fault_of_the_table_is_observed_here() -> None:
     text = Path(__file__).read_text(encoding="utf-8")
     """Those of single faces are observed where the faces are."""
-    assert [kind for kind in FAULTS if f'"{kind}"' not in text and kind not in ONLY_AT] == []
+    assert [kind for kind in FAULTS if f'"{kind}"' not in text and kind not in FAULT_FACES] == []
 
 
 def test_two_faults_in_force_are_both_seen(plain_plc: Process) -> None:

@@ -108,9 +108,9 @@ def test_a_fault_ends_after_its_duration_its_count_or_when_it_is_cleared() -> No
     assert [entry.fault.kind for entry in schedule.advance(10.0)[0]] == ["late", "frozen"]
     assert [len(list(schedule.strike(3, moment))) for moment in (10.9, 11.0, 12.9, 13.0)] == [0, 1, 1, 0]
     assert [len(list(schedule.strike(16, moment))) for moment in (10.0, 10.1, 10.2)] == [1, 1, 0]
-    assert schedule.standing(99.0).frozen
+    assert schedule.standing_effect(99.0).frozen
     schedule.clear(number)
-    assert not schedule.standing(99.0).frozen
+    assert not schedule.standing_effect(99.0).frozen
     with pytest.raises(InputError, match="no fault 77"):
         schedule.clear(77)
     schedule.advance(99.0)

@@ -27,7 +27,7 @@ def test_an_empty_cell_holds_the_last_reading_and_none_stands_before_the_first(t
 def test_the_row_is_the_last_at_or_before_the_position(moment: float, rate: float) -> None:
     table = TraceTable(Path("t"), [10, 10.5, 10.5, 12, 13], {}, 1.0)
     replay = TraceReplay(table, since=5.0, rate=rate)
-    position = replay.at(5.0 + moment)
+    position = replay.row_position(5.0 + moment)
     row = replay.row(5.0 + moment)
     assert table.times[row] <= 10 + position
     assert row == 4 or table.times[row + 1] > 10 + position
@@ -35,18 +35,18 @@ def test_the_row_is_the_last_at_or_before_the_position(moment: float, rate: floa
 
 def test_hold_seek_and_rate_keep_the_position(table: TraceTable) -> None:
     replay = TraceReplay(table, since=0.0, rate=2.0)
-    held = replay.changed(0.5, held=True)
-    assert held.at(0.5) == held.at(99.0) == 1.0
-    assert held.changed(99.0, held=False, rate=0.5).at(101.0) == 2.0
-    assert held.sought(99.0, 2.5).at(100.0) == 2.5
+    held = replay.change(0.5, held=True)
+    assert held.row_position(0.5) == held.row_position(99.0) == 1.0
+    assert held.change(99.0, held=False, rate=0.5).row_position(101.0) == 2.0
+    assert held.seek(99.0, 2.5).row_position(100.0) == 2.5
     with pytest.raises(InputError, match="outside the trace"):
-        held.sought(99.0, 3.5)
+        held.seek(99.0, 3.5)
 
 
 def test_it_stays_at_the_end_or_begins_again_one_period_later(table: TraceTable) -> None:
     once, looping = TraceReplay(table, since=0.0), TraceReplay(table, since=0.0, loop=True)
-    assert once.ended(3.0) and once.row(1000.0) == 4
-    assert not looping.ended(1000.0)
+    assert once.at_end(3.0) and once.row(1000.0) == 4
+    assert not looping.at_end(1000.0)
     assert table.period == 1.0  # the median of 0.5, 1.5 and 1
     assert [looping.row(moment) for moment in (3.0, 3.9, 4.0, 4.6, 8.6)] == [4, 4, 0, 2, 2]
 

@@ -27,7 +27,7 @@ def test_a_number_that_the_plc_encodes_is_the_number_that_the_driver_reads(
     either = st.one_of(usual, usual.map(lambda number: -number), st.sampled_from([0.0, -0.0]))
     value = data.draw(either if dtype in FLOATS else st.integers(*limits(dtype)))
     words = encode(tag, value)
-    assert len(words) == words_of_type(tag) == codec.registers_needed(tag)
+    assert len(words) == words_of_type(tag) == codec.register_count(tag)
     assert codec.decode(tag, words) == (value, Quality.GOOD, "")
     assert decode(tag, codec.encode(tag, value)) == value
 

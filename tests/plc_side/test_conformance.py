@@ -20,13 +20,13 @@ from gateway.commission.writeback.block_writer import BlockWriter, open_block_wr
 from gateway.commission.writeback.codegen import write_suite
 from gateway.commission.writeback.loop import alarm_loop, heartbeat_loop
 from gateway.commission.writeback.structured_text import Program, generate
-from gateway.commission.writeback.suite import Result, each_result, put_through, put_together
-from gateway.commission.writeback.test import conform, conform_together
-from gateway.commission.writeback.vectors import SuiteStep, parse, together, vectors
+from gateway.commission.writeback.suite import Result, each_result, run_steps, run_suite
+from gateway.commission.writeback.test import conform, conform_jointly
+from gateway.commission.writeback.vectors import SuiteStep, joint_steps, parse, vectors
 from gateway.console import CommandResult
 from gateway.demo.can_bus import can_hub
 from gateway.demo.links import LINKS, TIMEOUT_S
-from gateway.machine.writing.arming import arm_in_log, signed
+from gateway.machine.writing.arming import arm_in_log, sign_arming
 from gateway.settings.devices import BLOCK_FIELDS, load_device
 from gateway.store.audit import DISARMED, AuditEntry, open_audit, read
 from sim.plc.record.recording import read_recording
@@ -49,7 +49,7 @@ async def results(side: Emulated | Compiled, path: Path = PLC) -> list[Result]:
     device = load_device(path)
     assert device.writeback is not None
     names = [field.name for field in device.writeback.fields]
-    return await put_through(vectors(device.writeback), side, device.refusals, names)
+    return await run_suite(vectors(device.writeback), side, device.refusals, names)
 
 
 def test_the_shipped_suite_is_the_one_that_is_made_today(tmp_path: Path) -> None:
@@ -60,7 +60,7 @@ def test_the_shipped_suite_is_the_one_that_is_made_today(tmp_path: Path) -> None
     layout = load_device(PLC).writeback
     assert layout is not None
     shipped = json.loads(SHIPPED.read_text())
-    assert parse(shipped) == vectors(layout) and parse(shipped, "together") == together(layout)
+    assert parse(shipped) == vectors(layout) and parse(shipped, "together") == joint_steps(layout)
     with pytest.raises(ValueError, match="has format 1"):
         parse({"format": 1})
 
@@ -71,7 +71,7 @@ async def test_the_shipped_vectors_pass(side: Callable[[Path], Emulated | Compil
     device = load_device(PLC)
     assert device.writeback is not None
     names = [field.name for field in device.writeback.fields]
-    done = await put_through(steps, side(PLC), device.refusals, names)
+    done = await run_suite(steps, side(PLC), device.refusals, names)
     assert len(done) == len(steps) > 80
     assert [one for one in done if not one.passed] == []
 
@@ -146,8 +146,8 @@ async def both(plc: Emulated | Compiled) -> list[Result]:
     device = load_device(PLC)
     assert device.writeback is not None and len(device.writebacks) == 2
     sides = [Beside(plc, layout.place) for layout in device.writebacks]
-    done = await put_together(together(device.writeback), sides, device.refusals, BLOCK_FIELDS)
-    return done + await put_through(vectors(device.writeback), sides[1], device.refusals, BLOCK_FIELDS)
+    done = await run_steps(joint_steps(device.writeback), sides, device.refusals, BLOCK_FIELDS)
+    return done + await run_suite(vectors(device.writeback), sides[1], device.refusals, BLOCK_FIELDS)
 
 
 @pytest.mark.parametrize("side", [Emulated, Compiled])
@@ -173,7 +173,7 @@ async def test_a_plc_whose_blocks_spill_over_fails_the_suite(name: str) -> None:
     plc, device = Compiled(PLC, lambda content: content.replace(old, new)), load_device(PLC)
     assert device.writeback is not None
     sides = [Beside(plc, layout.place) for layout in device.writebacks]
-    assert await noticed(each_result(together(device.writeback), sides, device.refusals, BLOCK_FIELDS))
+    assert await noticed(each_result(joint_steps(device.writeback), sides, device.refusals, BLOCK_FIELDS))
 
 
 # ---------------------------------------------------------------- over the wire
@@ -193,7 +193,7 @@ async def at_the_wire(
     audit = folder / "audit.sqlite"
     if armed:
         now = time.time()
-        arm_in_log(audit, signed("Ada", "suite", 5, now), now)
+        arm_in_log(audit, sign_arming("Ada", "suite", 5, now), now)
     settings = {**LINKS[link].settings(folder, plc.ready), "timeout": slower * TIMEOUT_S}
     target = make_target(None, path, None if link.startswith("modbus") else link, settings)
     async with open_block_writers(Site(target, FrameEvidence()), audit, ask) as writers:
@@ -288,8 +288,8 @@ async def test_both_blocks_together_pass_over_one_connection(tmp_path: Path) -> 
         path = quick(folder, "decanter_plc.toml", slower * TIMER_S)
         with running("--cycle", str(CYCLE_S), map_path=path) as plc:
             async with at_the_wire(folder, "modbus", plc, path, slower=slower) as writers:
-                pace.steps = together(writers[0].layout)
-                outcome = await conform_together(writers, pace)
+                pace.steps = joint_steps(writers[0].layout)
+                outcome = await conform_jointly(writers, pace)
             blocks[:] = plc.order("status")["blocks"]
         return outcome
 

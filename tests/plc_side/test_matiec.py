@@ -12,9 +12,9 @@ from pathlib import Path
 import pytest
 
 from gateway.commission.writeback.structured_text import Program, generate
-from gateway.commission.writeback.suite import Account, Result, put_through, put_together
+from gateway.commission.writeback.suite import Account, Result, run_steps, run_suite
 from gateway.commission.writeback.targets import TARGETS
-from gateway.commission.writeback.vectors import together, vectors
+from gateway.commission.writeback.vectors import joint_steps, vectors
 from gateway.settings.devices import BLOCK_FIELDS, load_device
 from tests.plc_side.sides import CYCLE_MS, Beside
 from tests.plc_side.test_conformance import MUTANTS
@@ -146,8 +146,8 @@ async def results_of(iec2c: str, folder: Path, target: str, change: tuple[str, s
         sides = [Beside(plc, layout.place) for layout in device.writebacks]
         results = []
         for side in sides:
-            results += await put_through(vectors(device.writeback), side, device.refusals, BLOCK_FIELDS)
-        return results + await put_together(together(device.writeback), sides, device.refusals, BLOCK_FIELDS)
+            results += await run_suite(vectors(device.writeback), side, device.refusals, BLOCK_FIELDS)
+        return results + await run_steps(joint_steps(device.writeback), sides, device.refusals, BLOCK_FIELDS)
 
 
 @pytest.mark.parametrize("target", LAYOUTS)

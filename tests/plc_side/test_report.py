@@ -15,11 +15,11 @@ from click.testing import CliRunner, Result
 from gateway.cli.main import main
 from gateway.commission.acceptance.data import CHECKS, FAILED, INCOMPLETE, OPEN, PASSED, gather
 from gateway.commission.acceptance.files import FILES, LIST, verify, write
-from gateway.commission.session.records import CommandRecord, append, hash_of
-from gateway.machine.writing.arming import arm_in_log, disarm_in_log, signed
+from gateway.commission.session.records import CommandRecord, append, sha256_hex
+from gateway.machine.writing.arming import arm_in_log, disarm_in_log, sign_arming
 from gateway.machine.writing.witnessing import countersign
 from gateway.store.audit import read
-from gateway.store.witness import places_beside
+from gateway.store.witness import default_places
 
 NEEDED = [check.command for check in CHECKS if check.required == "always"]
 WRITING = [check.command for check in CHECKS if check.required == "writing"]
@@ -57,7 +57,7 @@ def complete(folder: Path, *others: CommandRecord) -> Path:
 
 def data_of(records: Path, audit: Path | None = None, **keys: Any) -> dict[str, Any]:
     given = {"site": "plant", "by": "Ada", "now": time.time(), **keys}
-    return gather(records, places_beside(audit or records.with_name("audit.sqlite")), **given)
+    return gather(records, default_places(audit or records.with_name("audit.sqlite")), **given)
 
 
 def test_all_that_is_required_and_passed_is_a_passed_site(tmp_path: Path) -> None:
@@ -122,7 +122,7 @@ def test_what_a_passed_check_has_left_open_is_an_open_point(tmp_path: Path) -> N
 def test_a_configuration_that_was_changed_since_is_an_open_point(tmp_path: Path) -> None:
     used = tmp_path / "plant.toml"
     used.write_text("a = 1\n")
-    path = complete(tmp_path, record("check", configuration={str(used): hash_of(used.read_bytes())}))
+    path = complete(tmp_path, record("check", configuration={str(used): sha256_hex(used.read_bytes())}))
     assert data_of(path)["verdict"] == PASSED
     used.write_text("a = 2\n")
     assert "was changed after it was last used" in data_of(path)["open_points"][0]
@@ -140,7 +140,7 @@ def test_records_that_were_changed_fail_the_site(tmp_path: Path) -> None:
 
 def test_armings_names_and_an_arming_that_still_stands_are_in_it(tmp_path: Path) -> None:
     path, audit, now = complete(tmp_path), tmp_path / "audit.sqlite", time.time()
-    arm_in_log(audit, signed("Bea", "loop test", 5, now), now)
+    arm_in_log(audit, sign_arming("Bea", "loop test", 5, now), now)
     data = data_of(path, audit)
     assert data["names"] == ["Ada", "Bea"] and data["open_points"][0].startswith("still armed: by Bea (loop test)")
     disarm_in_log(audit, "Bea", "done", time.time())
@@ -152,9 +152,9 @@ def test_armings_names_and_an_arming_that_still_stands_are_in_it(tmp_path: Path)
 @pytest.mark.parametrize("gone", [False, True])
 def test_the_audit_logs_end_is_held_against_its_signed_heads(tmp_path: Path, gone: bool) -> None:
     path, audit, now = complete(tmp_path), tmp_path / "audit.sqlite", time.time()
-    arm_in_log(audit, signed("Bea", "loop test", 5, now), now)
+    arm_in_log(audit, sign_arming("Bea", "loop test", 5, now), now)
     disarm_in_log(audit, "Bea", "done", time.time())
-    countersign(places_beside(audit), now)
+    countersign(default_places(audit), now)
     assert data_of(path, audit)["audit"]["end"] == "rows 1 to 3 are witnessed"
     for file in tmp_path.glob("audit.sqlite*"):
         file.unlink()
@@ -211,7 +211,7 @@ def test_the_page_has_every_record_escapes_what_it_shows_and_loads_nothing(tmp_p
     assert page.loads == [] and "<script>alert(7)</script>" in text and "Plant <b>&</b> è" in text
     assert text.count("ab" * 32) == len(NEEDED) + 1
     assert "The first 400 of 500 are shown" in text
-    assert f"SHA-256 {hash_of((out / 'report.json').read_bytes())}" in text
+    assert f"SHA-256 {sha256_hex((out / 'report.json').read_bytes())}" in text
     assert len(json.loads((out / "report.json").read_text())["records"]["rows"][-1]["result"]["rows"]) == 500
 
 
@@ -278,7 +278,7 @@ def decanter(folder: Path, *words: str) -> Result:
 def test_the_command_makes_it_seals_it_in_the_audit_log_and_verifies_it(tmp_path: Path) -> None:
     complete(tmp_path)
     now = time.time()
-    arm_in_log(tmp_path / "audit.sqlite", signed("Ada", "x", 5, now), now)
+    arm_in_log(tmp_path / "audit.sqlite", sign_arming("Ada", "x", 5, now), now)
     disarm_in_log(tmp_path / "audit.sqlite", "Ada", "x", time.time())
     out = str(tmp_path / "sat")
     done = decanter(tmp_path, "report", "--out", out, "--site", "plant", "--json")

@@ -13,7 +13,7 @@ from gateway.commission.writeback.targets import TARGETS
 from gateway.commission.writeback.vectors import vectors
 from gateway.settings.devices import load_device
 from sim.plc.program.registers import read_map
-from sim.plc.program.writeback import decoded
+from sim.plc.program.writeback import decode_block
 from tests.plc_side.sides import Compiled, present
 from tests.plc_side.structured_text import Mistake, Text, parser
 
@@ -165,7 +165,7 @@ async def test_the_numbers_that_it_gives_are_those_of_the_block_as_the_emulator_
             continue
         await side.write(0, present(words, (await side.account()).challenge))
         await side.account()
-        expected = decoded(layout, words)
+        expected = decode_block(layout, words)
         for name in (
             "temperature_now",
             "band_low",

@@ -65,7 +65,7 @@ def test_the_shrunk_covariance_and_the_curve_are_those_of_scikit_learn() -> None
     x, y = rng.random(50), rng.random(50)
     curve = error_curve(x.tolist(), y.tolist())
     assert curve.error == pytest.approx(IsotonicRegression().fit(x, y).predict(np.sort(x)), rel=1e-12)
-    assert curve.expected(9.0) == curve.error[-1]
+    assert curve.expected_error(9.0) == curve.error[-1]
 
 
 def known_trace() -> Trace:
@@ -160,8 +160,8 @@ def test_a_growing_cycle_keeps_an_hour_at_most_and_begins_anew_when_the_clock_is
     for second in range(20_000):
         readings = {"MarciaDecanter": 1.0, "Assorbimento": 150.0, "T": 40.0}
         growing.take(second / 2, readings.get, encoder.feed(second / 2, {"MarciaDecanter": 1.0, "Assorbimento": 150.0}))
-    assert growing.rows_kept <= 363 and growing.begin == 0.0
-    assert growing.take(5.0, readings.get, []) is None and growing.begin is None and growing.rows_kept == 1
+    assert growing.row_count <= 363 and growing.begin == 0.0
+    assert growing.take(5.0, readings.get, []) is None and growing.begin is None and growing.row_count == 1
 
 
 def test_the_same_machine_is_familiar_and_a_warmer_one_is_not_at_every_age() -> None:

@@ -17,13 +17,13 @@ import pytest
 
 from drivers.tag import Quality, Sample, Tag
 from gateway.lab.judging import figures as judging
-from gateway.lab.judging.figures import scores_along
+from gateway.lab.judging.figures import score_trace
 from gateway.lab.learning.familiar import free_run_error
 from gateway.lab.retraining import cutting, lineage, shadow, study
-from gateway.lab.retraining.cutting import CycleSource, and_after, cut_new, cycle_of
-from gateway.lab.retraining.cycle_library import CycleLibrary, CycleRow, opened_library
+from gateway.lab.retraining.cutting import CycleSource, cut_new, extend_cycle, read_cycle
+from gateway.lab.retraining.cycle_library import CycleLibrary, CycleRow, open_library
 from gateway.lab.retraining.report import coverage_figure
-from gateway.lab.retraining.study import RetrainingRequest, cut_and_rate, joined, new_cycles, source_of, sparse
+from gateway.lab.retraining.study import RetrainingRequest, cut_and_rate, join_traces, make_source, new_cycles, sparse
 from gateway.lab.retraining.training_record import read_record
 from gateway.machine.reading import Scan
 from gateway.machine.records import Keeper
@@ -41,10 +41,10 @@ from sim.artefacts import (
     versions,
 )
 from sim.lab.formats import save
-from sim.lab.judge.comparison import NEW, PRESENT, compared, verdict_on
+from sim.lab.judge.comparison import NEW, PRESENT, compare_horizons, propose_verdict
 from sim.lab.learning.semi_markov import sojourns
 from sim.lab.tuning import METHODS, Taught
-from sim.sha import Distribution, Location, Model, Trace, content_hash, encode, encoded
+from sim.sha import Distribution, Location, Model, Trace, content_hash, encode, encode_trace
 from tests.cli.support import decanter, only_object, refused
 from tests.gateway.support import TEMPERATURE, one_machine, two_modes
 
@@ -156,7 +156,7 @@ def request_of(store: Path, historian: Path) -> RetrainingRequest:
 
 @pytest.fixture
 def library(tmp_path: Path) -> Iterator[CycleLibrary]:
-    with opened_library(tmp_path / "library", machine="decanter", temperature=TEMPERATURE) as held:
+    with open_library(tmp_path / "library", machine="decanter", temperature=TEMPERATURE) as held:
         yield held
 
 
@@ -183,13 +183,13 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
         ]
 
     monkeypatch.setitem(METHODS, "bins", replace(METHODS["bins"], learn=learn))  # type: ignore[arg-type]
-    monkeypatch.setattr(study, "scores_along", judge)
+    monkeypatch.setattr(study, "score_trace", judge)
     return calls
 
 
 def run(request: RetrainingRequest, library: CycleLibrary) -> Any:
     """The whole way, as the command goes it."""
-    source = source_of(request, BEGIN)
+    source = make_source(request, BEGIN)
     cut_and_rate(request, library, source, silent)
     return study.retrain(request, library, source, report=silent, clock=lambda: BEGIN)
 
@@ -197,7 +197,7 @@ def run(request: RetrainingRequest, library: CycleLibrary) -> Any:
 def test_the_historian_is_cut_at_starts_and_at_gaps_once(
     request_of: RetrainingRequest, library: CycleLibrary, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    source = source_of(request_of, BEGIN)
+    source = make_source(request_of, BEGIN)
     assert cut_and_rate(request_of, library, source, silent) == CYCLES + 3
     rows = library.cycles()
     assert [row.begin - BEGIN for row in rows[:CYCLES]] == [number * (RUN + REST) for number in range(CYCLES)]
@@ -206,31 +206,31 @@ def test_the_historian_is_cut_at_starts_and_at_gaps_once(
     assert (rows[0].region, rows[5].region) == ("A_1, begun at 20-30", "A_1, begun at 40-50")
     assert cut_and_rate(request_of, library, source, silent) == 0, "the cycle that goes on waits for its end"
     # In pieces of an hour it comes to the same cycles, and their readings are found again by their hash.
-    monkeypatch.setattr(cutting, "SPAN", 3600.0)
-    with opened_library(library.folder / "other", machine="decanter", temperature=TEMPERATURE) as other:
+    monkeypatch.setattr(cutting, "READ_SPAN_S", 3600.0)
+    with open_library(library.folder / "other", machine="decanter", temperature=TEMPERATURE) as other:
         cut_new(other, source, None, silent)
         assert [row.content for row in other.cycles()] == [row.content for row in rows]
         plain = replace(rows[3], kept=False)
-        again = cycle_of(source, plain, other)
+        again = read_cycle(source, plain, other)
         assert again is not None and content_hash(again) == rows[3].content
-        assert cycle_of(source, replace(plain, content="0" * 64), other) is None
+        assert read_cycle(source, replace(plain, content="0" * 64), other) is None
 
 
 def test_a_rest_is_seen_to_end_though_the_next_cycle_is_not_learned_from(
     request_of: RetrainingRequest, library: CycleLibrary
 ) -> None:
-    source = source_of(request_of, BEGIN)
+    source = make_source(request_of, BEGIN)
     cut_and_rate(request_of, library, source, silent)
     rows = library.cycles()
     assert [row.until for row in rows[: CYCLES - 1]] == [row.begin for row in rows[1:CYCLES]]
     assert rows[CYCLES - 1].until < rows[CYCLES].begin, "a gap ended it, and nobody knows when its rest did"
     alone = [library.readings(row.content) for row in rows[: CYCLES - 1 : 2]]
     pairs = [(alone[0], library.readings(rows[1].content))]
-    assert [len(joined(traces, 30.0)) for traces in (alone, *pairs)] == [len(alone), 1]
+    assert [len(join_traces(traces, 30.0)) for traces in (alone, *pairs)] == [len(alone), 1]
     rests = [
         stay
-        for trace in joined(alone, 30.0)
-        for stay in sojourns(source.model, encoded(trace, source.model.alphabet))
+        for trace in join_traces(alone, 30.0)
+        for stay in sojourns(source.model, encode_trace(trace, source.model.alphabet))
         if stay.location == "off"
     ]
     assert len(rests) == len(alone)
@@ -242,8 +242,8 @@ def test_a_machine_that_is_never_stopped_has_cycles_too(
 ) -> None:
     on = plant(4)
     on = replace(on, signals={**on.signals, "MarciaDecanter": np.ones(on.times.size)})
-    monkeypatch.setattr(cutting, "SPAN", 3000.0)
-    monkeypatch.setattr(cutting, "LONGEST", 1500.0)
+    monkeypatch.setattr(cutting, "READ_SPAN_S", 3000.0)
+    monkeypatch.setattr(cutting, "MAX_CYCLE_S", 1500.0)
     path = written(tmp_path / "on.sqlite", on)
     source = CycleSource(historian=path, machine="decanter", model=load(store), version="x", since=-np.inf)
     # Each is as long as a cycle may be, wherever the pieces lie in which the historian is read; the last goes on.
@@ -332,7 +332,7 @@ def test_a_kill_at_any_step_leaves_the_present_model_and_a_study_that_goes_on(
 def test_an_excluded_cycle_is_neither_learned_from_nor_judged_by(
     request_of: RetrainingRequest, library: CycleLibrary, quick: SimpleNamespace
 ) -> None:
-    source = source_of(request_of, BEGIN)
+    source = make_source(request_of, BEGIN)
     cut_and_rate(request_of, library, source, silent)
     name = library.cycles()[5].name
     library.exclude(name, "Ada", "sensor was being changed")
@@ -348,7 +348,7 @@ def test_an_excluded_cycle_is_neither_learned_from_nor_judged_by(
 def test_where_room_is_short_regions_take_turns_and_the_error_of_the_present_model_chooses_nothing(
     request_of: RetrainingRequest, library: CycleLibrary, quick: SimpleNamespace
 ) -> None:
-    source = source_of(request_of, BEGIN)
+    source = make_source(request_of, BEGIN)
     cut_and_rate(request_of, library, source, silent)
     rows = library.cycles()
     # Were it the rating that chooses, the older half would be learned from.
@@ -395,10 +395,10 @@ def test_a_plant_that_was_changed_is_judged_and_learned_by_its_newest_cycles(
     rows = [_row(n, "winter" if n < 100 else ("load", "idling")[n % 2]) for n in range(365)]
     library.add(rows, rows[-1].until)
     readings = Trace("cycle", BEGIN + np.arange(100.0), {TEMPERATURE: np.full(100, 30.0)})
-    monkeypatch.setattr(study, "cycle_of", lambda *_: readings)
+    monkeypatch.setattr(study, "read_cycle", lambda *_: readings)
     monkeypatch.setattr(library, "keep", lambda *_: None)
     monkeypatch.setattr(study, "new_cycles", lambda *_: library.cycles())
-    source = source_of(request_of, BEGIN)
+    source = make_source(request_of, BEGIN)
     held, trained = (
         [int(name[1:]) for name, _ in study.choose_cycles(replace(request_of, rows=2000), library, source)[part]]
         for part in ("held_out", "training")
@@ -416,7 +416,7 @@ def test_a_plant_that_was_changed_is_judged_and_learned_by_its_newest_cycles(
 def test_a_cycle_before_the_last_one_of_the_training_is_no_news(
     request_of: RetrainingRequest, library: CycleLibrary, store: Path
 ) -> None:
-    source = source_of(request_of, BEGIN)
+    source = make_source(request_of, BEGIN)
     cut_and_rate(request_of, library, source, silent)
     rows = library.cycles()
     learned = replace(source.model.provenance, contents=(rows[4].content,))
@@ -448,31 +448,37 @@ def test_better_is_told_from_the_longest_horizon_on_and_is_not_paid_for_by_the_s
     nothing = [0.01, -0.012, 0.014, -0.016, 0.011, -0.013, 0.015, -0.017]
     large = [0.5, 0.4, 0.45, -0.02, 0.3, 0.35, -0.01, 0.55]
     scores = [*rows(60.0, nothing), *rows(300.0, nothing), *rows(900.0, large)]
-    minute, _, quarter = compared("new cycles", scores, seed=0)
+    minute, _, quarter = compare_horizons("new cycles", scores, seed=0)
     assert quarter.p > 0.05 > quarter.sequence, "by the correction for three it could not be told"
-    assert (quarter.told_apart, minute.told_apart) == ("better", "")
-    assert verdict_on(compared("new cycles", scores, seed=0), (), "new cycles")[0]
+    assert (quarter.outcome, minute.outcome) == ("better", "")
+    assert propose_verdict(compare_horizons("new cycles", scores, seed=0), (), "new cycles")[0]
     # A gain at the minute alone is none, whatever its test says: the quarter of an hour comes first.
-    other = compared("new cycles", [*rows(60.0, [0.3] * 8), *rows(900.0, nothing)], seed=0)
-    assert [each.told_apart for each in other] == ["", ""]
+    other = compare_horizons("new cycles", [*rows(60.0, [0.3] * 8), *rows(900.0, nothing)], seed=0)
+    assert [each.outcome for each in other] == ["", ""]
     # What is worse is told at any horizon.
-    worse = compared("new cycles", [*rows(60.0, [-0.3] * 8), *rows(900.0, large)], seed=0)
-    assert [each.told_apart for each in worse] == ["worse", "better"]
+    worse = compare_horizons("new cycles", [*rows(60.0, [-0.3] * 8), *rows(900.0, large)], seed=0)
+    assert [each.outcome for each in worse] == ["worse", "better"]
 
 
 def test_a_model_is_proposed_only_where_it_is_better_and_worse_nowhere() -> None:
-    better, worse = compared("new cycles", _scores(0.7), seed=0), compared("standard set", _scores(1.2, 300.0), seed=0)
-    assert better[0].told_apart == "better" and worse[0].refuses
-    assert verdict_on(better, (), "new cycles")[0]
-    assert verdict_on([*better, *worse], (), "new cycles") == (
+    better, worse = (
+        compare_horizons("new cycles", _scores(0.7), seed=0),
+        compare_horizons("standard set", _scores(1.2, 300.0), seed=0),
+    )
+    assert better[0].outcome == "better" and worse[0].refuses
+    assert propose_verdict(better, (), "new cycles")[0]
+    assert propose_verdict([*better, *worse], (), "new cycles") == (
         False,
         "not proposed: it is worse than the present model at 300 s on the standard set",
     )
-    assert not verdict_on(better, ("it grows without bound",), "new cycles")[0]
+    assert not propose_verdict(better, ("it grows without bound",), "new cycles")[0]
     unfit = ModelVerdict(word="unfit", criteria=(_UPSIDE_DOWN,))
-    assert verdict_on(better, objections((), unfit), "new cycles") == (False, f"not proposed: it is {unfit.sentence}")
-    few = compared("new cycles", _scores(0.7, cycles=4), seed=0)
-    proposed, sentence = verdict_on(few, (), "new cycles")
+    assert propose_verdict(better, objections((), unfit), "new cycles") == (
+        False,
+        f"not proposed: it is {unfit.sentence}",
+    )
+    few = compare_horizons("new cycles", _scores(0.7, cycles=4), seed=0)
+    proposed, sentence = propose_verdict(few, (), "new cycles")
     assert not proposed and sentence.endswith("4 cycles could not show more")
     # Two horizons at which nothing differs are called better in one of twenty sets at most.
     rng = np.random.default_rng(5)
@@ -484,22 +490,22 @@ def test_a_model_is_proposed_only_where_it_is_better_and_worse_nowhere() -> None
             for h in (60.0, 300.0)
             for m in (PRESENT, NEW)
         ]
-        called += any(each.told_apart for each in compared("x", rows, seed=0))
+        called += any(each.outcome for each in compare_horizons("x", rows, seed=0))
     assert called <= 8
 
 
 def test_traces_that_follow_one_another_are_learned_from_as_one() -> None:
     whole = plant(3)
     parts = [whole.between(a, b) for a, b in ((0, BEGIN + 1200), (BEGIN + 1200, BEGIN + 2400), (BEGIN + 2500, np.inf))]
-    made = joined(list(reversed(parts)), 30.0)
+    made = join_traces(list(reversed(parts)), 30.0)
     assert [trace.times.size for trace in made] == [240, 110]
     shared = [whole.between(BEGIN, BEGIN + 1201), *parts[1:]]
-    assert [trace.times.size for trace in joined(shared, 30.0)] == [240, 110], "the row that two have comes once"
+    assert [trace.times.size for trace in join_traces(shared, 30.0)] == [240, 110], "the row that two have comes once"
     assert made[0].signals[TEMPERATURE].tolist() == whole.signals[TEMPERATURE][:240].tolist()
 
 
 def test_a_diagnosis_gets_fewer_rows_and_all_events() -> None:
-    whole = encoded(plant(1), heated(HOT).alphabet)
+    whole = encode_trace(plant(1), heated(HOT).alphabet)
     thin = sparse(whole, 60.0)
     assert np.diff(thin.times).tolist() == [60.0] * 19 and thin.events == whole.events
     assert thin.signals[TEMPERATURE].tolist() == whole.signals[TEMPERATURE][::6].tolist()
@@ -515,14 +521,14 @@ def test_a_version_that_is_better_at_the_longest_horizon_is_not_rolled_back_for_
         crps = [(h, m, w if m == NEW else 1.0) for h, w in worth.items() for m in (PRESENT, NEW)]
         return [row | {"horizon": horizon, "method": method, "crps": value} for horizon, method, value in crps]
 
-    monkeypatch.setattr(shadow, "scores_along", judge)
+    monkeypatch.setattr(shadow, "score_trace", judge)
     first = current(store)
     second = save(store, heated(HOT), created=BEGIN - 0.5)
     promote(store, second)
     found = shadow.side_by_side(
         store, historian, library, machine="decanter", version=first, roll_back=True, seed=0, report=silent
     )
-    assert "worse" in found.sentence and found.cycles >= shadow.LEAST
+    assert "worse" in found.sentence and found.cycles >= shadow.MIN_TEST_CYCLES
     assert current(store) == (second if stays else first) and ("and better at 900 s" in found.sentence) is stays
 
 
@@ -545,7 +551,7 @@ def test_a_candidate_is_judged_by_its_first_days_and_no_others(
         row = {"trace": f"{begin:.0f}", "horizon": 60.0, "coverage": 0.9}
         return [row | {"method": name, "crps": crps} for name, crps in ((PRESENT, 1.0), (NEW, worth))]
 
-    monkeypatch.setattr(shadow, "scores_along", judge)
+    monkeypatch.setattr(shadow, "score_trace", judge)
     candidate = save(store, heated(HOT), created=BEGIN - 0.5)
 
     def ask() -> shadow.SideBySide:
@@ -555,7 +561,7 @@ def test_a_candidate_is_judged_by_its_first_days_and_no_others(
 
     said = ask().sentence
     assert "cycles on 1 of 7 days since both were made are too few to tell" in said
-    monkeypatch.setattr(shadow, "DAY", SHORT_DAY)
+    monkeypatch.setattr(shadow, "DAY_S", SHORT_DAY)
     monkeypatch.setattr(shadow, "TRIAL_DAYS", 10)
     assert "cycles on 9 of 10 days" in ask().sentence and not judged
     monkeypatch.setattr(shadow, "TRIAL_DAYS", 6)
@@ -574,7 +580,7 @@ def test_a_day_that_is_much_better_in_all_its_cycles_promotes_nothing(
         row = {"trace": trace.name, "horizon": 60.0, "coverage": 0.9}
         return [row | {"method": name, "crps": crps} for name, crps in ((PRESENT, 1.0), (NEW, 0.5))]
 
-    monkeypatch.setattr(shadow, "scores_along", judge)
+    monkeypatch.setattr(shadow, "score_trace", judge)
     monkeypatch.setattr(shadow, "TRIAL_DAYS", 1)
     monkeypatch.setattr(shadow, "CYCLES_A_DAY", CYCLES)
     candidate = save(store, heated(HOT), created=BEGIN - 0.5)
@@ -592,8 +598,8 @@ def test_what_was_judged_unfit_is_better_on_every_day_and_still_not_promoted_by_
         row = {"trace": f"{trace.times[0]:.0f}", "horizon": 60.0, "coverage": 0.9}
         return [row | {"method": name, "crps": crps} for name, crps in ((PRESENT, 1.0), (NEW, 0.7))]
 
-    monkeypatch.setattr(shadow, "scores_along", judge)
-    monkeypatch.setattr(shadow, "DAY", SHORT_DAY)
+    monkeypatch.setattr(shadow, "score_trace", judge)
+    monkeypatch.setattr(shadow, "DAY_S", SHORT_DAY)
     monkeypatch.setattr(shadow, "TRIAL_DAYS", 6)
     unfit = ModelVerdict(word="unfit", criteria=(_UPSIDE_DOWN,))
     candidate = save(store, heated(HOT), created=BEGIN - 0.5, more={VERDICT_FILE: unfit.text()})
@@ -609,14 +615,16 @@ def test_what_was_judged_unfit_is_better_on_every_day_and_still_not_promoted_by_
 def test_a_trial_has_cycles_from_all_over_a_day_and_none_of_the_one_at_hand(
     request_of: RetrainingRequest, library: CycleLibrary
 ) -> None:
-    cut_and_rate(request_of, library, source_of(request_of, BEGIN), silent)
+    cut_and_rate(request_of, library, make_source(request_of, BEGIN), silent)
     rows = library.cycles()
-    many = [replace(rows[0], begin=BEGIN + day * shadow.DAY + 3600.0 * hour) for day in range(9) for hour in range(10)]
-    chosen = shadow.trial_of(many)
+    many = [
+        replace(rows[0], begin=BEGIN + day * shadow.DAY_S + 3600.0 * hour) for day in range(9) for hour in range(10)
+    ]
+    chosen = shadow.trial_cycles(many)
     hours = [round((row.begin - BEGIN) / 3600.0) % 24 for row in chosen]
     assert hours == [0, 2, 4, 6, 8] * shadow.TRIAL_DAYS
-    assert shadow.trial_of(many[:15]) == [row for row in chosen if row.begin < BEGIN + shadow.DAY]
-    assert shadow.trial_of([]) == []
+    assert shadow.trial_cycles(many[:15]) == [row for row in chosen if row.begin < BEGIN + shadow.DAY_S]
+    assert shadow.trial_cycles([]) == []
 
 
 def test_the_forecasts_of_the_right_model_are_better_on_live_cycles_and_the_worse_one_is_rolled_back(
@@ -629,14 +637,14 @@ def test_the_forecasts_of_the_right_model_are_better_on_live_cycles_and_the_wors
     new = save(store, heated(HOT + 1.0), created=BEGIN - 1.0)
     promote(store, good)
     promote(store, bad)
-    monkeypatch.setattr(shadow, "MOST", 8)
-    monkeypatch.setattr(judging, "LEAST_PERIOD", 400.0)
+    monkeypatch.setattr(shadow, "MAX_TEST_CYCLES", 8)
+    monkeypatch.setattr(judging, "MIN_FORECAST_PERIOD_S", 400.0)
     given = ("model", "shadow", store, good, "--historian", historian, "--library", tmp_path / "l", "--json")
     result = decanter(*given)
     data = only_object(result.stdout)
     assert result.exit_code == 0 and not data["rolled_back"] and current(store) == bad
     assert any(each["told_apart"] == "worse" for each in data["comparisons"]), data["sentence"]
-    monkeypatch.setattr(shadow, "scores_along", lambda *_, **__: _scores(1.5))
+    monkeypatch.setattr(shadow, "score_trace", lambda *_, **__: _scores(1.5))
     data = only_object(decanter(*given, "--roll-back").stdout)
     assert data["rolled_back"] and current(store) == good
     # What was rolled back is no candidate any more, or a timer would promote it every night.
@@ -644,16 +652,16 @@ def test_the_forecasts_of_the_right_model_are_better_on_live_cycles_and_the_wors
     # A candidate that is worse stays one, a better one runs by the stated policy.
     waits = (*given[:3], new, *given[4:])
     refused(decanter(*waits[:-1], "--roll-back"), 2, "has never run, and there is no way back to it")
-    monkeypatch.setattr(shadow, "DAY", SHORT_DAY)
+    monkeypatch.setattr(shadow, "DAY_S", SHORT_DAY)
     kept = only_object(decanter(*waits, "--promote").stdout)
     assert kept["days"] == shadow.TRIAL_DAYS and kept["enough"] and not kept["promoted"] and current(store) == good
-    monkeypatch.setattr(shadow, "scores_along", lambda *_, **__: _scores(0.7))
+    monkeypatch.setattr(shadow, "score_trace", lambda *_, **__: _scores(0.7))
     data = only_object(decanter(*waits, "--promote").stdout)
     assert data["promoted"] == current(store) == new
     refused(decanter(*given[:-1], "--promote", "--roll-back"), 2, "--promote needs the VERSION that waits for it")
     refused(decanter("model", "shadow", store, new, "--historian", historian), 2, "is no other version of this store")
     # The one that ran before it is the one to go back to, whichever of them it was learned beside.
-    monkeypatch.setattr(shadow, "scores_along", lambda *_, **__: _scores(1.5))
+    monkeypatch.setattr(shadow, "score_trace", lambda *_, **__: _scores(1.5))
     data = only_object(decanter("model", "shadow", store, *given[4:], "--roll-back").stdout)
     assert data["rolled_back"] and data["promoted"] == good
 
@@ -677,9 +685,9 @@ def test_the_commands_show_cycles_and_family_and_make_a_version_again(
     )
     assert again["remade"]["same"]
     # The map rings what was learned from, and nothing else.
-    with opened_library(library) as held:
+    with open_library(library) as held:
         trained = frozenset(held.newest_training())
-        rows = [row for row in held.cycles() if not row.excluded and len(row.points)]
+        rows = [row for row in held.cycles() if not row.is_excluded and len(row.points)]
     dots = coverage_figure(rows, trained).axes[0].collections
     drawn = [(np.size(each.get_facecolor()), len(np.asarray(each.get_offsets()))) for each in dots]
     assert sum(count for filled, count in drawn if filled) == len(rows)
@@ -712,7 +720,7 @@ def test_a_timer_retrains_on_its_own_bearings_drift_alarm_and_waits_without_a_re
     more = plant(4, begin + CYCLES * (RUN + REST))
     gateway = open_historian(path)
     tags = [Tag(name, f"holding:{n}") for n, name in enumerate(more.signals)]
-    first, own = (gateway.of("decanter", tags, temperature=name) for name in ("Assorbimento", TEMPERATURE))
+    first, own = (gateway.view("decanter", tags, temperature=name) for name in ("Assorbimento", TEMPERATURE))
     last = float(more.times[-1])
     guards = {"cycles": 2, "alarm_cycles": 2, "error": 2.0, "limit": 1.0}
     first.put("guards", [(last, json.dumps({"drift": guards}))])
@@ -721,7 +729,7 @@ def test_a_timer_retrains_on_its_own_bearings_drift_alarm_and_waits_without_a_re
     written(path, more)
     assert due() == {"ok": True, "due": False, "cycles": 4}
     gateway = open_historian(path)
-    gateway.of("decanter", tags, temperature=TEMPERATURE).put("guards", [(last, json.dumps({"drift": guards}))])
+    gateway.view("decanter", tags, temperature=TEMPERATURE).put("guards", [(last, json.dumps({"drift": guards}))])
     assert gateway.close()
     assert due()["due"] == "the drift alarm's condition holds"
 
@@ -739,29 +747,29 @@ def test_a_damaged_library_and_too_few_cycles_are_one_sentence(
 def test_what_is_foretold_at_the_end_of_a_cycle_is_judged_by_what_came_in_the_next(
     request_of: RetrainingRequest, library: CycleLibrary
 ) -> None:
-    source = source_of(request_of, BEGIN)
+    source = make_source(request_of, BEGIN)
     cut_and_rate(request_of, library, source, silent)
     rows, model = library.cycles(), source.model
     cycle = library.readings(rows[3].content)
-    followed, end = and_after(source, cycle, 900.0), float(cycle.times[-1])
+    followed, end = extend_cycle(source, cycle, 900.0), float(cycle.times[-1])
     assert followed.times[-1] == end + 900.0 and content_hash(followed.between(BEGIN, end + STEP)) == rows[3].content
 
     def forecasts(trace: Trace) -> dict[float, int]:
-        found = scores_along(encoded(trace, model.alphabet), model, None, seed=0, report=silent, until=end)
+        found = score_trace(encode_trace(trace, model.alphabet), model, None, seed=0, report=silent, until=end)
         return {row["horizon"]: row["forecasts"] for row in found if row["method"] == PRESENT}
 
     alone, with_next = forecasts(cycle), forecasts(followed)
     assert alone[900.0] < alone[60.0] < with_next[60.0] == with_next[900.0]
     # Nothing follows on a hole, and what the historian has otherwise is not joined to it.
     last = library.readings(rows[CYCLES - 1].content)
-    assert content_hash(and_after(source, last, 900.0)) == rows[CYCLES - 1].content
+    assert content_hash(extend_cycle(source, last, 900.0)) == rows[CYCLES - 1].content
     other = replace(cycle, signals={**cycle.signals, TEMPERATURE: cycle.signals[TEMPERATURE] + 1.0})
-    assert and_after(source, other, 900.0) is other
+    assert extend_cycle(source, other, 900.0) is other
 
 
 def test_a_cycle_scores_the_same_horizons_for_both_models(historian: Path, store: Path) -> None:
-    cycle = encoded(plant(1), load(store).alphabet)
-    rows = scores_along(replace(cycle, name="one"), load(store), heated(HOT), seed=0, report=silent)
+    cycle = encode_trace(plant(1), load(store).alphabet)
+    rows = score_trace(replace(cycle, name="one"), load(store), heated(HOT), seed=0, report=silent)
     crps = {row["method"]: row["crps"] for row in rows if row["horizon"] == 60.0}
     assert crps[NEW] < crps[PRESENT]
 
@@ -777,8 +785,8 @@ def test_what_a_clock_that_was_set_back_has_mixed_is_left_out_with_the_reason(
     twice = (BEGIN + 3 * (RUN + REST) + 0.5, BEGIN + 6 * (RUN + REST) - 1.0)
     for row in library.cycles():
         mixed = row.begin <= twice[1] and twice[0] <= row.until
-        assert row.excluded == mixed and ("set back" in row.reason) == mixed and not (mixed and row.kept), row.name
-    assert any(row.excluded for row in library.cycles()) and not all(row.excluded for row in library.cycles())
+        assert row.is_excluded == mixed and ("set back" in row.reason) == mixed and not (mixed and row.kept), row.name
+    assert any(row.is_excluded for row in library.cycles()) and not all(row.is_excluded for row in library.cycles())
 
 
 def test_a_clock_that_was_ahead_and_was_put_right_hides_nothing(
@@ -816,32 +824,32 @@ def test_days_before_a_tag_came_have_no_cycles_and_a_tag_that_never_came_is_name
 def test_a_kept_file_that_is_gone_is_made_again_and_one_that_nobody_has_is_named_with_the_way_out(
     request_of: RetrainingRequest, library: CycleLibrary, tmp_path: Path
 ) -> None:
-    source = source_of(request_of, BEGIN)
+    source = make_source(request_of, BEGIN)
     cut_and_rate(request_of, library, source, silent)
     row = next(row for row in library.cycles() if row.kept)
     file = library.folder / "kept" / f"{row.content}.npz"
     for damage in (file.unlink, lambda: file.write_bytes(b"half")):
         damage()
-        trace = cycle_of(source, row, library)
+        trace = read_cycle(source, row, library)
         assert trace is not None and content_hash(trace) == row.content
         assert content_hash(library.readings(row.content)) == row.content
     file.unlink()
     elsewhere = replace(source, historian=written(tmp_path / "other.sqlite", plant(2, BEGIN + 9e6)))
     with pytest.raises(ValueError, match=rf"leave the cycle out: decanter model cycles .* --exclude {row.name}"):
-        cycle_of(elsewhere, row, library)
+        read_cycle(elsewhere, row, library)
 
 
 def test_what_is_excluded_between_a_kill_and_the_next_call_is_not_learned_from(
     request_of: RetrainingRequest, library: CycleLibrary, quick: SimpleNamespace, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(study, "scores_along", _killed)
+    monkeypatch.setattr(study, "score_trace", _killed)
     with pytest.raises(KeyboardInterrupt):
         run(request_of, library)
     chosen = library.step(1, "sets")
     out = [chosen["training"][0], chosen["held_out"][0]]
     for name, _ in out:
         library.exclude(name, "me", "cleaning")
-    monkeypatch.setattr(study, "scores_along", lambda *_, **__: [])
+    monkeypatch.setattr(study, "score_trace", lambda *_, **__: [])
     found = run(request_of, library)
     again = library.step(found.study, "sets")
     assert not {name for name, _ in out} & {name for part in ("training", "held_out") for name, _ in again[part]}
@@ -869,7 +877,7 @@ def test_traces_of_a_time_that_the_library_has_cycles_of_are_not_learned_from_be
 def test_a_standard_trace_that_judges_nothing_lets_nothing_be_proposed(
     request_of: RetrainingRequest, library: CycleLibrary, quick: SimpleNamespace, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(study, "scores_along", lambda trace, *_, **__: [] if trace.name == "short" else _scores(0.7))
+    monkeypatch.setattr(study, "score_trace", lambda trace, *_, **__: [] if trace.name == "short" else _scores(0.7))
     assert run(request_of, library).proposed
     short = replace(plant(1).between(BEGIN, BEGIN + 30.0), name="short")
     found = run(replace(request_of, standard=(short,), seed=1), library)
@@ -881,7 +889,7 @@ def test_better_at_a_shorter_horizon_counts_only_where_the_longer_ones_are_bette
         rows = [
             each for horizon, one in zip((60.0, 300.0, 900.0), worth, strict=True) for each in _scores(one, horizon)
         ]
-        return [each.told_apart for each in compared("cycles", rows, seed=1)]
+        return [each.outcome for each in compare_horizons("cycles", rows, seed=1)]
 
     assert told(0.5, 0.5, 0.5) == ["better"] * 3
     assert told(0.5, 0.5, 1.5) == ["", "", "worse"]
@@ -897,18 +905,18 @@ def test_the_cycles_that_judge_a_candidate_outlive_the_historian(
         forecast.append(trace.name)
         return []
 
-    monkeypatch.setattr(shadow, "scores_along", scored)
+    monkeypatch.setattr(shadow, "score_trace", scored)
 
     def judged() -> shadow.SideBySide:
         return shadow.side_by_side(
             store, historian, library, machine="decanter", version=new, promotes=True, seed=0, report=silent
         )
 
-    monkeypatch.setattr(shadow, "DAY", SHORT_DAY)
+    monkeypatch.setattr(shadow, "DAY_S", SHORT_DAY)
     assert judged().cycles == 2 * shadow.TRIAL_DAYS == len(forecast)
     assert all(row.kept for row in library.cycles()[: 2 * shadow.TRIAL_DAYS])
     monkeypatch.setattr(
-        shadow, "cycle_of", lambda _, row, held: None if row.begin == BEGIN else held.readings(row.content)
+        shadow, "read_cycle", lambda _, row, held: None if row.begin == BEGIN else held.readings(row.content)
     )
     less = judged()
     assert not less.enough and less.cycles == 2 * shadow.TRIAL_DAYS - 1
@@ -925,14 +933,14 @@ def test_a_historian_of_several_machines_and_one_without_a_scan_are_one_sentence
     refused(decanter(*given), 2, "has no scan yet; let the gateway run first")
     both = open_historian(path)
     for machine in ("one", "two"):
-        view = both.of(machine, [Tag(TEMPERATURE, "holding:1")])
+        view = both.view(machine, [Tag(TEMPERATURE, "holding:1")])
         view.put("scans", [(BEGIN, 0.0, 0)])
     assert both.close()
     refused(decanter(*given), 2, "has the rows of several machines; name one of one, two")
 
 
 def test_a_library_of_a_later_program_and_one_that_is_a_directory_are_one_sentence(tmp_path: Path) -> None:
-    with opened_library(tmp_path / "l", machine="decanter", temperature=TEMPERATURE):
+    with open_library(tmp_path / "l", machine="decanter", temperature=TEMPERATURE):
         pass
     with closing(sqlite3.connect(tmp_path / "l" / "cycles.sqlite")) as connection:
         connection.execute("PRAGMA user_version = 7")
@@ -940,7 +948,7 @@ def test_a_library_of_a_later_program_and_one_that_is_a_directory_are_one_senten
     (tmp_path / "d" / "cycles.sqlite").mkdir(parents=True)
     with (
         pytest.raises(ValueError, match="cannot be opened as a library"),
-        opened_library(tmp_path / "d", machine="decanter", temperature=TEMPERATURE),
+        open_library(tmp_path / "d", machine="decanter", temperature=TEMPERATURE),
     ):
         pass
 

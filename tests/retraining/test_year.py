@@ -71,8 +71,8 @@ def test_the_loop_promotes_what_is_better_on_live_cycles_and_nothing_else(
     learn = replace(METHODS["bins"], learn=lambda *_: Taught(new, {}))
     monkeypatch.setitem(METHODS, "bins", learn)
     monkeypatch.setattr(study, "report_files", lambda *_: {"retraining_report.txt": "drawn in another test"})
-    monkeypatch.setattr(study, "scores_along", judged(0.5))
-    monkeypatch.setattr(shadow, "scores_along", judged(worth))
+    monkeypatch.setattr(study, "score_trace", judged(0.5))
+    monkeypatch.setattr(shadow, "score_trace", judged(worth))
     days = [Day(0, float(number), plant(11, BEGIN + 86_400.0 * number)) for number in range(10)]
     earlier = [plant(2, BEGIN - 86_400.0)]
     loop, once = Loop(first, earlier, tmp_path, 0, BEGIN - 1.0), Once(first)

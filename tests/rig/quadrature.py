@@ -23,7 +23,7 @@ import numpy as np
 
 from sim.sha import flows
 from sim.sha.automaton import Flow
-from sim.sha.flows import RELAXING
+from sim.sha.flows import RELAXING_FLOWS
 from sim.sha.trace import Array
 
 
@@ -63,7 +63,7 @@ def first_passage(
         raise ValueError(f"the limit {limit} is reached already at {x0}")
     if not all(one.flow.params["noise"] > 0 for one in stretches):
         raise ValueError("the quadrature needs a flow with noise in every stretch")
-    constants = sum(one.flow.params["k"] * one.seconds for one in stretches if one.flow.kind in RELAXING)
+    constants = sum(one.flow.params["k"] * one.seconds for one in stretches if one.flow.kind in RELAXING_FLOWS)
     grid = _grid([one.seconds for one in stretches], points or max(800, int(60.0 * constants)))
     spread = [one.sigma > 0 for one in stretches]
     root, weight = np.polynomial.hermite_e.hermegauss(nodes or max(6, 24 // max(sum(spread), 1)))
@@ -113,7 +113,7 @@ def _curve(
     mean, exponent, clock = x0, 0.0, 0.0
     parts: list[tuple[Array, Array, Array]] = []
     for one, target, times in zip(stretches, targets, grid, strict=True):
-        k = one.flow.params["k"] if one.flow.kind in RELAXING else 0.0
+        k = one.flow.params["k"] if one.flow.kind in RELAXING_FLOWS else 0.0
         noise = one.flow.params["noise"]
         decay, pull, _ = flows.coefficients(one.flow, 0.0, times)
         means = decay * mean + pull * target

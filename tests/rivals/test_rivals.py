@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from sim.lab.judge.direct_rivals import feature_table
-from sim.lab.judge.past import temperature_at
+from sim.lab.judge.past import interpolate_temperature
 from sim.lab.judge.rivals import FittedRival, Past, Persistence, Rival, rivals
 from sim.lab.judge.univariate_rivals import Univariate
 
@@ -51,9 +51,11 @@ def errors(fitted: FittedRival, machine: Past) -> np.ndarray:
     """(H,) mean absolute errors of the median at an origin each 100 s."""
     found = []
     for origin in np.arange(400.0, machine.times[-1] - max(HORIZONS), 100.0):
-        quantiles = fitted.forecast(machine.until(origin), HORIZONS, LEVELS)
+        quantiles = fitted.forecast(machine.truncate(origin), HORIZONS, LEVELS)
         found.append(
-            np.abs(quantiles[1] - temperature_at(machine.times, machine.temperature, origin + np.array(HORIZONS)))
+            np.abs(
+                quantiles[1] - interpolate_temperature(machine.times, machine.temperature, origin + np.array(HORIZONS))
+            )
         )
     return np.asarray(np.mean(found, axis=0))
 
@@ -75,8 +77,8 @@ def test_nothing_after_the_origin_is_used(name: str) -> None:
     later = spoiled.times > 2000.0
     spoiled.temperature[later] = 1e6
     spoiled.inputs["Load"][later] = np.nan
-    expected = fitted.forecast(machine.until(2000.0), HORIZONS, LEVELS)
-    assert np.array_equal(fitted.forecast(spoiled.until(2000.0), HORIZONS, LEVELS), expected)
+    expected = fitted.forecast(machine.truncate(2000.0), HORIZONS, LEVELS)
+    assert np.array_equal(fitted.forecast(spoiled.truncate(2000.0), HORIZONS, LEVELS), expected)
 
 
 @pytest.mark.parametrize("name", ALL)
@@ -92,7 +94,7 @@ def test_a_past_without_a_reading_gives_no_forecast_and_no_warning(name: str) ->
 def test_a_linear_trend_goes_on(name: str) -> None:
     rng = np.random.default_rng(0)
     ramps = [past(20.0 + 0.02 * 5.0 * np.arange(400) + rng.normal(0.0, 0.01, 400)) for _ in range(3)]
-    quantiles = rival(name).fit(ramps[:2], HORIZONS).forecast(ramps[2].until(1200.0), HORIZONS, LEVELS)
+    quantiles = rival(name).fit(ramps[:2], HORIZONS).forecast(ramps[2].truncate(1200.0), HORIZONS, LEVELS)
     assert quantiles[1, 0] == pytest.approx(44.0 + 0.02 * 60.0, abs=0.2)
 
 
@@ -125,9 +127,11 @@ def test_the_band_of_persistence_holds_the_share_that_it_says() -> None:
     fitted, machine = Persistence().fit([walk(1), walk(2)], HORIZONS), walk(3)
     inside = []
     for origin in np.arange(2000.0, machine.times[-1] - 60.0, 60.0):
-        low, median, high = fitted.forecast(machine.until(origin), (60.0,), LEVELS)[:, 0]
-        assert median == pytest.approx(machine.until(origin).temperature[-1])
-        inside.append(low <= temperature_at(machine.times, machine.temperature, np.array([origin + 60.0]))[0] <= high)
+        low, median, high = fitted.forecast(machine.truncate(origin), (60.0,), LEVELS)[:, 0]
+        assert median == pytest.approx(machine.truncate(origin).temperature[-1])
+        inside.append(
+            low <= interpolate_temperature(machine.times, machine.temperature, np.array([origin + 60.0]))[0] <= high
+        )
     assert np.mean(inside) == pytest.approx(0.9, abs=0.06)
 
 
@@ -136,7 +140,7 @@ def test_a_feature_knows_no_later_row_and_no_later_one_is_needed() -> None:
     origins = np.array([300.0, 1500.0, 2500.0])
     whole = feature_table(machine, origins, ("Load", "Absent"))
     for row, origin in enumerate(origins):
-        alone = feature_table(machine.until(origin), origins[row : row + 1], ("Load", "Absent"))
+        alone = feature_table(machine.truncate(origin), origins[row : row + 1], ("Load", "Absent"))
         assert alone[0] == pytest.approx(whole[row], nan_ok=True)
     assert whole[1, 0] == pytest.approx(machine.temperature[300])
     assert np.all(np.isnan(whole[:, -3:]))

@@ -15,7 +15,7 @@ from sim.engine.belief import (
     machine_offset,
     observe,
     on_event,
-    restarted,
+    restart,
     start,
     with_inputs,
     with_machine_offset,
@@ -381,7 +381,7 @@ def test_a_step_beyond_the_range_is_put_back_to_its_border_and_counted() -> None
         seen = observe(model, beyond, 17.0, at_border.x + 3.0 * rate)
         assert seen.clamps == 2 and seen.last is not None and seen.last.value == pytest.approx(3.0 * rate)
         assert (seen.x - at_border.x) * rate > 0, "what the sensor says beyond it is believed"
-        anew = restarted(model, replace(seen, seen=False), 44.0)
+        anew = restart(model, replace(seen, seen=False), 44.0)
         assert anew == replace(seen, x=44.0, xx=0.1 * 0.1, xm=0.0, clamps=0, read_at=17.0)
 
 

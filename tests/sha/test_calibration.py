@@ -15,7 +15,7 @@ from sim.forecast.calibration import (
     recent_coverage,
     settle,
 )
-from sim.forecast.fan import LEVELS, Forecast
+from sim.forecast.fan import FAN_LEVELS, Forecast
 from sim.scores import Estimate
 
 HORIZON = 20.0
@@ -26,8 +26,8 @@ def fan(time: float, median: float, sigma: float, widening: float = 1.0, horizon
     return Forecast(
         time=time,
         horizons=np.array([horizon]),
-        levels=LEVELS,
-        quantiles=(median + widening * sigma * ndtri(LEVELS))[:, None],
+        levels=FAN_LEVELS,
+        quantiles=(median + widening * sigma * ndtri(FAN_LEVELS))[:, None],
         locations=({"q": 1.0},),
         limit=80.0,
         exceedance=(Estimate(0.0, 0.0, 1.0, 10),),

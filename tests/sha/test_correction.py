@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sim.artefacts.model_json import model_document, model_hash, model_text, parse_model
-from sim.effects.correction import corrected, in_sensor_scale
+from sim.effects.correction import apply_correction, in_sensor_scale
 from sim.engine.belief import filter_trace, start
 from sim.engine.moment_equations import moments
 from sim.engine.open_loop_run import open_loop
@@ -46,11 +46,11 @@ def test_simulating_a_corrected_model_is_mapping_what_the_automaton_does(
     plain = everywhere(Correction(), limited(rate))
     steps, scaled = (schedule(m, WORD, OUTPUTS, inputs=CURRENT) for m in (plain, replace(plain, correction=correction)))
     own = simulate(steps, first, 20, np.random.default_rng(1))
-    read = simulate(scaled, corrected(correction, first), 20, np.random.default_rng(1))
+    read = simulate(scaled, apply_correction(correction, first), 20, np.random.default_rng(1))
     expected = correction.gain * own.temperatures + correction.offset
     np.testing.assert_allclose(read.temperatures, expected, rtol=1e-9, atol=1e-7)
     assert read.clamps.tolist() == own.clamps.tolist() and read.limited.tolist() == own.limited.tolist()
-    exact, mapped = moments(steps, first), moments(scaled, corrected(correction, first))
+    exact, mapped = moments(steps, first), moments(scaled, apply_correction(correction, first))
     np.testing.assert_allclose(mapped.mean, correction.gain * exact.mean + correction.offset, atol=1e-7)
     np.testing.assert_allclose(mapped.variance, correction.gain**2 * exact.variance, rtol=1e-9, atol=1e-9)
 

@@ -41,7 +41,7 @@ def test_draws_follow_the_law(kind: str) -> None:
 @pytest.mark.parametrize("age", [0.0, 45.0])
 def test_the_rest_of_a_sojourn_follows_the_law_given_its_age(kind: str, age: float) -> None:
     law, known = REFERENCE[kind]
-    rest = distributions.draw_remaining(law, age, 20_000, np.random.default_rng(6))
+    rest = distributions.draw_residual(law, age, 20_000, np.random.default_rng(6))
     assert np.all(rest >= 0.0)
     result = stats.kstest(rest, lambda t: 1.0 - known.sf(age + t) / known.sf(age))
     assert result.pvalue > 1e-3
@@ -49,14 +49,14 @@ def test_the_rest_of_a_sojourn_follows_the_law_given_its_age(kind: str, age: flo
 
 @pytest.mark.parametrize("kind", REFERENCE)
 def test_an_age_far_beyond_the_law_still_gives_a_rest(kind: str) -> None:
-    rest = distributions.draw_remaining(REFERENCE[kind][0], 1e5, 100, np.random.default_rng(7))
+    rest = distributions.draw_residual(REFERENCE[kind][0], 1e5, 100, np.random.default_rng(7))
     assert np.all(np.isfinite(rest) & (rest >= 0.0))
 
 
 def test_ages_may_differ_from_run_to_run() -> None:
     law = REFERENCE["weibull"][0]
     ages = np.repeat([0.0, 200.0], 5000)
-    rest = distributions.draw_remaining(law, ages, 10_000, np.random.default_rng(8))
+    rest = distributions.draw_residual(law, ages, 10_000, np.random.default_rng(8))
     assert rest[:5000].mean() > 1.5 * rest[5000:].mean()
 
 
@@ -64,8 +64,8 @@ def test_a_normal_without_spread_is_its_mean() -> None:
     law = Distribution("normal", {"mu": 10.0, "sigma": 0.0})
     rng = np.random.default_rng(9)
     assert distributions.draw(law, 3, rng).tolist() == [10.0] * 3
-    assert distributions.draw_remaining(law, 4.0, 3, rng).tolist() == [6.0] * 3
-    assert distributions.draw_remaining(law, 11.0, 3, rng).tolist() == [0.0] * 3
+    assert distributions.draw_residual(law, 4.0, 3, rng).tolist() == [6.0] * 3
+    assert distributions.draw_residual(law, 11.0, 3, rng).tolist() == [0.0] * 3
 
 
 @pytest.mark.parametrize(

@@ -19,12 +19,12 @@ from sim.engine.belief import (
     machine_offset,
     observe,
     on_event,
-    restarted,
+    restart,
     start,
     with_inputs,
     with_machine_offset,
 )
-from sim.engine.belief_state import Delayed, belief_of
+from sim.engine.belief_state import Delayed, restore_belief
 from sim.engine.moment_equations import moments
 from sim.engine.plant import compile_plant
 from sim.engine.schedules import schedule
@@ -146,14 +146,14 @@ def far(kind: str = "driven") -> tuple[Tracker, Belief]:
 
 def test_a_belief_taken_apart_by_json_goes_on_as_if_nothing_had_happened() -> None:
     tracker, belief = far()
-    again = belief_of(json.loads(json.dumps(asdict(belief))))
+    again = restore_belief(json.loads(json.dumps(asdict(belief))))
     assert again == belief
     assert observe(tracker, again, 400.0, 35.0) == observe(tracker, belief, 400.0, 35.0)
 
 
 def test_a_restart_moves_what_the_sensor_reads_to_the_reading_and_keeps_the_housing() -> None:
     tracker, belief = far()
-    fresh = restarted(tracker, belief, 40.0)
+    fresh = restart(tracker, belief, 40.0)
     assert (fresh.x, fresh.xx, fresh.clamps) == (pytest.approx(40.0), pytest.approx(tracker.sensor), 0)
     assert belief.hidden is not None
     assert fresh.hidden is not None

@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 from sim.effects.check import check_effect
 from sim.effects.late import late_jumps
 from sim.engine.belief import advance, on_event, start, with_inputs
-from sim.engine.belief_state import belief_of
+from sim.engine.belief_state import restore_belief
 from sim.engine.moment_equations import moments
 from sim.engine.plant import compile_plant
 from sim.engine.schedules import schedule
@@ -128,7 +128,7 @@ def test_the_filter_at_every_second_is_the_schedule_and_outlives_a_restart(delay
         belief = advance(tracker, belief, time)
         if time in (2000.0, 3120.0):  # while it runs, and while it goes on after the stop
             assert belief.hidden is not None and belief.hidden.late[0] != 0.0
-            again = belief_of(json.loads(json.dumps(asdict(belief))))
+            again = restore_belief(json.loads(json.dumps(asdict(belief))))
             assert again == belief
             belief = again
         found.append(belief.x)
@@ -138,7 +138,7 @@ def test_the_filter_at_every_second_is_the_schedule_and_outlives_a_restart(delay
 def test_a_belief_that_was_saved_before_there_were_late_heats_is_read() -> None:
     saved = json.loads(json.dumps(asdict(start(compile_model(model(late(0.0))), 0.0, 20.0))))
     del saved["hidden"]["late"]
-    assert belief_of(saved).hidden is not None
+    assert restore_belief(saved).hidden is not None
 
 
 @pytest.mark.parametrize("delay", [0.0, 150.0])

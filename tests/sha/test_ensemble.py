@@ -11,18 +11,18 @@ from scipy.optimize import brentq
 from scipy.stats import norm
 
 from sim.forecast.ensemble import (
-    DENSE,
+    DENSE_LEVELS,
     Pool,
     PoolEvidence,
     issue_pool,
     learn,
     mixture,
     settle_pool,
-    thinned,
+    thin_levels,
     weights,
     weights_by_horizon,
 )
-from sim.forecast.fan import LEVELS, Forecast
+from sim.forecast.fan import FAN_LEVELS, Forecast
 from sim.scores import Estimate
 
 HORIZONS = np.array([60.0, 300.0])
@@ -31,11 +31,11 @@ HORIZONS = np.array([60.0, 300.0])
 def gaussian(
     mean: float, sigma: float, p: float = 0.0, minutes: tuple[float, float, float] = (np.inf,) * 3
 ) -> Forecast:
-    column = norm.ppf(DENSE, mean, sigma)
+    column = norm.ppf(DENSE_LEVELS, mean, sigma)
     return Forecast(
         time=0.0,
         horizons=HORIZONS,
-        levels=DENSE,
+        levels=DENSE_LEVELS,
         quantiles=np.column_stack([column, column]),
         locations=({"on": 1.0}, {"on": 0.5, "off": 0.5}),
         limit=80.0,
@@ -51,58 +51,58 @@ def gaussian(
 def test_the_quantiles_of_a_mixture_are_those_of_the_weighted_distribution_functions(
     weight: float, apart: float, spread: float
 ) -> None:
-    mixed = mixture([gaussian(50.0, 1.0), gaussian(50.0 + apart, spread)], [weight, 1.0 - weight], LEVELS)
+    mixed = mixture([gaussian(50.0, 1.0), gaussian(50.0 + apart, spread)], [weight, 1.0 - weight], FAN_LEVELS)
 
     def below(x: float) -> float:
         return weight * norm.cdf(x, 50.0, 1.0) + (1 - weight) * norm.cdf(x, 50.0 + apart, spread)
 
-    for level, value in zip(LEVELS, mixed.quantiles[:, 0], strict=True):
+    for level, value in zip(FAN_LEVELS, mixed.quantiles[:, 0], strict=True):
         # In levels, as a quantile is not sharp where the mixture has a gap; 0.01 is the grain of the members' fans.
         assert below(value + 1e-6) >= level - 0.011 and below(value - 1e-6) <= level + 0.011
     assert np.all(np.diff(mixed.quantiles[:, 0]) >= 0)
 
 
 def test_a_known_mixture_to_a_hundredth_of_a_degree() -> None:
-    mixed = mixture([gaussian(50.0, 1.0), gaussian(53.0, 2.0)], [0.7, 0.3], LEVELS)
-    for level, value in zip(LEVELS, mixed.quantiles[:, 1], strict=True):
+    mixed = mixture([gaussian(50.0, 1.0), gaussian(53.0, 2.0)], [0.7, 0.3], FAN_LEVELS)
+    for level, value in zip(FAN_LEVELS, mixed.quantiles[:, 1], strict=True):
         exact = brentq(lambda x, p=level: 0.7 * norm.cdf(x, 50, 1) + 0.3 * norm.cdf(x, 53, 2) - p, 0.0, 100.0)
         assert value == pytest.approx(exact, abs=0.02)
 
 
 def test_a_member_with_all_the_weight_is_the_mixture() -> None:
     one, other = gaussian(50.0, 1.0, 0.2), gaussian(60.0, 1.0, 0.9)
-    mixed = mixture([one, other], [1.0, 0.0], LEVELS)
-    np.testing.assert_array_equal(mixed.quantiles, thinned(one, LEVELS).quantiles)
+    mixed = mixture([one, other], [1.0, 0.0], FAN_LEVELS)
+    np.testing.assert_array_equal(mixed.quantiles, thin_levels(one, FAN_LEVELS).quantiles)
     assert mixed.exceedance[0].probability == pytest.approx(0.2)
     assert mixed.locations[1] == one.locations[1]
 
 
 def test_exceedance_is_the_weighted_mean_never_falls_with_the_horizon_and_so_do_its_ends() -> None:
     one, other = gaussian(50.0, 1.0, 0.2), gaussian(60.0, 1.0, 0.6)
-    mixed = mixture([one, other], [0.5, 0.5], LEVELS)
+    mixed = mixture([one, other], [0.5, 0.5], FAN_LEVELS)
     e = mixed.exceedance[0]
     assert (e.probability, e.low, e.high) == pytest.approx((0.4, 0.3, 0.5))
-    falling = mixture([one, other], [[0.0, 1.0], [1.0, 0.0]], LEVELS)
+    falling = mixture([one, other], [[0.0, 1.0], [1.0, 0.0]], FAN_LEVELS)
     assert [e.probability for e in falling.exceedance] == pytest.approx([0.6, 0.6])
 
 
 def test_minutes_to_the_limit_come_from_the_mixed_chances() -> None:
     sure = gaussian(79.0, 1.0, 1.0, (0.2, 0.5, 0.8))
     never = gaussian(40.0, 1.0, 0.0)
-    low, median, high = mixture([sure, never], [0.5, 0.5], LEVELS).minutes_to_limit
+    low, median, high = mixture([sure, never], [0.5, 0.5], FAN_LEVELS).minutes_to_limit
     assert low == pytest.approx(0.2 + 0.3 * 0.05 / 0.45), "5 % of all are 10 % of the sure one's"
     assert median == pytest.approx(1.0) and high == np.inf
-    assert mixture([sure, sure], [0.5, 0.5], LEVELS).minutes_to_limit == pytest.approx((0.2, 0.5, 0.8))
-    assert mixture([never, never], [0.5, 0.5], LEVELS).minutes_to_limit == (np.inf,) * 3
+    assert mixture([sure, sure], [0.5, 0.5], FAN_LEVELS).minutes_to_limit == pytest.approx((0.2, 0.5, 0.8))
+    assert mixture([never, never], [0.5, 0.5], FAN_LEVELS).minutes_to_limit == (np.inf,) * 3
 
 
 def test_forecasts_of_other_horizons_or_limits_and_weights_that_are_none_are_refused() -> None:
     one = gaussian(50.0, 1.0)
     with pytest.raises(ValueError, match="same horizons"):
-        mixture([one, replace(one, limit=90.0)], [0.5, 0.5], LEVELS)
+        mixture([one, replace(one, limit=90.0)], [0.5, 0.5], FAN_LEVELS)
     for wrong in ([0.5, 0.6], [1.5, -0.5], [1.0]):
         with pytest.raises(ValueError, match=r"weights"):
-            mixture([one, one], wrong if len(wrong) > 1 else [0.4, 0.4], LEVELS)
+            mixture([one, one], wrong if len(wrong) > 1 else [0.4, 0.4], FAN_LEVELS)
     with pytest.raises(ValueError, match="floor"):
         Pool(2, floor=0.5)
 

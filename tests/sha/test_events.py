@@ -16,7 +16,7 @@ from sim.sha.events import (
     alphabet_symbols,
     check_alphabet,
     encode,
-    encoded,
+    encode_trace,
 )
 from sim.sha.trace import UNKNOWN, Event, Trace
 
@@ -238,17 +238,17 @@ def test_a_trace_gets_the_events_of_the_alphabet_that_it_meets() -> None:
     coarse = Alphabet((DECANTER.channels[0], Bins("Assorbimento", (150.0,), ("A_0", "A_1"))))
     before = replace(bare, events=encode(bare, coarse))
     assert before.events != encode(bare, DECANTER)
-    assert encoded(before, DECANTER).events == encoded(bare, DECANTER).events == encode(bare, DECANTER)
+    assert encode_trace(before, DECANTER).events == encode_trace(bare, DECANTER).events == encode(bare, DECANTER)
     # Of a plant whose artefacts name no channel nothing can be made.
-    assert encoded(before, Alphabet(())) is before
+    assert encode_trace(before, Alphabet(())) is before
 
 
 def test_events_whose_signal_a_trace_lacks_are_kept_where_they_are_of_the_alphabet() -> None:
     events = (Event(0.0, "W_ON"), Event(1.0, "A_2"), Event(2.0, UNKNOWN))
     trace = Trace("t", np.arange(4.0), {"MarciaDecanter": np.ones(4)}, events=events)
-    assert encoded(trace, DECANTER) is trace
+    assert encode_trace(trace, DECANTER) is trace
     foreign = replace(trace, events=(*events, Event(3.0, "A_7")))
-    assert encoded(foreign, DECANTER).events == encode(foreign, DECANTER)
+    assert encode_trace(foreign, DECANTER).events == encode(foreign, DECANTER)
     # None that only the lacking signal could have made: these are another alphabet's.
     silent = replace(trace, events=(Event(0.0, "W_OFF"),))
-    assert encoded(silent, DECANTER).events == encode(silent, DECANTER)
+    assert encode_trace(silent, DECANTER).events == encode(silent, DECANTER)

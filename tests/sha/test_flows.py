@@ -96,7 +96,7 @@ def test_a_transient_moves_by_its_amplitude_in_all_and_is_then_over() -> None:
 
 @pytest.mark.parametrize(("kind", "half"), [("logarithmic", 5.0), ("transient", 5.0 * log(2.0)), ("linear", inf)])
 def test_fading_says_when_the_drift_has_fallen_to_a_part(kind: str, half: float) -> None:
-    age = float(flows.fading(flow(kind), 0.5))
+    age = float(flows.fade_ages(flow(kind), 0.5))
     assert age == pytest.approx(half)
     if age < inf:
         assert drift(kind, 40.0, 3.0, age) == pytest.approx(0.5 * drift(kind, 40.0, 3.0, 0.0))
@@ -124,7 +124,7 @@ def test_variance_solves_its_own_equation(kind: str) -> None:
 def test_one_step_equals_two(
     kind: str, rate: float, x: float, pull: float, age: float, first: float, second: float
 ) -> None:
-    target = 75.0 + 25.0 * pull if kind in flows.RELAXING else pull
+    target = 75.0 + 25.0 * pull if kind in flows.RELAXING_FLOWS else pull
     one = flows.mean_step(flow(kind), x, target, age=age, dt=first + second, max_rate=rate)
     half = flows.mean_step(flow(kind), x, target, age=age, dt=first, max_rate=rate)
     two = flows.mean_step(flow(kind), half, target, age=age + first, dt=second, max_rate=rate)
@@ -210,7 +210,7 @@ def test_whole_numbers_are_numbers_like_others(kind: str) -> None:
             assert found.dtype == np.float64 and found.tolist() == wanted.tolist()
         slope = flows.drift(given, whole, whole, whole)
         assert slope.dtype == np.float64 and slope.tolist() == flows.drift(given, real, real, real).tolist()
-    assert flows.fading(given, 1).dtype == np.float64
+    assert flows.fade_ages(given, 1).dtype == np.float64
     if kind == "driven":
         many = np.array([200], dtype=np.uint8)
         assert flows.offset(given, {"Assorbimento": many}).tolist() == [5.0]

@@ -8,7 +8,7 @@ from scipy.special import ndtr, ndtri
 
 from sim.engine.belief import advance, filter_trace, on_event, start
 from sim.engine.tracker import compile_model
-from sim.forecast.fan import LEVELS, Forecast, forecast
+from sim.forecast.fan import FAN_LEVELS, Forecast, forecast
 from sim.sha.automaton import SHA, Distribution, Edge, Flow, Location
 from sim.sha.events import DECANTER
 from sim.sha.model import Model, Stay
@@ -39,7 +39,7 @@ def test_the_fan_is_that_of_a_direct_simulation(horizon: float) -> None:
     model, direct, runs = two_states(exponential_stays()), 4000, 8000
     ends = direct_runs(horizon, direct, np.random.default_rng(1))
     fan = forecast(model, start(model, 0.0, 30.0), [horizon, 400.0], np.random.default_rng(2), runs=runs)
-    for level, quantile in zip(LEVELS, fan.quantiles[:, 0], strict=True):
+    for level, quantile in zip(FAN_LEVELS, fan.quantiles[:, 0], strict=True):
         error = 4 * np.sqrt(level * (1 - level) * (1 / direct + 1 / runs))
         assert abs((ends[:, 0] <= quantile).mean() - level) < error
     hot = ends[:, 1].mean()
@@ -147,7 +147,7 @@ def test_known_events_give_the_filters_own_prediction() -> None:
     told = forecast(model, belief, [30.0, 200.0], np.random.default_rng(10), events=[Event(150.0, "W_ON")], runs=4000)
     hot = advance(model, on_event(model, belief, Event(150.0, "W_ON")), 300.0)
     spread = np.sqrt(hot.xx + 0.04)
-    assert told.quantiles[:, 1] == pytest.approx(hot.x + spread * ndtri(LEVELS))
+    assert told.quantiles[:, 1] == pytest.approx(hot.x + spread * ndtri(FAN_LEVELS))
     assert told.locations == ({"cold": 1.0}, {"hot": 1.0})
     sampled = replace(model, semi_markov={})
     drawn = forecast(
@@ -238,7 +238,7 @@ def test_resampling_on_entry_is_in_the_runs() -> None:
         sha, DECANTER, "T", 0.0, semi_markov={"a": Stay(Distribution("exponential", {"mean": 1.0}), {"b": 1.0})}
     )
     told = forecast(model, start(model, 0.0, 20.0), [60.0], np.random.default_rng(16), limit=48.0, runs=4000)
-    assert told.quantiles[:, 0] == pytest.approx(50.0 + 2.0 * ndtri(LEVELS), abs=0.25)
+    assert told.quantiles[:, 0] == pytest.approx(50.0 + 2.0 * ndtri(FAN_LEVELS), abs=0.25)
     assert told.exceedance[0].probability == pytest.approx(ndtr(1.0), abs=0.03)
 
 
@@ -256,7 +256,7 @@ def test_flows_that_depend_on_the_age_continue_at_the_present_one(flow: Flow) ->
     ahead = advance(model, belief, 340.0)
     told = forecast(model, belief, [300.0], np.random.default_rng(17), runs=8000)
     spread = np.sqrt(ahead.xx + 0.05**2)
-    assert told.quantiles[:, 0] == pytest.approx(ahead.x + spread * ndtri(LEVELS), abs=0.1 * spread)
+    assert told.quantiles[:, 0] == pytest.approx(ahead.x + spread * ndtri(FAN_LEVELS), abs=0.1 * spread)
 
 
 def test_the_90_percent_band_covers_90_percent_of_what_happens() -> None:

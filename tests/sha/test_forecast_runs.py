@@ -7,7 +7,7 @@ import pytest
 from scipy.special import ndtr
 
 from sim.engine.belief import observe, on_event, start
-from sim.engine.particles import bridges, lay_out, survival
+from sim.engine.particles import bridges, draw_layout, survival
 from sim.engine.tracker import compile_model
 from sim.forecast.fan import fans, forecast
 from sim.sha.automaton import Effect
@@ -57,7 +57,7 @@ def test_steps_are_cut_at_jumps_and_at_the_grid_each_run_on_its_own_clock() -> N
     entered = np.array([[0.0, 0.0], [5.0, 20.0], [25.0, np.inf]])
     paths = Paths(np.array([[0, 0], [1, 1], [0, 0]]), entered, age=7.0)
     grid = np.array([10.0, 20.0, 30.0])
-    layout = lay_out(
+    layout = draw_layout(
         tracker, start(tracker, 0.0, 30.0), paths, grid=grid, inputs=np.zeros((2, 2)), rng=np.random.default_rng(1)
     )
     ((_, steps),) = layout.blocks()

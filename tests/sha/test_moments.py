@@ -11,7 +11,7 @@ from sim.engine.moment_equations import moments
 from sim.engine.schedules import Schedule, schedule
 from sim.sha import flows
 from sim.sha.automaton import SHA, Edge, Flow, Location
-from sim.sha.entry import drawn_temperature, mode_parameter
+from sim.sha.entry import draw_temperature, mode_parameter
 from sim.sha.trace import Event, Trace
 from tests.sha.models import ALL, EVERYWHERE, limited, normal
 
@@ -29,7 +29,7 @@ def integrated(steps: Schedule, x0: float, v0: float) -> tuple[np.ndarray, np.nd
         m, spread = mode_parameter(location)
         if steps.entry[k]:
             covariance = 0.0
-        law = drawn_temperature(location)
+        law = draw_temperature(location)
         if steps.entry[k] and k > 0 and law is not None:
             mean, variance = law.params["mu"], law.params["sigma"] ** 2
         k_rate, tau = location.flow.params.get("k", 0.0), location.flow.params.get("tau")
@@ -102,7 +102,7 @@ def stepwise(steps: Schedule, x0: float) -> tuple[list[float], int]:
     x, clamps, rows = x0, 0, []
     for k in range(steps.dt.size):
         location = steps.sha.locations[steps.location[k]]
-        law = drawn_temperature(location)
+        law = draw_temperature(location)
         if steps.entry[k] and k > 0 and law is not None:
             x = law.params["mu"]
         target = mode_parameter(location)[0] + steps.offset[k]

@@ -9,7 +9,7 @@ from sim.engine.belief import advance, filter_trace, observe, start
 from sim.engine.open_loop_run import open_loop
 from sim.forecast.calibration import calibrate, issue, settle
 from sim.forecast.fan import forecast
-from sim.forecast.review import FORECASTS, ONE_STEP, Review, beyond, follow, follow_forecasts, share, standardised
+from sim.forecast.review import FORECASTS, ONE_STEP, Review, follow, follow_forecasts, review_errors, share, standardise
 from sim.sha.automaton import Distribution
 from sim.sha.trace import Trace
 from tests.sha.plants import exponential_stays, relaxing, simulate_two, single, two_states
@@ -71,16 +71,16 @@ def test_overlapping_forecasts_are_one_surprise_and_lasting_ones_raise_the_flag(
 def test_an_open_loop_of_the_wrong_model_is_to_be_reviewed_and_of_the_right_one_is_not() -> None:
     right = two_states(exponential_stays(), sensor=0.1)
     trace, _ = simulate_two(right, 900, np.random.default_rng(4))
-    good = beyond(*standardised(open_loop(right, trace, "resync"), trace, right))
+    good = review_errors(*standardise(open_loop(right, trace, "resync"), trace, right))
     assert not good.review and good.share < 0.05 and good.readings == 900
     moved = replace(trace, signals={"T": trace.signals["T"] + np.where(trace.times > 300, 25.0, 0.0)})
-    bad = beyond(*standardised(open_loop(right, moved, "resync"), moved, right))
+    bad = review_errors(*standardise(open_loop(right, moved, "resync"), moved, right))
     assert bad.review and bad.share > 0.5 and bad.run > 100 and bad.run_seconds >= bad.run - 1
 
 
 def test_the_longest_run_is_told_in_readings_and_seconds() -> None:
     z = np.array([0.0, 4.0, 4.0, np.nan, -5.0, 0.0, 3.5])
-    found = beyond(np.arange(7.0) * 10.0, z)
+    found = review_errors(np.arange(7.0) * 10.0, z)
     assert (found.readings, found.run, found.run_seconds) == (6, 3, 30.0)
     assert found.share == pytest.approx(4 / 6)
 

@@ -8,7 +8,7 @@ from scipy.stats import kstest
 
 from sim.sha.automaton import Distribution, Input
 from sim.sha.model import Stay
-from sim.sha.semi_markov import MOST_STAYS, Paths, compile_chain, draw_paths, input_moments
+from sim.sha.semi_markov import MAX_STAYS, Paths, compile_chain, draw_paths, input_moments
 from tests.sha.plants import exponential_stays, two_states
 
 WEIBULL = Distribution("weibull", {"shape": 2.0, "scale": 60.0})
@@ -62,7 +62,7 @@ def test_stays_too_short_for_the_horizon_end_the_path_and_are_counted() -> None:
         compile_chain(two_states(brief)), 0, age=0.0, horizon=900.0, runs=5, rng=np.random.default_rng(5)
     )
     assert paths.cut == 5
-    assert MOST_STAYS <= len(paths.entered) < MOST_STAYS + 40
+    assert MAX_STAYS <= len(paths.entered) < MAX_STAYS + 40
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sim.lab.learning.semi_markov import LEAST_ENDED, Sojourn, fit_law, fit_stays, sojourns
+from sim.lab.learning.semi_markov import MIN_ENDED_STAYS, Sojourn, fit_law, fit_stays, sojourns
 from sim.sha import distributions
 from sim.sha.automaton import SHA, Distribution, Edge, Flow, Location
 from sim.sha.events import DECANTER
@@ -93,7 +93,7 @@ def test_ignoring_censoring_would_be_far_off() -> None:
 
 
 def test_few_stays_give_an_exponential_and_none_ended_a_finite_mean() -> None:
-    few = fit_law([10.0] * (LEAST_ENDED - 1), [True] * (LEAST_ENDED - 1), 30.0)
+    few = fit_law([10.0] * (MIN_ENDED_STAYS - 1), [True] * (MIN_ENDED_STAYS - 1), 30.0)
     assert few.kind == "exponential"
     assert few.params["mean"] == pytest.approx((110.0 + 15.0) / 11.5)
     assert fit_law([50.0], [False], 30.0).params["mean"] == pytest.approx(130.0)
@@ -108,7 +108,7 @@ def test_whatever_the_stays_the_law_can_be_run_and_has_a_finite_mean(
     law = fit_law([length for length, _ in stays], [ended for _, ended in stays], typical)
     distributions.check_distribution(law)
     assert 0 < distributions.mean(law) < np.inf
-    rest = distributions.draw_remaining(law, 10.0, 50, np.random.default_rng(1))
+    rest = distributions.draw_residual(law, 10.0, 50, np.random.default_rng(1))
     assert np.all((rest >= 0) & (rest < np.inf))
 
 

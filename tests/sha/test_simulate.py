@@ -8,7 +8,7 @@ from scipy import stats
 
 from sim.engine.moment_equations import moments
 from sim.engine.schedules import Schedule, schedule
-from sim.engine.simulation import CHUNK, simulate
+from sim.engine.simulation import CHUNK_RUNS, simulate
 from sim.sha.automaton import SHA, Distribution, Edge, Flow, Location
 from sim.sha.trace import Array, Event, Trace
 from tests.sha.models import EVERYWHERE, limited, normal
@@ -144,9 +144,9 @@ def test_equal_seeds_give_equal_runs_and_others_do_not() -> None:
 
 def test_runs_of_different_chunks_are_independent() -> None:
     steps = schedule(EVERYWHERE, EVENTS, OUTPUTS[::20], inputs=INPUTS)
-    sample = run(steps, runs=CHUNK + 10)
-    assert sample.shape == (CHUNK + 10, OUTPUTS[::20].size)
-    assert np.unique(sample[:, -1]).size == CHUNK + 10
+    sample = run(steps, runs=CHUNK_RUNS + 10)
+    assert sample.shape == (CHUNK_RUNS + 10, OUTPUTS[::20].size)
+    assert np.unique(sample[:, -1]).size == CHUNK_RUNS + 10
 
 
 def test_the_result_says_where_and_when_the_runs_are() -> None:

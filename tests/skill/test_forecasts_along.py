@@ -6,12 +6,12 @@ from functools import partial
 import numpy as np
 import pytest
 
-from gateway.lab.judging.figures import scanned, skill_rows
-from gateway.machine.model.along import forecasts_along, machine_offset_along, recorded_scans
+from gateway.lab.judging.figures import scan_trace, skill_rows
+from gateway.machine.model.along import estimate_offset, forecast_trace, recorded_scans
 from gateway.machine.model.predict import Predictor
 from gateway.settings.config import ForecastSection
 from sim.lab.judge.past import persist
-from sim.lab.judge.rows import machine_of, skill
+from sim.lab.judge.rows import skill, trace_machine
 from sim.lab.learning.plain import PERSISTENCE
 from sim.sha.automaton import Distribution, Effect, Flow, Location
 from sim.sha.model import Model, PlainMember
@@ -73,7 +73,7 @@ def test_nothing_of_the_future_is_used() -> None:
     trend = PlainMember("damped trend", 0.1, 0.01, heat=0.01, memory=400.0)
     model = replace(MODEL, plain=(PlainMember("persistence", 0.0, 0.05), trend))
     made, other, cut = (
-        forecasts_along([model], along, SHORT, scan_period=10.0)
+        forecast_trace([model], along, SHORT, scan_period=10.0)
         for along in (trace, replace(trace, signals=changed), trace.between(0.0, 1501.0))
     )
     before = [one for one in made if one.time <= 1500.0]
@@ -94,7 +94,7 @@ def test_the_rivals_see_the_past_alone() -> None:
         asked.append(float(times[-1]))
         return np.full((99, 1), temperature[-1])
 
-    asked_at = [forecast.time for forecast in forecasts_along([MODEL], trace, SHORT, scan_period=10.0)]
+    asked_at = [forecast.time for forecast in forecast_trace([MODEL], trace, SHORT, scan_period=10.0)]
     rows = skill_rows(
         trace,
         TEMPERATURE,
@@ -120,7 +120,7 @@ def test_bands_learn_online_from_what_came_true() -> None:
             ),
         ),
     )
-    made = forecasts_along([sure], measured(6000.0), SHORT, scan_period=10.0)
+    made = forecast_trace([sure], measured(6000.0), SHORT, scan_period=10.0)
     assert made[0].factors[0] == 1.0
     assert made[-1].factors[0] > 2.0
 
@@ -128,7 +128,7 @@ def test_bands_learn_online_from_what_came_true() -> None:
 def test_members_make_a_mixture() -> None:
     warm = replace(MODEL, sha=replace(MODEL.sha, name="warm"), sensor_sigma=0.5)
     (alone, mixed) = (
-        forecasts_along(models, measured(1000.0), SHORT, scan_period=10.0) for models in ([MODEL], [MODEL, warm])
+        forecast_trace(models, measured(1000.0), SHORT, scan_period=10.0) for models in ([MODEL], [MODEL, warm])
     )
     assert [one.time for one in alone] == [one.time for one in mixed]
     assert mixed[0].runs == 2 * alone[0].runs
@@ -149,7 +149,7 @@ def test_a_step_longer_than_the_gap_is_one_and_nothing_is_held_over_it() -> None
     assert predictions[300.0].reset and not predictions[300.0].known, "the current was not read since"
     assert not predictions[309.0].inputs_good
     assert predictions[310.0].known and predictions[310.0].inputs_good
-    made = forecasts_along([MODEL], gapped, SHORT)
+    made = forecast_trace([MODEL], gapped, SHORT)
     assert not [one for one in made if 200.0 <= one.time < 310.0]
     rows = skill_rows(gapped, TEMPERATURE, MODEL.alphabet, models={"ours": [MODEL]}, others={}, forecasts=SHORT)
     assert not [row for row in rows if 199.0 < row.origin + 60.0 < 300.0], "the outcome lies in the gap"
@@ -171,7 +171,7 @@ def test_a_scan_shows_the_newest_rows_and_corrects_by_each_reading_once() -> Non
     assert scans[7].good(TEMPERATURE) == pytest.approx(25.0)
     assert scans[8].good(TEMPERATURE) == pytest.approx(27.5)
     assert scans[27].good(TEMPERATURE) is None
-    past = scanned(fast, TEMPERATURE, MODEL.alphabet, 1.0)
+    past = scan_trace(fast, TEMPERATURE, MODEL.alphabet, 1.0)
     np.testing.assert_array_equal(np.flatnonzero(np.isfinite(past.temperature)), [0, 3, 5, 8, 10, 13, 15, 18, 20, 23])
     predictor = Predictor(MODEL, TEMPERATURE)
     corrected = [scan.time for scan in scans if predictor.step(scan).measured is not None]
@@ -182,7 +182,7 @@ def test_what_the_model_reads_and_the_trace_lacks_is_said() -> None:
     trace = measured(100.0)
     less = replace(trace, signals={TEMPERATURE: trace.signals[TEMPERATURE]})
     with pytest.raises(ValueError, match="trace 'drawn': the model reads Assorbimento, MarciaDecanter; the trace has"):
-        forecasts_along([MODEL], less, SHORT)
+        forecast_trace([MODEL], less, SHORT)
     with pytest.raises(ValueError, match="trace 'drawn': has no signal 'T', which is to be forecast"):
         skill_rows(trace, "T", MODEL.alphabet, models={}, others={}, forecasts=SHORT)
 
@@ -199,7 +199,7 @@ def test_without_a_model_of_ours_the_others_are_asked_every_period() -> None:
         scan_period=10.0,
     )
     assert [row.origin for row in rows] == [100.0 * number for number in range(10)]
-    assert {row.machine for row in rows} == {machine_of(trace)} == {"drawn"}
+    assert {row.machine for row in rows} == {trace_machine(trace)} == {"drawn"}
     assert recorded_scans(replace(trace, times=np.empty(0), signals={}), 1.0, MODEL.alphabet) is not None
 
 
@@ -220,8 +220,8 @@ def test_what_the_gateway_learns_of_a_machine_along_its_trace_is_its_offset() ->
     warmer = replace(MODEL, sha=replace(MODEL.sha, locations=tuple(map(moved, MODEL.sha.locations))))
     asked = replace(MODEL, sha=replace(MODEL.sha, effects=(Effect("machine-offset", {"sigma": 5.0}),)))
     along = measured(9000.0, model=warmer)
-    learned = machine_offset_along(asked, along, scan_period=10.0)
+    learned = estimate_offset(asked, along, scan_period=10.0)
     assert learned is not None
     mean, sigma = learned
     assert sigma < 1.0 and abs(mean - 4.0) < 3.0 * sigma
-    assert machine_offset_along(MODEL, along, scan_period=10.0) is None
+    assert estimate_offset(MODEL, along, scan_period=10.0) is None

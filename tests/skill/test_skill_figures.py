@@ -8,7 +8,7 @@ import pytest
 from scipy.special import ndtri
 
 from benchmarks.skill import ratio
-from sim.forecast.ensemble import DENSE
+from sim.forecast.ensemble import DENSE_LEVELS
 from sim.lab.judge.past import persistence
 from sim.lab.judge.rows import NO_SKILL, SkillRow, common, difference, skill, stretch
 from sim.lab.judge.skill_picture import draw_skill
@@ -16,7 +16,7 @@ from sim.lab.judge.worth import tables
 from sim.scores import crps_gaussian
 from sim.sha.trace import Array
 
-NORMAL = ndtri(np.array(DENSE))
+NORMAL = ndtri(np.array(DENSE_LEVELS))
 
 
 def row(outcome: float, law: Array = NORMAL, **changes: object) -> SkillRow:
@@ -36,7 +36,7 @@ def test_a_right_law_has_its_closed_crps_and_covers_ninety_per_cent() -> None:
 
 
 def test_every_machine_counts_the_same_however_long_its_trace() -> None:
-    point = np.zeros(len(DENSE))
+    point = np.zeros(len(DENSE_LEVELS))
     found = skill([row(1.0, point)] * 3 + [row(5.0, point, machine="B")])
     assert (found.machines, found.forecasts) == (2, 4)
     assert (found.bias, found.mae, found.crps) == pytest.approx((-3.0, 3.0, 3.0))
@@ -49,13 +49,15 @@ def test_methods_are_compared_only_at_the_moments_that_all_have() -> None:
     other = replace(both, method="other")
     assert common([both, alone, other]) == [both, other]
     assert common([]) == []
-    apart = difference([row(1.0, np.zeros(len(DENSE))), alone], [replace(other, outcome=1.0)], np.random.default_rng(0))
+    apart = difference(
+        [row(1.0, np.zeros(len(DENSE_LEVELS))), alone], [replace(other, outcome=1.0)], np.random.default_rng(0)
+    )
     assert apart.n == 1
     assert apart.mean == pytest.approx(1.0 - float(crps_gaussian(0.0, 1.0, 1.0)), rel=0.01)
 
 
 def test_the_tables_speak_by_horizon_machine_and_time_and_name_the_best_other_method() -> None:
-    good, bad = np.zeros(len(DENSE)), np.full(len(DENSE), 4.0)
+    good, bad = np.zeros(len(DENSE_LEVELS)), np.full(len(DENSE_LEVELS), 4.0)
     rows = [
         row(1.0, law, method=method, machine=machine, origin=origin)
         for method, law in (("ours", good), ("near", good - 1.0), ("far", bad))
@@ -95,23 +97,23 @@ def test_the_ratio_to_the_best_other_method_has_an_interval_over_machines() -> N
 def test_persistence_is_the_last_reading_with_the_changes_so_far() -> None:
     times = np.arange(0.0, 1000.0, 10.0)
     ramp = 20.0 + 0.01 * times
-    fan = persistence(times, ramp, [60.0, 5000.0], DENSE)
+    fan = persistence(times, ramp, [60.0, 5000.0], DENSE_LEVELS)
     assert fan is not None
-    middle = DENSE.index(0.5)
+    middle = DENSE_LEVELS.index(0.5)
     np.testing.assert_allclose(fan[middle], ramp[-1])
     np.testing.assert_allclose(fan[:middle, 0], ramp[-1] - 0.6, atol=1e-9)
     np.testing.assert_allclose(fan[middle + 1 :, 0], ramp[-1] + 0.6, atol=1e-9)
     # Half of the past is 495 s; the change over it grows with the root of the time, as a random walk's does.
-    half = persistence(times, ramp, [495.0], DENSE)
+    half = persistence(times, ramp, [495.0], DENSE_LEVELS)
     assert half is not None
     assert fan[-1, 1] - ramp[-1] == pytest.approx((half[-1, 0] - ramp[-1]) * np.sqrt(5000 / 495), rel=1e-6)
-    assert persistence(times, np.full(times.shape, np.nan), [60.0], DENSE) is None
-    single = persistence(times[:1], ramp[:1], [60.0], DENSE)
+    assert persistence(times, np.full(times.shape, np.nan), [60.0], DENSE_LEVELS) is None
+    single = persistence(times[:1], ramp[:1], [60.0], DENSE_LEVELS)
     assert single is not None and np.all(single == ramp[0])
 
 
 def test_a_picture_is_drawn_also_of_a_trace_that_does_not_move(tmp_path: Path) -> None:
-    still = np.zeros(len(DENSE))
+    still = np.zeros(len(DENSE_LEVELS))
     rows = [row(0.0, still, method=method) for method in ("ours", "persistence")]
     picture = draw_skill(
         {"still": rows, "moving": [row(1.0), row(1.0, method="persistence")]}, tmp_path / "a" / "s.png"

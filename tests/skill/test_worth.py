@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy.special import ndtri
 
-from sim.forecast.ensemble import DENSE
-from sim.lab.judge.rows import LEAST_FORECASTS, SkillRow, independent
+from sim.forecast.ensemble import DENSE_LEVELS
+from sim.lab.judge.rows import MIN_FORECASTS, SkillRow, independent
 from sim.lab.judge.worth import forecast_skill
 
-NORMAL = ndtri(np.array(DENSE))
+NORMAL = ndtri(np.array(DENSE_LEVELS))
 
 
 def rows(horizon: float, machine: str = "A", **errors: float) -> list[SkillRow]:
@@ -87,7 +87,7 @@ def test_from_few_forecasts_that_do_not_overlap_nothing_is_known(step: float, co
         for moment in range(count)
     ]
     (found,) = forecast_skill(made, ["ours"]).worth
-    assert (found.verdict, found.scored) == ("not known", count) and found.independent < LEAST_FORECASTS
+    assert (found.verdict, found.scored) == ("not known", count) and found.independent < MIN_FORECASTS
     assert forecast_skill(made, ["ours"]).sentences == [
         "at 900 s it is not known whether the model is better than persistence (CRPS 0.444 against 4.94 °C): "
         f"{count} forecasts had an outcome, worth {worth} that do not overlap; 8 is the fewest that tell"

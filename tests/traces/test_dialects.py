@@ -15,7 +15,7 @@ from click.testing import CliRunner
 from openpyxl import Workbook
 
 from gateway.cli.main import main
-from gateway.console import shipped
+from gateway.console import shipped_file
 from sim.lab.recordings import LoadReport, TraceError, load_map, load_traces
 from sim.lab.recordings.clock import spread_evenly
 from sim.sha import Trace
@@ -471,7 +471,7 @@ def test_a_packed_file_that_ends_too_early_is_refused_in_one_sentence(tmp_path: 
     path.write_bytes(path.read_bytes()[:900])
     assert "it ends within what was packed" in asked(path, tmp_path / "m.toml")
     with pytest.raises(TraceError, match="ends within what was packed"):
-        load_traces(path, load_map(shipped("traces", "decanter")))
+        load_traces(path, load_map(shipped_file("traces", "decanter")))
 
 
 @pytest.mark.parametrize("level", [850.0, 85.0, 999.0])

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gateway.console import shipped
+from gateway.console import shipped_file
 from sim.lab.recordings import TraceError, load_map, load_traces, parse_map, plain_time, sources
 from tests.traces.exports import recording, wide, written
 from tests.traces.test_dialects import asked, is_the_plant, mapped
@@ -258,13 +258,13 @@ def test_sessions_stored_on_change_whose_first_rows_have_words_and_blanks(tmp_pa
 def test_a_workbook_that_unpacks_to_more_than_is_opened_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(sources, "MOST_UNPACKED", 1000)
+    monkeypatch.setattr(sources, "MAX_UNPACKED_BYTES", 1000)
     with zipfile.ZipFile(tmp_path / "a.xlsx", "w", zipfile.ZIP_DEFLATED) as book:
         book.writestr("xl/worksheets/sheet1.xml", "0" * 100_000)
     said = asked(tmp_path / "a.xlsx", tmp_path / "m.toml")
     assert "the most that is opened" in said
     with pytest.raises(TraceError, match="the most that is opened"):
-        load_traces(tmp_path / "a.xlsx", load_map(shipped("traces", "decanter")))
+        load_traces(tmp_path / "a.xlsx", load_map(shipped_file("traces", "decanter")))
 
 
 def test_the_order_of_dates_is_seen_in_all_rows_though_the_first_are_of_one_day(tmp_path: Path) -> None:

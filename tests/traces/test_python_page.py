@@ -228,7 +228,7 @@ def test_signals_that_nobody_looked_at_are_named_with_the_reason(
     frame: pd.DataFrame, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     without_bands(monkeypatch)
-    monkeypatch.setattr(learn, "MOST_OTHERS", 1)
+    monkeypatch.setattr(learn, "MAX_DRIVER_CANDIDATES", 1)
     noise = np.random.default_rng(0).normal(size=(len(frame), 3)).round(2)
     read = decanter.read(frame.assign(**dict(zip(("Oil", "Pump", "Valve"), noise.T, strict=True))))
     (trace,) = read.traces
@@ -243,7 +243,7 @@ def test_signals_that_nobody_looked_at_are_named_with_the_reason(
     assert list(model.drivers["signal"]) == ["Motor_current", "Oil"]
     assert [each for each in model.warnings if "looked at" in each] == said
     assert model.taught is not None
-    shown = list(learn._shown(model.taught, Path("model")))
+    shown = list(learn._model_parts(model.taught, Path("model")))
     assert all(sentence in shown for sentence in said)
 
 

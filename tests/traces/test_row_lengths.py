@@ -60,7 +60,7 @@ def test_the_days_that_taught_are_familiar(step: float) -> None:
     trace = replace(trace, events=encode(trace, alphabet))
     cycles = split_cycles(trace, alphabet, alphabet.gap)
 
-    source = PointSource.of(alphabet, "TCuscinettiRiduttore")
+    source = PointSource.for_alphabet(alphabet, "TCuscinettiRiduttore")
     points = [cycle_points(trace, source, begin=float(c.times[0]), end=float(c.times[-1])) for c in cycles]
     reference = fit_reference([each.values for each in points])
     strange = [reference.strangeness(each.values, each.times).value for each in points]

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gateway.console import shipped
+from gateway.console import shipped_file
 from sim.lab.learning.bins import learn_bins
 from sim.lab.learning.calibrate import score_forecasts
 from sim.lab.recordings import load_map, load_traces, parse_map
@@ -111,7 +111,7 @@ def test_rows_of_any_interval_show_the_same_switchings(step: float, tmp_path: Pa
 def test_a_map_that_names_no_gap_has_that_of_the_recording(step: float, tmp_path: Path) -> None:
     rows = [f"{place * step:g},{place % 5 > 1:d},{100 * (place % 5 > 1)},20" for place in range(60)]
     export = written(tmp_path / "a.csv", "time,MarciaDecanter,Assorbimento,TCuscinettiRiduttore", rows)
-    (trace,), report = load_traces(export, load_map(shipped("traces", "decanter")))
+    (trace,), report = load_traces(export, load_map(shipped_file("traces", "decanter")))
     assert report.alphabet.gap == 5 * step and "unknown" not in [event.symbol for event in trace.events]
 
 
@@ -180,12 +180,12 @@ def test_what_only_holds_is_drawn_to_the_next_reading_and_rest_moves_at_its_end_
     values = np.array([20.0] * 10 + [22.0, 24.0, 26.0])
     held = np.array([False] + [True] * 9 + [False] * 3)
     trace = Trace("a", times, {"T": values}, held={"T": held})
-    course = trace.drawn("T")
+    course = trace.signal_course("T")
     assert course[[0, 9, 10]].tolist() == [20.0, 20.0, 22.0] and np.all(np.diff(course) >= 0)
     even = replace(trace, signals={"T": np.array([20.0, 20.0, 22.0, 22.0, 24.0])}, times=times[:5], held={})
     held_even = replace(even, held={"T": np.array([False, True, False, True, False])})
-    assert held_even.drawn("T").tolist() == [20.0, 21.0, 22.0, 23.0, 24.0]
-    assert even.drawn("T").tolist() == even.signals["T"].tolist()
+    assert held_even.signal_course("T").tolist() == [20.0, 21.0, 22.0, 23.0, 24.0]
+    assert even.signal_course("T").tolist() == even.signals["T"].tolist()
 
 
 @pytest.mark.parametrize(("deadband", "roughly"), [(0.0, False), (0.5, True)])

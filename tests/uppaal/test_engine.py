@@ -114,7 +114,7 @@ def as_printed(exported: Exported, shift: float = 0.0, runs: int = 2000) -> Outp
     """What UPPAAL would print of the main model, made by the tests' own interpreter of the exported text."""
     rng = np.random.default_rng(11)
     network, seen = courses(
-        exported.main.xml, exported.replay.bound, lambda _, mean, sigma: rng.normal(mean, sigma, runs), most=1.0
+        exported.main.xml, exported.replay.time_bound, lambda _, mean, sigma: rng.normal(mean, sigma, runs), most=1.0
     )
     values = np.array([np.broadcast_to(value, runs) for value in seen.values()]) + shift
     lines = []

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from gateway.console.places import shipped
+from gateway.console.places import shipped_file
 from sim.lab.recordings.column_map import load_map
 from sim.lab.recordings.traces import load_traces
 from sim.lab.uppaal.model_export import export
@@ -22,7 +22,7 @@ DATA = Path(__file__).parents[3] / "shared" / "data" / "lsha_upstream" / "made_c
 def test_a_machining_cycle_is_replayed_whole() -> None:
     if not DATA.is_dir():
         pytest.skip("needs ../shared/data/lsha_upstream/made_cnc")
-    column_map = load_map(shipped("traces", "made_cnc"))
+    column_map = load_map(shipped_file("traces", "made_cnc"))
     files = sorted(str(path) for path in DATA.glob("*.csv"))[:2]
     traces, _ = load_traces(files, column_map)
     assert traces

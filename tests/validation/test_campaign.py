@@ -16,11 +16,11 @@ from sim.lab.judge import campaign
 from sim.lab.judge.campaign import (
     Runner,
     Unread,
-    jobs_of,
+    cluster_runner,
+    local_runner,
+    model_jobs,
     outcomes_by_model,
-    run_here,
-    run_there,
-    unread,
+    unread_traces,
 )
 from sim.lab.judge.discovery import Discovery
 from sim.lab.judge.free_run import TraceRunSettings
@@ -28,7 +28,7 @@ from sim.lab.judge.output_folder import results_json
 from sim.lab.judge.results import TraceResult
 from sim.lab.judge.stages import Prepared
 from sim.lab.recordings.load_report import FileReport, LoadReport
-from sim.lab.workers import cluster, parallel, waited_for
+from sim.lab.workers import await_future, cluster, parallel
 from sim.sha.trace import Trace
 from tests.validation.killed import divided, twice
 from tests.validation.small_plant import plant_model, plant_trace
@@ -110,9 +110,9 @@ def dask() -> Iterator[Dask]:
 
 
 def test_several_processes_give_the_very_same_results_in_the_same_order(monkeypatch: pytest.MonkeyPatch) -> None:
-    alone = results(run_here(1), [*GOOD, COLD])
-    monkeypatch.setattr(campaign, "TINY", 0)
-    assert as_text(results(run_here(2), [*GOOD, COLD])) == as_text(alone)
+    alone = results(local_runner(1), [*GOOD, COLD])
+    monkeypatch.setattr(campaign, "MIN_PARALLEL_TEMPERATURES", 0)
+    assert as_text(results(local_runner(2), [*GOOD, COLD])) == as_text(alone)
     assert [(one.model, one.trace) for one in alone[:6]] == [
         *(("sharp", name) for name in ("run0", "run1", "run2", "run3", "cold")),
         ("wide", "run0"),
@@ -120,17 +120,17 @@ def test_several_processes_give_the_very_same_results_in_the_same_order(monkeypa
 
 
 def test_a_result_depends_on_its_model_and_trace_and_not_on_what_runs_beside_them() -> None:
-    everything = {(one.model, one.trace): one for one in results(run_here(1), GOOD)}
-    backwards = results(run_here(1), GOOD[:1:-1])
+    everything = {(one.model, one.trace): one for one in results(local_runner(1), GOOD)}
+    backwards = results(local_runner(1), GOOD[:1:-1])
     assert as_text(backwards) == as_text([everything[one.model, one.trace] for one in backwards])
 
 
 def test_a_dask_cluster_gives_the_very_same_results(dask: Dask) -> None:
     dask.scale(2)
-    with run_there(dask.address) as run:
+    with cluster_runner(dask.address) as run:
         found = results(run, [*GOOD, COLD])
     dask.scale(0)
-    assert as_text(found) == as_text(results(run_here(1), [*GOOD, COLD]))
+    assert as_text(found) == as_text(results(local_runner(1), [*GOOD, COLD]))
 
 
 def test_work_on_a_cluster_comes_as_it_is_done_and_what_cannot_be_done_is_lost_alone(dask: Dask) -> None:
@@ -146,7 +146,7 @@ def test_work_on_a_cluster_comes_as_it_is_done_and_what_cannot_be_done_is_lost_a
 def test_a_scheduler_that_does_not_answer_or_has_no_worker_is_one_sentence(
     dask: Dask, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(workers, "REACHABLE_WITHIN", 0.2)  # where there is nobody, waiting longer changes nothing
+    monkeypatch.setattr(workers, "REACH_TIMEOUT_S", 0.2)  # where there is nobody, waiting longer changes nothing
     with (
         pytest.raises(ValueError, match=r"tcp://127\.0\.0\.1:1: no Dask scheduler answers"),
         cluster("tcp://127.0.0.1:1"),
@@ -154,7 +154,7 @@ def test_a_scheduler_that_does_not_answer_or_has_no_worker_is_one_sentence(
         pass
     with pytest.raises(ValueError, match="no Dask scheduler answers"), cluster("nonsense://x"):
         pass
-    monkeypatch.setattr(workers, "REACHABLE_WITHIN", 1.0)
+    monkeypatch.setattr(workers, "REACH_TIMEOUT_S", 1.0)
     with pytest.raises(ValueError, match="has no worker"), cluster(dask.address):
         pass
 
@@ -191,20 +191,20 @@ class Waiting:
 def test_a_cluster_without_workers_or_scheduler_ends_the_campaign_with_a_sentence() -> None:
     gone = Waiting([{}] * 9)
     with pytest.raises(ValueError, match="tcp://h:1: the cluster has no worker any more"):
-        waited_for(gone, gone, "tcp://h:1")
+        await_future(gone, gone, "tcp://h:1")
     assert gone.asked == 3
     lost = Waiting([], given_up=True)
     with pytest.raises(ValueError, match="the connection to the Dask scheduler was lost"):
-        waited_for(lost, lost, "tcp://h:1")
+        await_future(lost, lost, "tcp://h:1")
     restarted = Waiting([{}, {}, {"one": 1}, {}, {}])
-    assert waited_for(restarted, restarted, "tcp://h:1") is None
+    assert await_future(restarted, restarted, "tcp://h:1") is None
     assert restarted.asked == 6
 
 
 def test_what_a_worker_raised_is_what_went_wrong() -> None:
     future: Future[int] = Future()
     future.set_exception(MemoryError("too large"))
-    assert isinstance(waited_for(future, None, "tcp://h:1"), MemoryError)
+    assert isinstance(await_future(future, None, "tcp://h:1"), MemoryError)
 
 
 def test_the_work_of_a_process_that_was_killed_is_done_again(tmp_path: Path) -> None:
@@ -228,7 +228,7 @@ def test_without_dask_the_sentence_names_the_extra(monkeypatch: pytest.MonkeyPat
 
 
 def test_a_trace_that_fails_is_reported_and_the_others_go_on() -> None:
-    found = results(run_here(1), [COLD, *GOOD], [Unread("broken", "broken.csv: it has no header")])
+    found = results(local_runner(1), [COLD, *GOOD], [Unread("broken", "broken.csv: it has no header")])
     failed = [(one.model, one.trace, one.stage) for one in found if one.failure]
     assert failed == [(name, trace, 5) for name in ("sharp", "wide") for trace in ("cold", "broken")]
     assert sum(np.isfinite(one.mae.value) for one in found) == 8
@@ -236,17 +236,17 @@ def test_a_trace_that_fails_is_reported_and_the_others_go_on() -> None:
 
 def test_a_model_that_cannot_run_has_a_row_for_each_trace_that_says_why() -> None:
     refused = replace(MODELS[0], variants={}, refusals={"": "its flow is quadratic"})
-    jobs = jobs_of(refused, GOOD, SETTINGS)
+    jobs = model_jobs(refused, GOOD, SETTINGS)
     assert [(job.semantics, job.refusal) for job in jobs] == [("none", "its flow is quadratic")] * 4
 
 
 def test_only_the_signals_that_the_model_sees_travel_to_a_worker() -> None:
     rich = replace(GOOD[0], signals={**GOOD[0].signals, "Vibration": GOOD[0].times})
-    (job,) = jobs_of(MODELS[0], [rich], SETTINGS)
+    (job,) = model_jobs(MODELS[0], [rich], SETTINGS)
     assert set(job.trace.signals) == {"Motor", "T"}
 
 
 def test_a_part_of_a_trace_that_could_not_be_read_is_no_lost_trace(tmp_path: Path) -> None:
     part = FileReport(tmp_path / "run0" / "part2.csv", error="part2.csv: it is empty")
     lost = FileReport(tmp_path / "lost.csv", error="lost.csv: it is empty")
-    assert unread(LoadReport((part, lost)), GOOD) == (Unread("lost", "lost.csv: it is empty"),)
+    assert unread_traces(LoadReport((part, lost)), GOOD) == (Unread("lost", "lost.csv: it is empty"),)

@@ -71,7 +71,7 @@ def test_the_value_lies_in_its_interval() -> None:
 def test_readings_from_the_law_are_covered_scored_and_beyond_three_sigma_as_the_law_says(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(metrics, "CELLS", 7 * 2000)  # several parts, the last one shorter
+    monkeypatch.setattr(metrics, "MAX_SORTED_VALUES", 7 * 2000)  # several parts, the last one shorter
     rng = np.random.default_rng(6)
     means = np.linspace(20.0, 60.0, 3000)
     readings = means + rng.normal(0.0, np.hypot(0.8, 0.6), size=means.size)

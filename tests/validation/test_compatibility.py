@@ -20,7 +20,7 @@ def events(*symbols: str) -> list[Event]:
 
 def test_every_event_that_has_an_edge_is_accepted() -> None:
     found = compatibility(SHA, events("M_ON", "M_OFF", UNKNOWN, "M_ON"))
-    assert found.accepted and found.sentence == "" and found.events == 4
+    assert found.accepts_all and found.sentence == "" and found.events == 4
 
 
 def test_an_event_without_an_edge_is_named_with_index_time_location_and_symbol() -> None:
@@ -33,7 +33,7 @@ def test_an_event_without_an_edge_is_named_with_index_time_location_and_symbol()
 
 def test_unknown_leads_back_to_the_start_and_needs_no_edge() -> None:
     sha = without_edge(plant_model(), "on", "M_ON").sha
-    assert compatibility(sha, events("M_ON", UNKNOWN, "M_ON")).accepted
+    assert compatibility(sha, events("M_ON", UNKNOWN, "M_ON")).accepts_all
 
 
 @pytest.mark.parametrize(("policy", "missing"), [("ignore", 2), ("reject", 2), ("resync", 1)])
@@ -45,7 +45,7 @@ def test_the_walk_goes_on_as_the_policy_says(policy: Policy, missing: int) -> No
 def test_an_automaton_that_is_not_deterministic_accepts_what_one_of_its_paths_accepts() -> None:
     twice = replace(without_edge(plant_model(), "on", "M_ON").sha, edges=(Edge("off", "M_ON", "on"), *SHA.edges[:1]))
     both = replace(twice, edges=(Edge("off", "M_ON", "on"), Edge("off", "M_ON", "off")))
-    assert compatibility(both, events("M_ON", "M_ON", "M_ON")).accepted
+    assert compatibility(both, events("M_ON", "M_ON", "M_ON")).accepts_all
     assert compatibility(both, events("M_ON", "M_OFF")).named[0].location == "off or on"
 
 

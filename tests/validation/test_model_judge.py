@@ -12,14 +12,14 @@ from click.testing import CliRunner
 
 from gateway.cli.main import main
 from gateway.machine.model import load_model
-from gateway.outside.status import HealthFinding, findings, health_of, read_status
+from gateway.outside.status import HealthFinding, findings, judge_health, read_status
 from gateway.settings import load_plant
 from sim.artefacts import VERDICT_FILE, Force, ModelVerdict, current, promote, read_verdict, version_directory
 from sim.files import ArtefactError
 from sim.lab.formats import save, write_model_directory
-from sim.lab.judge import judge_learned
+from sim.lab.judge import judge_learning
 from sim.lab.learning import Coverage
-from sim.sha import SHA, Alphabet, Edge, Flow, Location, Model, Switch, Trace, encoded
+from sim.sha import SHA, Alphabet, Edge, Flow, Location, Model, Switch, Trace, encode_trace
 from tests.gateway.status_picture import picture
 from tests.gateway.support import CURRENT, RUNNING, TEMPERATURE, plant_file, two_modes
 
@@ -64,8 +64,8 @@ def foreseen(
 def judged(
     trace: Trace | None = None, model: Model = MODEL, coverage: Sequence[Coverage] | None = None
 ) -> ModelVerdict:
-    whole = encoded(replace(record() if trace is None else trace, events=()), model.alphabet)
-    return judge_learned(model, [whole], foreseen() if coverage is None else coverage)
+    whole = encode_trace(replace(record() if trace is None else trace, events=()), model.alphabet)
+    return judge_learning(model, [whole], foreseen() if coverage is None else coverage)
 
 
 def spoiled(change: Callable[[np.ndarray], np.ndarray], name: str = TEMPERATURE) -> Trace:
@@ -230,4 +230,4 @@ def test_show_prove_check_and_health_say_what_was_judged(tmp_path: Path) -> None
     assert status.model is not None
     status = replace(status, model=replace(status.model, verdict=bad.word, verdict_sentence=bad.sentence))
     assert HealthFinding("model", f"the model is {bad.sentence}") in findings(status)
-    assert str(health_of(status)) == "attention"
+    assert str(judge_health(status)) == "attention"

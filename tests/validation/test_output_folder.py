@@ -11,7 +11,7 @@ from sim.engine.open_loop_run import Score
 from sim.lab.judge.output_folder import (
     check_folder,
     claim_folder,
-    held,
+    hold_folder,
     places,
     read_results,
     results_csv,
@@ -107,14 +107,14 @@ def test_names_become_harmless_and_different_parts_of_a_path() -> None:
 
 def test_a_folder_is_held_by_one_campaign_and_free_again_whatever_ended_it(tmp_path: Path) -> None:
     out = tmp_path / "out"
-    with pytest.raises(RuntimeError), held(out):
-        with pytest.raises(ValueError, match="another command is writing there"), held(out):
+    with pytest.raises(RuntimeError), hold_folder(out):
+        with pytest.raises(ValueError, match="another command is writing there"), hold_folder(out):
             raise AssertionError("two campaigns in one folder")
         raise RuntimeError
-    with held(out):
+    with hold_folder(out):
         assert list(out.iterdir()) == []  # the lock leaves nothing behind
     (tmp_path / "file").touch()
-    with pytest.raises(ValueError, match=r"file: cannot be written \(file exists\)"), held(tmp_path / "file"):
+    with pytest.raises(ValueError, match=r"file: cannot be written \(file exists\)"), hold_folder(tmp_path / "file"):
         pass
 
 

@@ -12,8 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sim.engine.open_loop_run import Score
-from sim.lab.judge.differences import holm, paired
-from sim.lab.judge.fitness import CRITERIA, Facts, FitnessLimits, fitness_of, judge, limits_of
+from sim.lab.judge.differences import compare_pairs, holm
+from sim.lab.judge.fitness import CRITERIA, Facts, FitnessLimits, fitness_verdict, judge, parse_limits
 from sim.lab.judge.ranking import Ranking, Weights, rank, score
 from sim.lab.judge.ranking_page import as_plain, draw_ranking, page, spreads, win_matrix
 from sim.lab.judge.results import Seen, TraceResult
@@ -150,10 +150,10 @@ def test_holm_gives_the_known_corrections() -> None:
 
 def test_the_paired_interval_covers_its_mean_in_about_95_percent_and_the_test_keeps_its_level() -> None:
     rng = np.random.default_rng(5)
-    found = [paired(rng.normal(0.3, 1.0, 17), rng, resamples=400) for _ in range(300)]
+    found = [compare_pairs(rng.normal(0.3, 1.0, 17), rng, resamples=400) for _ in range(300)]
     covered = np.mean([one.low <= 0.3 <= one.high for one in found])
     assert 0.87 <= covered <= 0.97  # the percentile interval of 17 values covers a little less than it says
-    null = [paired(rng.normal(0.0, 1.0, 17), rng, resamples=10).p for _ in range(400)]
+    null = [compare_pairs(rng.normal(0.0, 1.0, 17), rng, resamples=10).p for _ in range(400)]
     assert 0.02 <= np.mean(np.array(null) < 0.05) <= 0.08
 
 
@@ -210,21 +210,21 @@ def test_unseen_traces_are_those_that_are_known_to_be(seen: tuple[Seen, Seen], k
 
 def test_fit_limited_and_unfit_follow_from_the_findings() -> None:
     results = [result("m", "t0")]
-    assert fitness_of(judge(results, KNOWN, FitnessLimits())).word == "fit"
-    assert fitness_of(judge(results, Facts(), FitnessLimits())).word == "limited"
-    assert fitness_of(judge(results, replace(KNOWN, verified=False), FitnessLimits())).word == "unfit"
+    assert fitness_verdict(judge(results, KNOWN, FitnessLimits())).word == "fit"
+    assert fitness_verdict(judge(results, Facts(), FitnessLimits())).word == "limited"
+    assert fitness_verdict(judge(results, replace(KNOWN, verified=False), FitnessLimits())).word == "unfit"
     assert [one.criterion for one in judge(results, KNOWN, FitnessLimits())] == list(CRITERIA)
 
 
 def test_whatever_is_not_kept_says_what_to_do_next() -> None:
     results = [result("m", "t0", coverage=0.2, seen="unknown")]
-    unfit = fitness_of(judge(results, KNOWN, FitnessLimits())).sentence
+    unfit = fitness_verdict(judge(results, KNOWN, FitnessLimits())).sentence
     assert (
         unfit.startswith("unfit: 20.0 % of the readings in the 90 % band") and "; next: learn with more traces" in unfit
     )
-    limited = fitness_of(judge([result("m", "t0", seen="unknown")], KNOWN, FitnessLimits())).sentence
+    limited = fitness_verdict(judge([result("m", "t0", seen="unknown")], KNOWN, FitnessLimits())).sentence
     assert limited.startswith("limited: the model does not say which traces") and "that it has not seen" in limited
-    assert fitness_of(judge([result("m", "t0")], KNOWN, FitnessLimits())).sentence == "fit"
+    assert fitness_verdict(judge([result("m", "t0")], KNOWN, FitnessLimits())).sentence == "fit"
 
 
 def test_coverage_and_persistence_are_judged_on_traces_that_were_not_trained_on() -> None:
@@ -234,7 +234,7 @@ def test_coverage_and_persistence_are_judged_on_traces_that_were_not_trained_on(
 
 
 def test_limits_come_from_names_and_numbers() -> None:
-    found = limits_of([("coverage_low", "0.5"), ("clamps", "3")], synthetic=True)
+    found = parse_limits([("coverage_low", "0.5"), ("clamps", "3")], synthetic=True)
     assert found == FitnessLimits(coverage_low=0.5, clamps=3.0, synthetic=True)
     for pairs, words in (
         ([("clamp", "3")], "no limit 'clamp'; there are coverage_low"),
@@ -244,7 +244,7 @@ def test_limits_come_from_names_and_numbers() -> None:
         ([("clamps", "nan")], "counts"),
     ):
         with pytest.raises(ValueError, match=words):
-            limits_of(pairs)
+            parse_limits(pairs)
 
 
 def test_in_sample_is_said_beside_the_model_and_that_it_is_favoured() -> None:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from sim.lab.formats.find import FoundModel
-from sim.lab.judge.campaign import outcomes_by_model, run_here
+from sim.lab.judge.campaign import local_runner, outcomes_by_model
 from sim.lab.judge.discovery import Discovery
 from sim.lab.judge.free_run import TraceRunSettings
 from sim.lab.judge.output_folder import results_csv
@@ -75,7 +75,7 @@ def results() -> list[TraceResult]:
         TRACES,
         without=(),
         settings=TraceRunSettings(4000),
-        run=run_here(1),
+        run=local_runner(1),
         progress=lambda _what, _share: None,
     )
     return [outcome.result for _, outcomes in found for outcome in outcomes]

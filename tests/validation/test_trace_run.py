@@ -60,7 +60,7 @@ def test_a_long_trace_is_simulated_at_a_part_of_its_readings_and_measured_at_all
 ) -> None:
     model, trace = plant_model(sensor=0.3, sigma=1.0, noise=0.05), plant_trace(rows=3000, noise=0.3)
     whole = run(model, trace)
-    monkeypatch.setattr(trace_run, "MEMORY", 8 * 400 * 500)
+    monkeypatch.setattr(trace_run, "MAX_RUN_BYTES", 8 * 400 * 500)
     part = run(model, trace)
     assert (whole.simulated, part.simulated) == (3000, 500)
     assert part.result.at_samples == whole.result.at_samples
@@ -69,7 +69,7 @@ def test_a_long_trace_is_simulated_at_a_part_of_its_readings_and_measured_at_all
 
 
 def test_the_dense_comparison_takes_the_first_rows_of_a_long_trace(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(trace_run, "DENSE_ROWS", 100)
+    monkeypatch.setattr(trace_run, "MAX_DENSE_ROWS", 100)
     outcome = run(plant_model(), plant_trace())
     assert outcome.comparison.rows == 100 and outcome.result.dense.count == 100
     assert outcome.result.at_samples.count == 300

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from sim.lab.recordings.auto_thresholds import gap_of
-from sim.lab.recordings.clock import longest_rising, unroll_midnight
+from sim.lab.recordings.auto_thresholds import suitable_gap
+from sim.lab.recordings.clock import longest_rising_rows, unroll_midnight
 from sim.lab.recordings.column_map import load_map
 from sim.lab.recordings.cycles import split_cycles
 from sim.lab.recordings.load_report import TraceError
@@ -56,7 +56,7 @@ def test_a_trace_that_is_written_is_read_back_to_the_last_bit(trace: Trace) -> N
     assert {name: mask.tolist() for name, mask in back.bad.items()} == {n: m.tolist() for n, m in trace.bad.items()}
     assert (back.name, back.origin, back.synthetic) == (trace.name, trace.origin, trace.synthetic)
     # The map names no gap: it is that of the recording's own steps.
-    assert back.events == encode(trace, replace(DECANTER, gap=gap_of([trace])))
+    assert back.events == encode(trace, replace(DECANTER, gap=suitable_gap([trace])))
     assert joint_hash([back]) == joint_hash([trace])
     assert report.used == trace.times.size and report.refused == 0
 
@@ -125,7 +125,7 @@ def test_the_fingerprint_is_of_the_content_and_not_of_order_or_names() -> None:
 @given(st.lists(st.integers(0, 12), min_size=1, max_size=9))
 def test_no_larger_set_of_rows_leaves_a_rising_clock(values: list[int]) -> None:
     times = np.array(values, dtype=float)
-    keep = longest_rising(times)
+    keep = longest_rising_rows(times)
     assert np.all(np.diff(times[keep]) >= 0)
     best = max(
         bin(subset).count("1")

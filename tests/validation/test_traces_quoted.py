@@ -6,7 +6,7 @@ import pytest
 
 from sim.lab.recordings.column_map import ClockColumns, ColumnMap, SignalColumn
 from sim.lab.recordings.load_report import LoadReport
-from sim.lab.recordings.text_table import MOST_LINES
+from sim.lab.recordings.text_table import MAX_ROW_LINES
 from sim.lab.recordings.traces import load_traces
 from sim.sha.trace import Trace
 
@@ -45,7 +45,7 @@ def test_a_header_may_have_line_breaks(tmp_path: Path) -> None:
     assert [refused.line for refused in report.files[0].details] == [4]
 
 
-@pytest.mark.parametrize("below", [1, 3, MOST_LINES - 1, MOST_LINES, 3 * MOST_LINES])
+@pytest.mark.parametrize("below", [1, 3, MAX_ROW_LINES - 1, MAX_ROW_LINES, 3 * MAX_ROW_LINES])
 def test_a_mark_that_is_never_closed_costs_one_row(tmp_path: Path, below: int) -> None:
     rows = "".join(f"{time},21,fine\n" for time in range(1, below + 1))
     trace, report = load(tmp_path, f'time,T,note\n0,20,fine\n0.5,20,"open\n{rows}')
@@ -71,8 +71,8 @@ def test_an_open_mark_before_a_quoted_row_swallows_neither(tmp_path: Path) -> No
 
 
 def test_a_quoted_cell_may_take_so_many_lines_and_no_more(tmp_path: Path) -> None:
-    fits, too_long = "x\n" * (MOST_LINES - 1), "x\n" * MOST_LINES
+    fits, too_long = "x\n" * (MAX_ROW_LINES - 1), "x\n" * MAX_ROW_LINES
     trace, report = load(tmp_path, f'time,T,note\n0,20,"{fits}"\n10,21,"{too_long}"\n20,22,\n')
     assert trace.times.tolist() == [0, 20]
     # The lines of the long cell stand for rows of their own then, and none of them is one.
-    assert report.files[0].refused == MOST_LINES + 1
+    assert report.files[0].refused == MAX_ROW_LINES + 1

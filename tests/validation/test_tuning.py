@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim.lab.judge.free_run import held_out
+from sim.lab.judge.free_run import score_fold
 from sim.lab.tuning import methods as tuning_methods
 from sim.lab.tuning import study
-from sim.lab.tuning.methods import ANY, METHODS, Choice, Real, Task, Whole, method_of, tuned_alphabet
+from sim.lab.tuning.methods import ANY_CHOICE, METHODS, Choice, Real, Task, Whole, find_method, tuned_alphabet
 from sim.lab.tuning.search import StudyPlan, StudyTrial, Tuning, final_model, folds, summary, tune, usable
 from sim.plant.scenarios import scenario
 from sim.sha.events import DECANTER, Bins
@@ -109,7 +109,7 @@ def test_a_lead_within_its_standard_error_is_none(lead: float, better: bool) -> 
 @pytest.mark.usefixtures("known")
 def test_both_objectives_are_means_over_traces_of_means_over_readings(tmp_path: Path) -> None:
     model = relaxing(Task((), ALPHABET, "T", 0), {}).model
-    scores = [held_out(model, one) for one in traces()]
+    scores = [score_fold(model, one) for one in traces()]
     crps = search(tmp_path / "c.db", 1).default
     likelihood = search(tmp_path / "l.db", 1, StudyPlan("bins", "likelihood")).default
     assert crps is not None and likelihood is not None
@@ -255,7 +255,7 @@ def test_other_files_are_refused_and_left_as_they_are(tmp_path: Path) -> None:
 @pytest.mark.usefixtures("known")
 def test_two_searches_do_not_write_to_one_study(tmp_path: Path) -> None:
     file = tmp_path / "s.db"
-    with study.opened(file, {}, prune=False), pytest.raises(ValueError, match="another process is working"):
+    with study.open_study(file, {}, prune=False), pytest.raises(ValueError, match="another process is working"):
         search(file)
 
 
@@ -311,6 +311,6 @@ def test_every_method_has_a_searchable_space_and_an_unknown_one_is_refused() -> 
         for one in method.space:
             assert len(one.options) > 1 if isinstance(one, Choice) else one.low < one.high
         assert {type(one) for one in method.space} <= {Real, Whole, Choice}
-    assert ANY in METHODS["bins"].space[0].options
+    assert ANY_CHOICE in METHODS["bins"].space[0].options
     with pytest.raises(ValueError, match="'magic' cannot be tuned; known are bins, lsha"):
-        method_of("magic")
+        find_method("magic")

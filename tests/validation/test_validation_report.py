@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from sim.lab.formats.find import FoundModel
-from sim.lab.judge.campaign import jobs_of
+from sim.lab.judge.campaign import model_jobs
 from sim.lab.judge.discovery import Discovery
 from sim.lab.judge.free_run import TraceOutcome, TraceRunSettings, run_job
 from sim.lab.judge.pictures import drawings
@@ -17,10 +17,10 @@ from sim.lab.judge.report import (
     CampaignSummary,
     ModelReport,
     ReportEntry,
+    choose_figures,
     error_boxes,
     index_html,
     model_html,
-    shown,
 )
 from sim.lab.judge.results import Interval, TraceResult
 from sim.lab.judge.stages import Prepared, Stage, records
@@ -54,7 +54,7 @@ def outcomes(one: Prepared, name: str = "run") -> list[TraceOutcome]:
     """Along three traces and one without a temperature."""
     traces = [replace(plant_trace(f"{name}{number}", noise=0.2, seed=number), synthetic=True) for number in (1, 2, 10)]
     bad = Trace(f"{name}-cold", traces[0].times, {"Motor": traces[0].signals["Motor"]})
-    return [run_job(job) for job in jobs_of(one, [*traces, bad], TraceRunSettings(runs=200))]
+    return [run_job(job) for job in model_jobs(one, [*traces, bad], TraceRunSettings(runs=200))]
 
 
 @pytest.fixture(scope="module")
@@ -67,7 +67,7 @@ def html(tmp_path_factory: pytest.TempPathFactory) -> str:
     for drawing in wanted.values():
         draw(drawing.picture, drawing.png)  # without the PDF, which no report holds
     results = [outcome.result for outcome in done]
-    pictures = shown(results, {key: drawing.png for key, drawing in wanted.items()}, home)
+    pictures = choose_figures(results, {key: drawing.png for key, drawing in wanted.items()}, home)
     report = ModelReport(
         campaign=CAMPAIGN,
         prepared=one,
@@ -118,7 +118,7 @@ def test_traces_stand_in_the_order_of_their_numbers() -> None:
     report = ModelReport(
         campaign=CAMPAIGN, prepared=prepared(), stages=[], results=[outcome.result for outcome in reversed(done)]
     )
-    names = [one.trace for one, _ in report.judged]
+    names = [one.trace for one, _ in report.judged_results]
     assert names == ["run1", "run2", "run10", "run-cold"] * 2
 
 

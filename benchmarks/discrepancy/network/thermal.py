@@ -66,7 +66,7 @@ class Addition:
     opens: float = 0.0
     closes: float = 0.0
     lag: float = 0.0
-    shifted: Array | float = 0.0
+    shift: Array | float = 0.0
 
 
 def added(additions: Sequence[Addition]) -> Addition:
@@ -172,4 +172,4 @@ def _sensed(seat: Array, addition: Addition) -> Array:
     """Through a well of two unequal lags, then the shift."""
     if addition.lag > 0:
         seat = smoothed(smoothed(seat, 0.65 * addition.lag), 0.35 * addition.lag)
-    return seat + addition.shifted
+    return seat + addition.shift

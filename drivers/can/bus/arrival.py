@@ -13,11 +13,11 @@ import can
 from drivers.can.bus.hub_bus import HubBus
 from drivers.can.bus.tapped import TappedBus
 
-_SLACK_S = 0.001
+_STAMP_TOLERANCE_S = 0.001
 """A stamp may differ by so much from what the clocks read before and after it say."""
-_OLDEST_S = 60.0
+_MAX_FRAME_AGE_S = 60.0
 """So long a frame may have waited; a stamp that says more is of a wall clock that was set."""
-_BASE_S = 1.0
+_MIN_SPEED_BASE_S = 1.0
 """The seconds of a driver's clock, at least, by which its speed is known."""
 
 
@@ -41,7 +41,7 @@ class Arrivals:
             return now
         # By as much as the wall clock was set back since the bus was last found empty, the frame is older than it says.
         age = wall - message.timestamp + max(0.0, self._ahead - (wall - now))
-        return now - max(age, 0.0) if -_SLACK_S <= age <= _OLDEST_S else min(self._empty, now)
+        return now - max(age, 0.0) if -_STAMP_TOLERANCE_S <= age <= _MAX_FRAME_AGE_S else min(self._empty, now)
 
 
 class ClockBefore:
@@ -51,10 +51,10 @@ class ClockBefore:
         self._clock = clock
         self._base = self._next = (time.monotonic(), clock())
 
-    def at(self, moment: float) -> float:
+    def clock_time(self, moment: float) -> float:
         """The clock's time at a moment, never later than it shows now."""
         now, shown = time.monotonic(), self._clock()
-        if now - self._next[0] >= _BASE_S:
+        if now - self._next[0] >= _MIN_SPEED_BASE_S:
             self._base, self._next = self._next, (now, shown)
         then, showed = self._base
         speed = (shown - showed) / (now - then) if now > then else 0.0

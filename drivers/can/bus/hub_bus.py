@@ -98,7 +98,7 @@ class HubBus(can.BusABC):
                     raise can.CanOperationError(f"the hub has not taken a frame for {patience:g} s") from None
                 self._socket.send(packet)
         except OSError as error:
-            raise _down(error) from None
+            raise _interface_error(error) from None
         if self._receive_own:
             self._own.append(msg)
 
@@ -113,12 +113,12 @@ class HubBus(can.BusABC):
                     return None, False
                 packet = self._socket.recv(128)
         except OSError as error:
-            raise _down(error) from None
+            raise _interface_error(error) from None
         if not packet:
             raise can.CanOperationError("the interface is down: the CAN hub is gone")
-        return self._heard(unpack(packet)), False
+        return self._admit(unpack(packet)), False
 
-    def _heard(self, message: can.Message) -> can.Message | None:
+    def _admit(self, message: can.Message) -> can.Message | None:
         """The frame, as far as the controller's state lets it through."""
         message.channel = self.channel_info
         if message.is_error_frame:
@@ -169,5 +169,5 @@ def unpack(packet: bytes) -> can.Message:
     )
 
 
-def _down(error: OSError) -> can.CanOperationError:
+def _interface_error(error: OSError) -> can.CanOperationError:
     return can.CanOperationError(f"the interface is down: {error.strerror or error}")

@@ -15,9 +15,9 @@ from drivers.can.bus.arrival import Arrivals
 from drivers.supervision import Supervisor
 
 _BURST = 256
-_LOOK = 0.1
-_OVERDUE = 1.5 * _LOOK  # since the thread has last found the bus empty; after that it was held up
-_PATIENCE = 0.2  # seconds that a reading waits for a thread that is behind, once until that has caught up
+_POLL_S = 0.1
+_BEHIND_AFTER_S = 1.5 * _POLL_S  # since the thread has last found the bus empty; after that it was held up
+_CATCH_UP_TIMEOUT_S = 0.2  # seconds that a reading waits for a thread that is behind, once until that has caught up
 _UNREADABLE = "the bus cannot be read any more"
 _QUEUE = 10_000  # frames kept for a loop that is behind, by us or by a bus with a descriptor; a reading takes no more
 
@@ -48,7 +48,7 @@ class Pump:
         self._ended = threading.Event()
         self._looked = threading.Condition()
         self._empty, self._behind = time.monotonic(), False
-        self._patience = _PATIENCE
+        self._patience = _CATCH_UP_TIMEOUT_S
         self._thread: threading.Thread | None = None
         self._fd: int | None = None
         # An interface without a descriptor raises; that of a socket which is closed already is below 0.
@@ -71,12 +71,12 @@ class Pump:
             self._loop.remove_reader(self._fd)
             self.bus.shutdown()
 
-    async def closed(self) -> None:
+    async def join(self) -> None:
         """Wait until the bus is shut down, two seconds at most."""
         if self._thread is not None:
             await asyncio.to_thread(self._thread.join, 2.0)
 
-    def catch_up(self) -> None:
+    def drain(self) -> None:
         """Give all that has come by now: what is known is then as new as the bus has it, however late the loop is.
 
         A thread that does not catch up in time is not waited for again before it has: others need the loop too.
@@ -87,9 +87,9 @@ class Pump:
             asked = time.monotonic()
             with self._looked:
                 caught_up = self._looked.wait_for(
-                    lambda: not self._behind and asked - self._empty <= _OVERDUE, self._patience
+                    lambda: not self._behind and asked - self._empty <= _BEHIND_AFTER_S, self._patience
                 )
-            self._patience = _PATIENCE if caught_up else 0.0
+            self._patience = _CATCH_UP_TIMEOUT_S if caught_up else 0.0
         for _ in range(len(self._waiting)):
             if self._closed:
                 return
@@ -131,8 +131,8 @@ class Pump:
                 message = self.bus.recv(0.0)
                 if message is None:
                     self._arrivals.found_empty(begun)
-                    self._caught_up(begun)
-                    message = self.bus.recv(_LOOK)
+                    self._note_empty(begun)
+                    message = self.bus.recv(_POLL_S)
                 if message is None:
                     continue
                 message.timestamp = self._arrivals.moment(message)
@@ -145,13 +145,13 @@ class Pump:
             reason = str(error) or _UNREADABLE
             self._ended.set()
         finally:
-            self._caught_up(inf)
+            self._note_empty(inf)
             # Whatever has ended it, also what the supervisor hears of: the bus is opened anew.
-            self._call_in_loop(self._gone, reason)
+            self._call_in_loop(self._report_loss, reason)
             if self._ended.is_set():
                 self.bus.shutdown()
 
-    def _caught_up(self, moment: float) -> None:
+    def _note_empty(self, moment: float) -> None:
         """Say that nothing waited on the bus at a moment (monotonic)."""
         with self._looked:
             self._empty, self._behind = moment, False
@@ -165,7 +165,7 @@ class Pump:
             self._closed = True
             self._ended.set()
 
-    def _gone(self, reason: str) -> None:
+    def _report_loss(self, reason: str) -> None:
         if not self._closed:
             self._lost(reason)
 

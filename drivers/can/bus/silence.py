@@ -2,13 +2,13 @@
 
 from dataclasses import dataclass
 
-_LOOKS = 8
+_MIN_CHECKS_PER_SILENCE = 8
 """Looks within the silence that ends a connection, at least: one that comes late is a small part of it."""
 
 
 def pause_between_looks(limit: float, most: float) -> float:
     """Seconds from one look to the next where a silence of `limit` (s) is the end; `most` (s) at most."""
-    return min(most, limit / _LOOKS)
+    return min(most, limit / _MIN_CHECKS_PER_SILENCE)
 
 
 @dataclass(slots=True)

@@ -4,7 +4,7 @@ import struct
 
 import can
 
-from drivers.tap import Tap, moved
+from drivers.tap import Tap, make_frame
 
 _EXTENDED, _REMOTE, _ERROR = 0x80000000, 0x40000000, 0x20000000
 
@@ -31,7 +31,7 @@ class TappedBus(can.BusABC):
         return message
 
     def _report(self, message: can.Message, *, sent: bool) -> None:
-        self._tap(moved("can", self._place, packed(message), sent=sent))
+        self._tap(make_frame("can", self._place, pack_frame(message), sent=sent))
 
     def fileno(self) -> int:
         """The bus's own descriptor."""
@@ -56,7 +56,7 @@ class TappedBus(can.BusABC):
         self.bus.shutdown()
 
 
-def packed(message: can.Message) -> bytes:
+def pack_frame(message: can.Message) -> bytes:
     """A frame as LINKTYPE_CAN_SOCKETCAN has it: id with flags and length, both big-endian, then the data."""
     word = message.arbitration_id
     word |= _EXTENDED if message.is_extended_id else 0

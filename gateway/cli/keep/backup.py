@@ -9,7 +9,7 @@ from pathlib import Path
 import click
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
-from drivers.named_files import MOST_TOML_BYTES, place_of, writing
+from drivers.named_files import MOST_TOML_BYTES, name_write_errors, normal_path
 from gateway.cli.plant.plant_file import config_option
 from gateway.commission.session import login
 from gateway.commission.writeback.block_writer import gateway_runs
@@ -17,7 +17,7 @@ from gateway.console import CommandResult, Part, conclude, json_option
 from gateway.entry import sentences
 from gateway.machine.writing import own_process
 from gateway.plant import configuration_files, require_named_places, without_arming
-from gateway.replacement import replacing
+from gateway.replacement import hold_folder
 from gateway.settings import Config, load_plant
 from gateway.store import (
     DAMAGED_AUDIT,
@@ -60,7 +60,7 @@ def backup(path: Path, folder: Path, as_json: bool) -> None:
         machines = load_plant(path)
         key, unsigned = _held_key(machines[0])
         manifest = make_backup(
-            folder, sources_of(machines), now=time.time(), program=version("decanter-gateway"), key=key
+            folder, list_sources(machines), now=time.time(), program=version("decanter-gateway"), key=key
         )
     size = sum(file.size for file in manifest.files)
     data = {
@@ -94,7 +94,7 @@ def _held_key(config: Config) -> tuple[Ed25519PrivateKey | None, str]:
         return None, str(error)
 
 
-def sources_of(machines: Sequence[Config]) -> list[tuple[str, Path]]:
+def list_sources(machines: Sequence[Config]) -> list[tuple[str, Path]]:
     """Every file of a gateway with what it is to it, in the order in which they are copied."""
     config = machines[0]
     rows = configuration_files(machines)
@@ -110,7 +110,7 @@ def sources_of(machines: Sequence[Config]) -> list[tuple[str, Path]]:
     # A witness before what it bears witness to: the audit log in the backup holds every head that is in the backup.
     last = (("heads", config.audit_heads), ("historian", config.historian.path), ("audit", config.audit))
     rows += [(role, file) for role, file in last if file.exists()]
-    unique = {place_of(file): (role, file) for role, file in rows}
+    unique = {normal_path(file): (role, file) for role, file in rows}
     return list(unique.values())
 
 
@@ -154,7 +154,7 @@ def restore(
         places = {Path(file.original): into / Path(file.original).relative_to("/") for file in manifest.files}
         roles = {file.role: places[Path(file.original)] for file in manifest.files}
         roles["plant"].parent.mkdir(parents=True, exist_ok=True)
-        with replacing(roles["plant"]):
+        with hold_folder(roles["plant"]):
             if "historian" in roles and gateway_runs(roles["historian"]):
                 raise BackupError(f"{roles['historian']}: a gateway runs on it; stop it first")
             standing = [place for place in places.values() if place.exists()]
@@ -249,7 +249,7 @@ def _disarm(manifest: Manifest, drafts: dict[str, Path], by: str) -> str:
         modes = {table.get("writeback", {}).get("mode", "off") for table in (document, *document.get("machine", ()))}
         if after != before:
             modes.add("armed")
-            with writing(plant):
+            with name_write_errors(plant):
                 plant.write_bytes(after)
     if (log := drafts.get("audit")) is not None:
         audit = open_audit(log)
@@ -257,7 +257,7 @@ def _disarm(manifest: Manifest, drafts: dict[str, Path], by: str) -> str:
             reason = f"restored from a backup of {time.strftime('%F %T UTC', time.gmtime(manifest.made))}"
             # Each machine of several is armed by itself, and so is the gateway of one.
             for subject in dict.fromkeys(("", *armed_subjects(log))):
-                if not audit.record(AuditEntry(time.time(), DISARMED, by, reason, own_process()).of(subject)):
+                if not audit.record(AuditEntry(time.time(), DISARMED, by, reason, own_process()).with_subject(subject)):
                     raise BackupError(f"the restored audit log does not take a row: {audit.failure}")
         finally:
             audit.close()

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import click
 
-from drivers.named_files import place_of
+from drivers.named_files import normal_path
 from drivers.settings import ConfigError, read_toml
 from gateway.cli.plant.plant_file import by_option, config_option
 from gateway.commission.session import login
-from gateway.console import CommandResult, Part, Rows, conclude, json_option, service_of
+from gateway.console import CommandResult, Part, Rows, conclude, find_service, json_option
 from gateway.entry import Exit, fail, sentences
 from gateway.outside.status import ControlError, connect
 from gateway.plant import (
@@ -25,7 +25,7 @@ from gateway.plant import (
     require_named_places,
     without_arming,
 )
-from gateway.replacement import draft_of, former_of, replaced, replacing, write_draft
+from gateway.replacement import draft_path, former_path, hold_folder, replace_files, write_draft
 from gateway.settings import load_plant, read_plant
 from gateway.store import BackupError
 
@@ -40,7 +40,7 @@ _history_option = click.option(
 )
 
 
-def _kept(path: Path, folder: Path | None) -> list[KeptConfiguration]:
+def _list_configurations(path: Path, folder: Path | None) -> list[KeptConfiguration]:
     """The configurations of a plant file; also where that cannot be used any more, which is when they are wanted.
 
     Raises BackupError or OSError.
@@ -49,23 +49,23 @@ def _kept(path: Path, folder: Path | None) -> list[KeptConfiguration]:
         try:
             folder = history_folder(load_plant(path)[0])
         except ConfigError:
-            folder = _beside(path)
+            folder = _fallback_folder(path)
     found = kept_configurations(folder)
     if not found:
         raise BackupError(f"{folder}: no configuration is kept there; a gateway keeps each one that it takes over")
     return found
 
 
-def _beside(path: Path) -> Path:
+def _fallback_folder(path: Path) -> Path:
     """The folder of a plant file that cannot be used: by what can be read of it, else where it is by default."""
-    service = service_of(path.parent)
+    service = find_service(path.parent)
     records = path.parent / "out" if service is None else service.records
     with suppress(ConfigError, KeyError, TypeError):
         records = path.parent / Path(str(read_toml(path)["historian"]["path"])).parent
     return records / FOLDER
 
 
-def _numbered(found: Sequence[KeptConfiguration], number: int) -> KeptConfiguration:
+def _pick_configuration(found: Sequence[KeptConfiguration], number: int) -> KeptConfiguration:
     for one in found:
         if one.number == number:
             return one
@@ -79,7 +79,7 @@ def _numbered(found: Sequence[KeptConfiguration], number: int) -> KeptConfigurat
 def history(path: Path, folder: Path | None, as_json: bool) -> None:
     """List the configurations that a gateway has taken over at a start or a reload, the newest last. Times are UTC."""
     with sentences():
-        found = _kept(path, folder)
+        found = _list_configurations(path, folder)
     rows = [
         {
             "number": one.number,
@@ -115,12 +115,12 @@ def diff(path: Path, folder: Path | None, old: int | None, new: int | None) -> N
     from the newest one that was taken over.
     """
     with sentences():
-        found = _kept(path, folder)
-        before = _numbered(found, found[-1].number if old is None else old)
+        found = _list_configurations(path, folder)
+        before = _pick_configuration(found, found[-1].number if old is None else old)
         if new is None:
             name, after = "now", {place: place.read_bytes() for place in before.files if place.is_file()}
         else:
-            name, after = str(new), _numbered(found, new).files
+            name, after = str(new), _pick_configuration(found, new).files
         lines = list(differences(before.files, after, (str(before.number), name)))
     click.echo("\n".join(lines) if lines else "nothing differs")
 
@@ -139,10 +139,10 @@ def rollback(path: Path, folder: Path | None, number: int, reason: str, by: str,
     changed then; one that was armed comes back as 'shadow'.
     """
     with sentences():
-        found = _kept(path, folder)
-        wanted = _numbered(found, number)
+        found = _list_configurations(path, folder)
+        wanted = _pick_configuration(found, number)
         now, note = time.time(), f"before going back to {number}: {reason} ({by or login()})"
-        plant, kept = place_of(path), wanted.files
+        plant, kept = normal_path(path), wanted.files
         if plant not in kept:
             raise BackupError(
                 f"configuration {number} is of {next(iter(kept), 'nothing')}, not of {path}; give --config with that"
@@ -151,14 +151,14 @@ def rollback(path: Path, folder: Path | None, number: int, reason: str, by: str,
         roles = {Path(file.original): file.role for one in found for file in one.manifest.files}
         content = {place: without_arming(data) if place == plant else data for place, data in kept.items()}
         modes = {Path(file.original): file.mode for file in wanted.manifest.files}
-        with replacing(plant):
+        with hold_folder(plant):
             present = [(role, place) for place, role in roles.items() if place.is_file()]
             keep_files(wanted.folder.parent, present, now=now, note=note)
-            former = [(place, former_of(place)) for place in content if place.is_file()]
+            former = [(place, former_path(place)) for place in content if place.is_file()]
             for _, file in former:
                 file.unlink(missing_ok=True)  # of one that was killed behind its last step
             try:
-                with _drafts(content, modes), replaced(plant, content, former):
+                with _drafts(content, modes), replace_files(plant, content, former):
                     machines = read_plant(path)
             except ConfigError as error:
                 raise BackupError(
@@ -196,4 +196,4 @@ def _drafts(content: Mapping[Path, bytes], modes: Mapping[Path, int]) -> Iterato
         yield
     finally:
         for place in content:
-            draft_of(place).unlink(missing_ok=True)
+            draft_path(place).unlink(missing_ok=True)

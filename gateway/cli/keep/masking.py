@@ -69,14 +69,14 @@ def bare_address(address: str) -> str:
     return f"{parts.scheme}://{login}{host}{'' if port is None else f':{port}'}{rest}"
 
 
-def masked(value: Any, mask: Callable[[str], str], key: str = "") -> Any:
+def mask_values(value: Any, mask: Callable[[str], str], key: str = "") -> Any:
     """Plain values, as of TOML or JSON, with `mask` applied to every text and what is a secret by its key masked."""
     # `secrets` is the path of their file.
     secret = _SECRET_KEY.search(key) is not None and key != "secrets"
     if isinstance(value, Mapping):
-        return {name: masked(inner, mask, key if secret else str(name)) for name, inner in value.items()}
+        return {name: mask_values(inner, mask, key if secret else str(name)) for name, inner in value.items()}
     if isinstance(value, list | tuple):
-        return [masked(inner, mask, key) for inner in value]
+        return [mask_values(inner, mask, key) for inner in value]
     if secret and value not in (None, "", True, False):
         return MASKED
     return mask(value) if isinstance(value, str) else value

@@ -21,13 +21,13 @@ import tomlkit
 
 from drivers.errors import OneLineError
 from drivers.settings import ConfigError
-from gateway.cli.keep.masking import make_mask, masked, written_forms
+from gateway.cli.keep.masking import make_mask, mask_values, written_forms
 from gateway.cli.plant.plant_file import config_option
 from gateway.clock_sync import clock_error
 from gateway.commission.session import versions
 from gateway.console import CommandResult, conclude, json_option
 from gateway.entry import sentences
-from gateway.outside.status import ControlError, connect, findings, health_of, read_status
+from gateway.outside.status import ControlError, connect, findings, judge_health, read_status
 from gateway.outside.web import box_facts
 from gateway.plant import configuration_files, history_folder, kept_configurations
 from gateway.settings import Config, load_plant
@@ -37,7 +37,7 @@ from sim.strict_json import json_text
 LOG_LINES = 5000
 JOURNAL_S = 30 * 86_400.0
 ANSWER_S = 10.0
-LEAST_ALONE = 8
+MIN_SECRET_PIECE_LENGTH = 8
 """Characters of a piece of an address, or a line of a key, that is looked for by itself: shorter ones are words."""
 _ABOUT = """\
 What a gateway is and how it does, made by `decanter support`.
@@ -105,7 +105,7 @@ def bundle(path: Path, now: float) -> dict[str, str]:
             "status.json": lambda: _status(machines),
             "alarms.json": lambda: _journal(first, now),
             "records.json": lambda: _records(first, now),
-            "box.json": lambda: {**box_facts(first), "synchronised": _synchronised()},
+            "box.json": lambda: {**box_facts(first), "synchronised": _has_clock_sync()},
         }
     members = {"README.txt": _ABOUT}
     if problem:
@@ -115,7 +115,7 @@ def bundle(path: Path, now: float) -> dict[str, str]:
         name = file.name if number == 0 else f"{number}-{file.name}"
         members[f"configuration/{name}"] = _configuration(file, mask)
     for name, make in sources.items():
-        members[name] = json_text(masked(_or_reason(make), mask)) + "\n"
+        members[name] = json_text(mask_values(_or_reason(make), mask)) + "\n"
     if machines and machines[0].log.path is not None:
         members["log.jsonl"] = "".join(_log_lines(machines[0].log.path, mask))
     for name, text in members.items():
@@ -143,7 +143,7 @@ def _configuration(file: Path, mask: Callable[[str], str]) -> str:
     if file.suffix != ".toml":
         return mask(text)
     try:
-        plain: Mapping[str, Any] = masked(tomllib.loads(text), mask)
+        plain: Mapping[str, Any] = mask_values(tomllib.loads(text), mask)
     except tomllib.TOMLDecodeError as error:
         return f"not to be had: it is no TOML ({error}), and what in it is a secret cannot be told\n"
     return tomlkit.dumps(plain)
@@ -185,7 +185,7 @@ def _status(machines: Sequence[Config]) -> dict[str, Any]:
     for name, plain in answers.items():
         status = read_status(plain)
         sentences_of = {finding.check: finding.sentence for finding in findings(status)}
-        found[name] = {"health": health_of(status), "findings": sentences_of, "status": plain}
+        found[name] = {"health": judge_health(status), "findings": sentences_of, "status": plain}
     return found
 
 
@@ -224,7 +224,7 @@ def _records(config: Config, now: float) -> dict[str, Any]:
     return {"historian": _or_reason(historian), "audit": _or_reason(audit)}
 
 
-def _synchronised() -> bool | None:
+def _has_clock_sync() -> bool | None:
     error = clock_error()
     return None if error is None else isfinite(error)
 
@@ -237,7 +237,7 @@ def _log_lines(path: Path, mask: Callable[[str], str]) -> Iterator[str]:
             lines.extend(stream)
     for line in lines:
         try:
-            yield json.dumps(masked(json.loads(line), mask), ensure_ascii=False) + "\n"
+            yield json.dumps(mask_values(json.loads(line), mask), ensure_ascii=False) + "\n"
         except ValueError:  # the end of a file that was cut
             yield mask(line)
 
@@ -257,14 +257,14 @@ def _known_secrets(path: Path, machines: Sequence[Config]) -> set[str]:
         with suppress(ValueError):
             parts = urlsplit(address)
             pieces = (*parts.path.split("/"), *(value for _, value in parse_qsl(parts.query)), parts.password or "")
-            found |= {piece for piece in pieces if len(piece) >= LEAST_ALONE}
+            found |= {piece for piece in pieces if len(piece) >= MIN_SECRET_PIECE_LENGTH}
     for config in machines[:1]:
         with suppress(OSError, ValueError):
             accounts = json.loads(config.users.read_text(encoding="utf-8"))["accounts"]
             found |= {str(account["password"]) for account in accounts.values()}
     for key in _key_files(machines):
         with suppress(OSError, UnicodeDecodeError):
-            found |= {line for line in key.read_text(encoding="ascii").split() if len(line) >= LEAST_ALONE}
+            found |= {line for line in key.read_text(encoding="ascii").split() if len(line) >= MIN_SECRET_PIECE_LENGTH}
     return found
 
 
@@ -294,7 +294,7 @@ def _secret_texts(value: Any, *, everything: bool = False) -> Iterator[str]:
         for key, inner in value.items():
             if not isinstance(inner, str):
                 yield from _secret_texts(inner, everything=everything)
-            elif everything or masked({key: inner}, make_mask(()))[key] != inner:
+            elif everything or mask_values({key: inner}, make_mask(()))[key] != inner:
                 yield inner
     elif isinstance(value, list):
         for inner in value:

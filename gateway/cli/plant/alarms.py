@@ -42,7 +42,7 @@ def _machines(socket: Path, path: Path) -> list[str]:
         return list(line.ask("plant")["statuses"])
 
 
-def _asked(path: Path, machine: str | None) -> dict[str, list[dict[str, Any]]]:
+def _ask_alarms(path: Path, machine: str | None) -> dict[str, list[dict[str, Any]]]:
     """The alarms by machine, of the one named or of all."""
     socket = control_socket(path, None)
     names = [machine] if machine is not None else _machines(socket, path)
@@ -73,7 +73,7 @@ def list_alarms(path: Path, machine: str | None, every: bool, as_json: bool) -> 
     Exit code 1 where one waits for an acknowledgement or stands.
     """
     with sentences():
-        found = _asked(path, machine)
+        found = _ask_alarms(path, machine)
     rows = [
         {"machine": name, **row}
         for name, alarms in found.items()
@@ -108,7 +108,7 @@ def list_alarms(path: Path, machine: str | None, every: bool, as_json: bool) -> 
 def show(name: str, path: Path, machine: str | None, as_json: bool) -> None:
     """Show the alarm NAME: its state, what it watches, what an operator shall do, what comes of not doing it."""
     with sentences():
-        found = _asked(path, machine)
+        found = _ask_alarms(path, machine)
     rows = [{"machine": each, **row} for each, alarms in found.items() for row in alarms if row["name"] == name]
     if not rows:
         known = sorted({row["name"] for alarms in found.values() for row in alarms})
@@ -240,7 +240,7 @@ reset = _signed_command(
 
 def _window(path: Path, since: str, machine: str | None) -> tuple[Path, float, float]:
     """The historian, and the times (s UTC) from `since` to its newest scan."""
-    from gateway.store import moment_of, newest_scan, reading  # loads numpy, which the other commands do without
+    from gateway.store import newest_scan, parse_moment, reading  # loads numpy, which the other commands do without
 
     historian = load_plant(path)[0].historian.path
     named = [machine] if machine is not None else [config.machine for config in load_plant(path)]
@@ -249,7 +249,7 @@ def _window(path: Path, since: str, machine: str | None) -> tuple[Path, float, f
     end = max((time for time in newest if time is not None), default=None)
     if end is None:
         raise ValueError(f"{historian}: has no scan yet; let the gateway run first")
-    return historian, moment_of(since, end), end
+    return historian, parse_moment(since, end), end
 
 
 @click.command(short_help="Show what alarms did, and who did what with them.")

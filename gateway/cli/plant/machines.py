@@ -10,7 +10,7 @@ from gateway.cli.plant.plant_file import config_option
 from gateway.commission.files import DRY_RUN, Edit, commit, plant_findings, with_machine, without_machine
 from gateway.console import CommandResult, Line, Part, Rows, conclude, json_option
 from gateway.entry import sentences
-from gateway.outside.status import ControlError, connect, health_of, read_status
+from gateway.outside.status import ControlError, connect, judge_health, read_status
 from gateway.settings import load_plant
 
 RELOAD = "a gateway that runs takes it over with `decanter reload`"
@@ -60,7 +60,7 @@ def _health(socket: Path) -> dict[str, str]:
         return {}
     try:
         statuses = line.ask("plant")["statuses"]
-        return {name: str(health_of(read_status(plain))) for name, plain in statuses.items()}
+        return {name: str(judge_health(read_status(plain))) for name, plain in statuses.items()}
     except (OSError, ControlError):
         return {}
     finally:
@@ -94,7 +94,7 @@ def add(
     predicted = [dict(zip(("tag", "model"), text.split("=", 1), strict=False)) for text in temperatures]
     with sentences():
         edit = with_machine(path, name, {key: value for key, value in device.items() if value is not None}, predicted)
-        _carry_out(edit, dry_run=dry_run, as_json=as_json)
+        _apply_edit(edit, dry_run=dry_run, as_json=as_json)
 
 
 @click.command(short_help="Take a machine out of the plant file; its records stay.")
@@ -105,10 +105,10 @@ def add(
 def remove(name: str, path: Path, dry_run: bool, as_json: bool) -> None:
     """Take the machine NAME out of the plant file; its records stay."""
     with sentences():
-        _carry_out(without_machine(path, name), dry_run=dry_run, as_json=as_json)
+        _apply_edit(without_machine(path, name), dry_run=dry_run, as_json=as_json)
 
 
-def _carry_out(edit: Edit, *, dry_run: bool, as_json: bool) -> None:
+def _apply_edit(edit: Edit, *, dry_run: bool, as_json: bool) -> None:
     backup = None if dry_run else commit(edit, load_plant)
     findings = [] if dry_run else plant_findings(edit.path)
 

@@ -14,7 +14,7 @@ from gateway.settings import Config, gateway_places, load_plant
 def config_option(command: Any) -> Any:
     """The command with --config; it gets `path`, which is None only while the command line is looked through."""
 
-    def found(context: click.Context, _: click.Parameter, given: Path | None) -> Path | None:
+    def find_default(context: click.Context, _: click.Parameter, given: Path | None) -> Path | None:
         # While a line is being completed or its help is shown, nothing has to be there.
         if given is not None or context.resilient_parsing:
             return given
@@ -27,7 +27,7 @@ def config_option(command: Any) -> Any:
         "--config",
         "path",
         type=click.Path(path_type=Path),
-        callback=found,
+        callback=find_default,
         help="The gateway's configuration (TOML).  "
         "[default: ./plant.toml, ./config/plant.toml, /etc/decanter/plant.toml]",
     )(command)

@@ -21,15 +21,15 @@ from drivers.csv_rows import write_rows
 from gateway.cli.plant.plant_file import config_option, machine_option
 from gateway.console import CommandResult, Part, Rows, conclude, json_option
 from gateway.entry import sentences
-from gateway.extras import missing
+from gateway.extras import missing_sentence
 from gateway.settings import load_plant
-from gateway.store import TABLE_COLUMNS, Cells, TableColumn, cells_of, sync_folder
+from gateway.store import TABLE_COLUMNS, Cells, TableColumn, row_cells, sync_folder
 
 if TYPE_CHECKING:
     from gateway.store import FollowedRow
 
 Writer = Callable[[Sequence[Cells]], None]
-TOGETHER = 20_000
+ROWS_PER_WRITE = 20_000
 """Rows that are written at a time."""
 PARQUET = {"text": "string", "real": "float64", "whole": "int64", "flag": "bool_"}
 """pyarrow's types of the kinds of columns, by the names of their functions."""
@@ -54,7 +54,7 @@ class RecordsWindow:
 
 def _window(plant: Path, machine: str | None, since: str, until: str | None) -> RecordsWindow:
     """Raises ConfigError, HistorianError, and ValueError for a time that is none, or a machine that is not there."""
-    from gateway.store import machines, moment_of, newest_scan, reading  # loads numpy, as the readers below do
+    from gateway.store import machines, newest_scan, parse_moment, reading  # loads numpy, as the readers below do
 
     path = load_plant(plant)[0].historian.path
     with reading(path) as connection:
@@ -65,8 +65,8 @@ def _window(plant: Path, machine: str | None, since: str, until: str | None) -> 
         newest = [time for name in named if (time := newest_scan(connection, machine=name)) is not None]
     if not newest:
         raise ValueError(f"{path}: has no scan yet; let the gateway run first")
-    start = -inf if since == "all" else moment_of(since, max(newest))
-    end = inf if until is None else moment_of(until, max(newest))
+    start = -inf if since == "all" else parse_moment(since, max(newest))
+    end = inf if until is None else parse_moment(until, max(newest))
     if end <= start:
         raise ValueError(f"--until {until} is not after --since {since}; give a later one")
     return RecordsWindow(path, named, start, end)
@@ -74,10 +74,10 @@ def _window(plant: Path, machine: str | None, since: str, until: str | None) -> 
 
 def _rows(window: RecordsWindow, name: str, tag: str | None) -> Iterator[FollowedRow]:
     """The rows of a table; with a `tag` those that name it: a sample's, a predicted temperature's, an alarm's."""
-    from gateway.store import reading, rows_between
+    from gateway.store import reading, select_rows
 
     with reading(window.path) as connection:
-        for row in rows_between(connection, window.machines, name, window.start, window.end):
+        for row in select_rows(connection, window.machines, name, window.start, window.end):
             own = (row.values.get("tag"), row.values.get("condition"), row.stream.temperature or None)
             if tag is None or tag in own:
                 yield row
@@ -125,8 +125,8 @@ def export(
         count = 0
         try:
             with WRITERS[file.suffix](draft, TABLE_COLUMNS[name]) as write:
-                rows = map(cells_of, _rows(window, name, tag))
-                while batch := list(islice(rows, TOGETHER)):
+                rows = map(row_cells, _rows(window, name, tag))
+                while batch := list(islice(rows, ROWS_PER_WRITE)):
                     write(batch)
                     count += len(batch)
             with draft.open("rb") as written:
@@ -160,7 +160,7 @@ def _parquet_writer(path: Path, columns: Sequence[TableColumn]) -> Iterator[Writ
     try:
         arrow, parquet = import_module("pyarrow"), import_module("pyarrow.parquet")
     except ImportError as error:
-        raise ValueError(f"Parquet {missing('parquet', error)}; or export .csv") from None
+        raise ValueError(f"Parquet {missing_sentence('parquet', error)}; or export .csv") from None
 
     types = {kind: getattr(arrow, name)() for kind, name in PARQUET.items()}
     types |= {"moment": arrow.timestamp("us", tz="UTC"), "reals": arrow.list_(arrow.float64())}
@@ -237,7 +237,7 @@ def query(
         head: Sequence[str]
         if every is None:
             head = [column.name for column in TABLE_COLUMNS[name]]
-            found = [cells_of(row) for row in deque(_rows(window, name, tag), last)]
+            found = [row_cells(row) for row in deque(_rows(window, name, tag), last)]
         else:
             head, found = TREND_COLUMNS, _means(window, name, tag, int(every))[-last:]
     moment = next(place for place, column in enumerate(head) if column in ("time", "start"))

@@ -92,9 +92,9 @@ def run(
 
 
 def _panel(config: Config) -> AbstractContextManager[None]:
-    from gateway.cli.plant.top import watched
+    from gateway.cli.plant.top import live_panel
 
-    return watched(config.control_socket)
+    return live_panel(config.control_socket)
 
 
 def _say(line: str) -> None:

@@ -15,7 +15,7 @@ from gateway.cli.plant.plant_file import config_option, control_socket, machine_
 from gateway.console import CommandResult, Drawing, conclude, json_option, socket_option
 from gateway.entry import Exit, fail, sentences
 from gateway.outside.panel import follow, panel
-from gateway.outside.status import GatewayStatus, GatewayWatch, Health, Sighting, findings, health_of
+from gateway.outside.status import GatewayStatus, GatewayWatch, Health, Sighting, findings, judge_health
 from sim.strict_json import strict
 
 ANSWER_S = 5.0
@@ -59,7 +59,7 @@ def top(path: Path, machine: str | None, every: float, socket: Path | None) -> N
         if sighting.gone:
             fail(_absent(sighting, path), EXITS[Health.ABSENT][0])
         # Ctrl-C is the way to end it.
-        with suppress(KeyboardInterrupt), _ended_by(signal.SIGTERM, signal.SIGHUP):
+        with suppress(KeyboardInterrupt), _interrupt_signals(signal.SIGTERM, signal.SIGHUP):
             follow(watch, Console(), seconds=every, stop=Event())
 
 
@@ -93,13 +93,13 @@ def _watch(path: Path, machine: str | None, socket: Path | None) -> GatewayWatch
 
 
 def _answer(status: GatewayStatus) -> dict[str, Any]:
-    word, found = health_of(status), findings(status)
+    word, found = judge_health(status), findings(status)
     sentences = {finding.check: finding.sentence for finding in found}
     return {"ok": word is Health.WELL, "health": word, "findings": sentences, "status": strict(status)}
 
 
 @contextmanager
-def watched(socket_path: Path) -> Iterator[None]:
+def live_panel(socket_path: Path) -> Iterator[None]:
     """The panel of the gateway that this very process runs, as `decanter top` shows it, while the block lasts."""
     stop, watch = Event(), GatewayWatch(socket_path)
     thread = Thread(
@@ -119,7 +119,7 @@ def _absent(sighting: Sighting, plant: Path) -> str:
 
 
 @contextmanager
-def _ended_by(*numbers: signal.Signals) -> Iterator[None]:
+def _interrupt_signals(*numbers: signal.Signals) -> Iterator[None]:
     """Let these signals end the block as Ctrl-C does: with the terminal as it was."""
 
     def interrupt(_number: int, _frame: FrameType | None) -> NoReturn:

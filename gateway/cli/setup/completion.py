@@ -6,7 +6,7 @@ from pathlib import Path
 import click
 from click.shell_completion import get_completion_class
 
-from drivers.named_files import writing
+from drivers.named_files import name_write_errors
 from gateway.entry import fail, sentences
 
 PLACES = {
@@ -33,7 +33,7 @@ def completion(shell: str | None, install: bool) -> None:
         return
     place, then = PLACES[name]
     file = Path.home() / place
-    with sentences(), writing(file):
+    with sentences(), name_write_errors(file):
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_text(script + "\n", encoding="utf-8")
     click.echo(f"{file} is written; {then}")

@@ -9,9 +9,9 @@ import click
 PROGRAM = """\
 import sys
 from functools import partial
-from gateway.entry import run_answered
+from gateway.entry import run_command
 from sim.plc.__main__ import main
-run_answered(partial(main.main, prog_name="decanter emulate"), sys.argv[1:])
+run_command(partial(main.main, prog_name="decanter emulate"), sys.argv[1:])
 """
 
 

@@ -23,14 +23,14 @@ from gateway.commission.files import (
     read_io_list,
     template,
 )
-from gateway.commission.import_list import as_listed, bindings, reading_of
+from gateway.commission.import_list import bindings, list_options, make_reading
 from gateway.commission.options import SharedOptions, link_options
-from gateway.console import CommandResult, Line, Part, conclude, make_folder, service_of, shipped
+from gateway.console import CommandResult, Line, Part, conclude, find_service, make_folder, shipped_file
 from gateway.entry import sentences
-from gateway.lab.traces.map import asked_map
+from gateway.lab.traces.map import ask_map
 from gateway.settings import load_device
 from sim.lab.recordings import parse_map
-from sim.lab.recordings.mapping import RUNNING, Answers, Undecided
+from sim.lab.recordings.mapping import RUNNING_SIGNAL, Answers, Undecided
 
 _PATH = click.Path(path_type=Path)
 _LIST_ENDINGS = (".csv", ".xlsx", ".txt", ".tsv")
@@ -41,7 +41,7 @@ _HEARTBEAT = re.compile("heart ?beat|life ?(bit|counter|word)|watchdog|contatore
 @click.command(short_help="Make a folder that runs, from an address and an I/O list.")
 @click.argument("folder", type=_PATH, default=".")
 @click.option("--list", "list_path", type=_PATH, help="The PLC's I/O list (CSV, XLSX).")
-@as_listed
+@list_options
 @click.option("--without", multiple=True, metavar="TAG", help="Leave this tag of the list out; may be given again.")
 @click.option("--skip-bad", is_flag=True, help="Leave out rows of the list that cannot be used.")
 @click.option(
@@ -69,11 +69,11 @@ def init(given: SharedOptions, folder: Path, **options: Any) -> None:
     """
     with sentences():
         asked = _Prompt(terminal())
-        how = reading_of(options)
-        described = _described(given.device, options["list_path"], how, asked, skip=options["skip_bad"])
-        described = _without(described, options["without"])
+        how = make_reading(options)
+        described = _describe_tags(given.device, options["list_path"], how, asked, skip=options["skip_bad"])
+        described = _drop_tags(described, options["without"])
         device, io_list, known = described.device, described.io_list, described.names
-        given = _placed(given, described.device, asked)
+        given = _complete_place(given, described.device, asked)
         files = find_files(folder / ".init" / "plant.toml", device, given.link, given.settings)
         trace = options["trace"]
         if trace is None and asked.here:
@@ -107,8 +107,8 @@ def init(given: SharedOptions, folder: Path, **options: Any) -> None:
                 str(files.place[key]) for key in ("host", "port", "serial", "channel") if key in files.place
             ),
         )
-        if wanted.in_the_way and not options["overwrite"]:
-            there = ", ".join(map(str, wanted.in_the_way))
+        if wanted.existing_files and not options["overwrite"]:
+            there = ", ".join(map(str, wanted.existing_files))
             raise ValueError(f"{there}: is there already; give another folder, or --overwrite")
         make_folder(folder)
         made = wanted.write()
@@ -157,7 +157,7 @@ class _Prompt:
         return str(click.prompt(question, default=default, type=kind))
 
 
-def _placed(given: SharedOptions, device: Path | None, asked: _Prompt) -> SharedOptions:
+def _complete_place(given: SharedOptions, device: Path | None, asked: _Prompt) -> SharedOptions:
     """The options with where the PLC is, asked for where neither they nor the device file say it."""
     there = load_device(device) if device is not None else None
     settings = {**(there.settings if there is not None else {}), **given.settings}
@@ -186,7 +186,9 @@ class _Described:
     blocks: tuple[str, ...] = ()
 
 
-def _described(device: Path | None, list_path: Path | None, how: Reading, asked: _Prompt, *, skip: bool) -> _Described:
+def _describe_tags(
+    device: Path | None, list_path: Path | None, how: Reading, asked: _Prompt, *, skip: bool
+) -> _Described:
     """The tags, asked for where neither is given.
 
     Raises ConfigError or ListError; of a list with a sentence for each row that cannot be used, unless `skip`.
@@ -195,7 +197,7 @@ def _described(device: Path | None, list_path: Path | None, how: Reading, asked:
         path = Path(asked.text("I/O list (CSV, XLSX) or device file (TOML)", "--list FILE or --device FILE"))
         device, list_path = (None, path) if path.suffix.lower() in _LIST_ENDINGS else (path, None)
     if list_path is None:
-        device = shipped("devices", str(device))
+        device = shipped_file("devices", str(device))
         there = load_device(device)
         numbers = {tag.name: tag.unit for tag in there.tags if tag.dtype not in _NO_NUMBERS}
         blocks = tuple(layout.temperature for layout in there.writebacks if layout.temperature in numbers)
@@ -215,7 +217,7 @@ def _described(device: Path | None, list_path: Path | None, how: Reading, asked:
     return _Described(None, io_list, [tag.name for tag in io_list.tags], numbers)
 
 
-def _without(described: _Described, names: Sequence[str]) -> _Described:
+def _drop_tags(described: _Described, names: Sequence[str]) -> _Described:
     """The tags but for these. Raises ConfigError for one that no list has."""
     listed = described.io_list
     if strange := [name for name in names if listed is None or name not in described.names]:
@@ -268,25 +270,25 @@ def _column_map(
     answers = Answers()
     while True:
         try:
-            first = asked_map(trace, answers)
+            first = ask_map(trace, answers)
             break
         except Undecided as open_point:
             # Which temperature the model is to predict was said already.
-            mine = [choice for choice in open_point.choices if _tag_of(choice, known) == temperature]
+            mine = [choice for choice in open_point.choices if _match_tag(choice, known) == temperature]
             if open_point.field != "temperature" or len(mine) != 1 or answers.temperature:
                 raise ValueError(
                     f"{open_point}: to `decanter trace map {trace} -o {trace.stem}.toml`, and leave --trace out here"
                 ) from None
             answers = answers.with_answer("temperature", mine[0])
     drafted = parse_map(first.text, str(trace))
-    headers = [drafted.names_of(signal)[0] for signal in drafted.signals]
-    names = {header: tag for header in headers if (tag := rename.get(header) or _tag_of(header, known))}
+    headers = [drafted.signal_names(signal)[0] for signal in drafted.signals]
+    names = {header: tag for header in headers if (tag := rename.get(header) or _match_tag(header, known))}
     if temperature in names.values():
         answers = answers.with_answer("temperature", temperature)
     else:
         names[first.temperature] = temperature
     # The events come from the other two parts: those must be tags, or a gateway has no events.
-    open_parts = {"the motor's current": first.current, "whether the machine runs": first.running or RUNNING}
+    open_parts = {"the motor's current": first.current, "whether the machine runs": first.running or RUNNING_SIGNAL}
     unknown = []
     for part, header in open_parts.items():
         if not header or header in names:
@@ -300,7 +302,7 @@ def _column_map(
             names[header] = tag
         elif header not in drafted.derived:
             unknown.append(header)
-    return asked_map(trace, answers, names).text, unknown
+    return ask_map(trace, answers, names).text, unknown
 
 
 def _derived(map_text: str, known: Sequence[str]) -> dict[str, dict[str, Any]]:
@@ -313,7 +315,7 @@ def _derived(map_text: str, known: Sequence[str]) -> dict[str, dict[str, Any]]:
     }
 
 
-def _tag_of(header: str, tags: Sequence[str]) -> str:
+def _match_tag(header: str, tags: Sequence[str]) -> str:
     """The longest tag whose letters and digits the header's contain, whatever stands around it; "" for none."""
     plain = _letters(header)
     fitting = [tag for tag in tags if len(_letters(tag)) > 2 and _letters(tag) in plain]
@@ -326,7 +328,7 @@ def _letters(text: str) -> str:
 
 def _of_service(folder: Path) -> dict[str, object]:
     """What is other in the folder of an installed service, which may write nothing beside its plant file."""
-    if (service := service_of(folder)) is None:
+    if (service := find_service(folder)) is None:
         return {}
     places = {
         "historian.path": str(service.records / "historian.sqlite"),
@@ -339,7 +341,7 @@ def _of_service(folder: Path) -> dict[str, object]:
 def _next(folder: Path, trace: Path | None, temperatures: Sequence[str]) -> list[str]:
     """What to type next; the trace's column map speaks of the first temperature."""
     begin = "decanter run            # and `decanter top` in another terminal"
-    if (service := service_of(folder)) is not None:
+    if (service := find_service(folder)) is not None:
         begin = f"systemctl enable --now {service.unit}"
         if service.unit == "decanter":
             begin = "systemctl restart decanter   # and the page: http://127.0.0.1:8080"

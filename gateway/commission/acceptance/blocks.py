@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from math import isfinite
 from typing import Any
 
-from gateway.commission.session import at
+from gateway.commission.session import format_moment
 
 MOST_ROWS = 400
 _LONGEST = 160
@@ -64,7 +64,7 @@ def blocks(data: Mapping[str, Any], digest: str) -> list[Block]:
     made, clock, audit, records = data["made"], data["clock"], data["audit"], data["records"]
     offset = clock["hmi_offset_s"]
     facts = (
-        ("made", f"{at(made['time'])} by {made['by']}"),
+        ("made", f"{format_moment(made['time'])} by {made['by']}"),
         ("device", "; ".join(data["places"]) or "none"),
         ("machine", ", ".join(data["machines"])),
         ("names", ", ".join(data["names"])),
@@ -91,7 +91,7 @@ def blocks(data: Mapping[str, Any], digest: str) -> list[Block]:
         state = check["state"] if check["required"] or check["tries"] else "not asked for"
         number = "" if check["record"] is None else str(check["record"])
         what = (check["command"], check["shows"], state, number, str(check["tries"]))
-        rows.append((*what, at(check["time"]), check["who"], check["reason"]))
+        rows.append((*what, format_moment(check["time"]), check["who"], check["reason"]))
         states.append(_STATES.get(state, ""))
     columns = ("check", "what it shows", "result", "record", "tries", "time", "who", "reason")
     widths = (0.11, 0.22, 0.09, 0.06, 0.05, 0.14, 0.08, 0.25)
@@ -110,7 +110,14 @@ def blocks(data: Mapping[str, Any], digest: str) -> list[Block]:
         kinds = ", ".join(f"{count} {kind}" for kind, count in audit["kinds"].items())
         whole = audit["problem"] or "whole"
         armings = tuple(
-            (str(row["row"]), at(row["time"]), row["kind"], row["who"], row["reason"], at(row["detail"].get("until")))
+            (
+                str(row["row"]),
+                format_moment(row["time"]),
+                row["kind"],
+                row["who"],
+                row["reason"],
+                format_moment(row["detail"].get("until")),
+            )
             for row in audit["armings"]
         )
         heads = ("row", "time", "what", "who", "reason", "until")
@@ -153,7 +160,10 @@ def _record(record: Mapping[str, Any]) -> Iterator[Block]:
     yield Text(f"Exit code {record['code']}: {sentence}" if sentence else f"Exit code {record['code']}", state)
     frames = record["frames"]
     facts = [
-        ("when", f"{at(record['time'])}, {record['seconds']:.2f} s, by {record['who']} on {record['machine']}"),
+        (
+            "when",
+            f"{format_moment(record['time'])}, {record['seconds']:.2f} s, by {record['who']} on {record['machine']}",
+        ),
         ("where", record["place"]),
         ("arguments", _cell(record["arguments"])),
         (
@@ -195,7 +205,7 @@ def _record(record: Mapping[str, Any]) -> Iterator[Block]:
 
 def _moment(name: str, value: object) -> object:
     """A time (s UTC) as a date for a person; any other value as it is."""
-    return at(value) if name == "time" and isinstance(value, float) and isfinite(value) else value
+    return format_moment(value) if name == "time" and isinstance(value, float) and isfinite(value) else value
 
 
 def _cell(value: object) -> str:

@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from gateway.commission.session import CommandRecord, at, broken_at, read_records, versions
+from gateway.commission.session import CommandRecord, find_break, format_moment, read_records, versions
 from gateway.machine.writing import uptime
 from gateway.store import (
     ARMED,
@@ -14,12 +14,12 @@ from gateway.store import (
     EXPIRED,
     WitnessPlaces,
     armed_subjects,
+    end_reason,
     examine,
     given_words,
-    hash_of,
-    over,
     public_path,
     read,
+    sha256_hex,
     trusted_key,
 )
 
@@ -77,8 +77,8 @@ def gather(
     if not records:
         raise ValueError(f"{records_path}: holds no record; carry out the checks first, then make the report of them")
     writing = any(record.command == "arm" and not record.code for record in records)
-    checks = [_checked(check, records, writing=writing) for check in CHECKS]
-    chain = broken_at(records_path)
+    checks = [_evaluate_check(check, records, writing=writing) for check in CHECKS]
+    chain = find_break(records_path)
     audit = _audit(places, now)
     configuration = _configuration(records)
     points: list[str] = []
@@ -95,7 +95,7 @@ def gather(
     points += [f"{check['command']} was not done: {check['shows']}" for check in missing]
     for check in checks:
         if check["record"] is not None and check["state"] == "passed":
-            points += _left(check["command"], records[check["record"] - 1])
+            points += _open_points(check["command"], records[check["record"] - 1])
     for file in configuration:
         if file["changed"]:
             points.append(f"{file['path']} was changed after it was last used ({file['changed']})")
@@ -123,7 +123,7 @@ def gather(
         "audit": audit,
         "records": {
             "path": str(records_path),
-            "sha256": hash_of(records_path.read_bytes()),
+            "sha256": sha256_hex(records_path.read_bytes()),
             "broken_at": chain,
             "rows": [{"number": number, **asdict(record)} for number, record in enumerate(records, start=1)],
         },
@@ -143,7 +143,7 @@ def _blocks(records: Sequence[CommandRecord]) -> list[dict[str, Any]]:
     ]
 
 
-def _checked(check: ReportCheck, records: Sequence[CommandRecord], *, writing: bool) -> dict[str, Any]:
+def _evaluate_check(check: ReportCheck, records: Sequence[CommandRecord], *, writing: bool) -> dict[str, Any]:
     """The newest record of a check that came to a result is the one that counts."""
     own = [
         (number, record)
@@ -159,7 +159,7 @@ def _checked(check: ReportCheck, records: Sequence[CommandRecord], *, writing: b
     return {**row, "state": state, "record": number, "time": last.time, "who": last.who, "reason": last.reason}
 
 
-def _left(command: str, record: CommandRecord) -> Iterator[str]:
+def _open_points(command: str, record: CommandRecord) -> Iterator[str]:
     """What a check that passed has left open."""
     skipped = [row for row in _dicts(record.result.get("rows")) if row.get("skipped")]
     if skipped:
@@ -184,7 +184,7 @@ def _configuration(records: Sequence[CommandRecord]) -> list[dict[str, Any]]:
     rows = []
     for path, (digest, moment) in sorted(newest.items()):
         file = Path(path)
-        now = hash_of(file.read_bytes()) if file.is_file() else "is no longer there"
+        now = sha256_hex(file.read_bytes()) if file.is_file() else "is no longer there"
         rows.append({"path": path, "sha256": digest, "used": moment, "changed": "" if now == digest else now})
     return rows
 
@@ -228,9 +228,11 @@ def _audit(places: WitnessPlaces, now: float) -> dict[str, Any]:
     standing = []
     for subject in [] if checked.broken else armed_subjects(path):
         row = next(iter(given_words(path, subject=subject)), None)
-        if row is not None and row.entry.kind == ARMED and not over(path, row, now, uptime()):
+        if row is not None and row.entry.kind == ARMED and not end_reason(path, row, now, uptime()):
             about = f"{subject}: " if subject else ""
-            standing.append(f"{about}by {row.entry.who} ({row.entry.reason}) until {at(row.entry.detail['until'])}")
+            standing.append(
+                f"{about}by {row.entry.who} ({row.entry.reason}) until {format_moment(row.entry.detail['until'])}"
+            )
     return {
         **empty,
         "rows": checked.rows,

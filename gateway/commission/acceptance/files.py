@@ -12,10 +12,10 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-from drivers.named_files import writing
+from drivers.named_files import name_write_errors
 from gateway.commission.acceptance.blocks import Block, blocks
 from gateway.commission.acceptance.paper import paper
-from gateway.store import hash_of
+from gateway.store import sha256_hex
 from sim.lab.pages import page_environment
 from sim.strict_json import json_text
 
@@ -29,7 +29,7 @@ def write(folder: Path, data: Mapping[str, Any], records: bytes) -> str:
     """Write all files of the report; gives the seal. Raises OSError."""
     folder.mkdir(parents=True, exist_ok=True)
     content = (json_text(data, indent=1) + "\n").encode()
-    digest = hash_of(content)
+    digest = sha256_hex(content)
     report, title = blocks(json.loads(content), digest), f"Site acceptance report: {data['site']}"
     footer = f"{title}    data SHA-256 {digest}"
     files = {
@@ -39,11 +39,11 @@ def write(folder: Path, data: Mapping[str, Any], records: bytes) -> str:
         RECORDS: records,
     }
     for name, bytes_ in files.items():
-        with writing(folder / name):
+        with name_write_errors(folder / name):
             (folder / name).write_bytes(bytes_)
-    lines = "".join(f"{hash_of(bytes_)}  {name}\n" for name, bytes_ in files.items())
-    seal = hash_of(lines.encode())
-    with writing(folder / LIST):
+    lines = "".join(f"{sha256_hex(bytes_)}  {name}\n" for name, bytes_ in files.items())
+    seal = sha256_hex(lines.encode())
+    with name_write_errors(folder / LIST):
         (folder / LIST).write_text(f"{lines}# seal {seal}\n", encoding="utf-8")
     return seal
 
@@ -84,9 +84,9 @@ def verify(folder: Path, seal: str = "") -> tuple[str, list[dict[str, Any]]]:
         elif not file.is_file():
             problem = "is missing"
         else:
-            problem = "" if hash_of(file.read_bytes()) == listed[name] else "was changed"
+            problem = "" if sha256_hex(file.read_bytes()) == listed[name] else "was changed"
         rows.append({"file": name, "ok": not problem, "problem": problem})
-    own = hash_of("".join(f"{digest}  {name}\n" for name, digest in listed.items()).encode())
+    own = sha256_hex("".join(f"{digest}  {name}\n" for name, digest in listed.items()).encode())
     problem = "" if own == sealed[1] else "its seal is not that of its lines: the list was changed"
     if not problem and seal and not own.startswith(seal.lower()):
         problem = "its seal is another one than was signed: all of it was made anew"

@@ -4,15 +4,15 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from drivers.codec import decode, encode, registers_needed
+from drivers.codec import decode, encode, register_count
 from drivers.errors import EncodingError
 from gateway.commission.encodings.scoring import EncodingCandidate, Observation
 
-WORTH = 0.01
+MIN_RIVAL_RELATIVE_SHARE = 0.01
 """A rival with less of the belief than this, relative to the best, is not worth another look at the HMI."""
-SETTLED = 0.97
+SETTLED_SHARE = 0.97
 """The share of belief from which no further reading is asked for."""
-_FARTHEST, _OUTERMOST = 4.0, 1000.0
+_MAX_RATIO, _MAX_TWIN_RATIO = 4.0, 1000.0
 _STEPS = 12
 
 
@@ -33,7 +33,7 @@ class Advice:
     twins_above: float | None = None
 
     @property
-    def settled(self) -> bool:
+    def is_settled(self) -> bool:
         """True if no rival is left that another ordinary reading would tell apart."""
         return not self.ties
 
@@ -45,17 +45,17 @@ class Advice:
             rivals = "1 other encoding explains" if len(self.ties) == 1 else f"{len(self.ties)} others explain"
             lines.append(
                 f"{rivals} this too: give a second reading when the HMI shows clearly another value"
-                f"{_aim(' (', self.below, self.above, ')')}"
+                f"{_target_sentence(' (', self.below, self.above, ')')}"
             )
         if self.twins:
             names = ", ".join(dict.fromkeys(f"{twin.dtype} at {twin.address}" for twin in self.twins))
-            limits = _aim("", self.twins_below, self.twins_above, "")
+            limits = _target_sentence("", self.twins_below, self.twins_above, "")
             unless = f" unless it goes {limits}: if it can, read it there too" if limits else ""
             lines.append(f"{names} would read the same{unless}")
         return tuple(lines)
 
 
-def _aim(before: str, below: float | None, above: float | None, after: str) -> str:
+def _target_sentence(before: str, below: float | None, above: float | None, after: str) -> str:
     limits = [f"{word} {value:.6g}" for word, value in (("below", below), ("above", above)) if value is not None]
     return f"{before}{' or '.join(limits)}{after}" if limits else ""
 
@@ -67,25 +67,29 @@ def advise(candidates: Sequence[EncodingCandidate], observations: Sequence[Obser
     best, last = candidates[0], observations[-1]
     ties: dict[int, tuple[float, float]] = {}
     twins: dict[int, tuple[float, float]] = {}
-    rivals = {index: one for index, one in enumerate(candidates) if index and one.share >= WORTH * best.share}
+    rivals = {
+        index: one
+        for index, one in enumerate(candidates)
+        if index and one.share >= MIN_RIVAL_RELATIVE_SHARE * best.share
+    }
     for index, rival in rivals.items():
-        near = _both_sides(best, rival, last, (1.0 / _FARTHEST, _FARTHEST))
+        near = _both_sides(best, rival, last, (1.0 / _MAX_RATIO, _MAX_RATIO))
         if min(near) < math.inf:
             ties[index] = near
         else:
-            twins[index] = _both_sides(best, rival, last, (-_FARTHEST, _OUTERMOST))
+            twins[index] = _both_sides(best, rival, last, (-_MAX_RATIO, _MAX_TWIN_RATIO))
     same = tuple(rivals[index] for index in twins)
-    limits = (_beyond(last, -1, twins), _beyond(last, 1, twins))
-    if not ties or best.share + sum(twin.share for twin in same) >= SETTLED:
+    limits = (_separation_bound(last, -1, twins), _separation_bound(last, 1, twins))
+    if not ties or best.share + sum(twin.share for twin in same) >= SETTLED_SHARE:
         return Advice((), None, None, same, *limits)
     # Only one side is advised where a reading on the other would leave a rival that it removes.
     complete = [max(near[side] for near in ties.values()) < math.inf for side in (0, 1)]
-    below = _beyond(last, -1, ties) if complete[0] or not complete[1] else None
-    above = _beyond(last, 1, ties) if complete[1] or not complete[0] else None
+    below = _separation_bound(last, -1, ties) if complete[0] or not complete[1] else None
+    above = _separation_bound(last, 1, ties) if complete[1] or not complete[0] else None
     return Advice(tuple(rivals[index] for index in ties), below, above, same, *limits)
 
 
-def _beyond(last: Observation, side: int, apart: Mapping[int, tuple[float, float]]) -> float | None:
+def _separation_bound(last: Observation, side: int, apart: Mapping[int, tuple[float, float]]) -> float | None:
     """The value on one side from which on no rival agrees any more that ever differs there; None where none does."""
     known = [distances[side > 0] for distances in apart.values() if distances[side > 0] < math.inf]
     return last.shown.value + side * max(known) if known else None
@@ -147,5 +151,5 @@ def _differ(best: EncodingCandidate, rival: EncodingCandidate, last: Observation
 
 def _value(candidate: EncodingCandidate, words: Sequence[int], base: int) -> float | None:
     tag, first = candidate.tag(), candidate.address - base
-    value, quality, _ = decode(tag, words[first : first + registers_needed(tag)])
+    value, quality, _ = decode(tag, words[first : first + register_count(tag)])
     return float(value) if not quality.is_bad and isinstance(value, int | float) else None

@@ -34,7 +34,7 @@ ROOMY: dict[DType, tuple[float, float, float]] = {
 """How often these hold a signal although a type of half the size would have been enough, signed or not, and the least
 and the greatest number that one of these holds."""
 HALF_FULL: dict[DType, float] = {DType.INT16: 2.0**14, DType.INT32: 2.0**30, DType.INT64: 2.0**62}
-SIGNED_THOUGH_TIGHT = 0.5
+P_SIGNED_THOUGH_TIGHT = 0.5
 """How often a signal that takes up more than half of a signed type, and never goes below 0, is kept in it."""
 FLOATS = frozenset({DType.FLOAT32, DType.FLOAT64})
 
@@ -119,9 +119,9 @@ FLOAT_OFFSETS: dict[float, float] = {0.0: 0.985, -273.15: 0.01, 32.0: 0.001, -40
 GRAINS: dict[float, float] = {5.0: 0.03, 1.0: 0.12, 0.5: 0.07, 0.1: 0.2, 0.01: 0.08}
 """To what a source rounds a number before it is stored as a float; the rest is not rounded. (Shares of all floats.)"""
 
-ZERO, ALL_ONES = 0.3, 0.02
+P_ZERO, P_ALL_ONES = 0.3, 0.02
 """How often a register that has nothing to do with the value is 0 (spare, a state without alarm), or 0xFFFF."""
-FLOAT_TOPS, FLOAT_TOP = 0.1, (0x3F00, 0x4600)
+P_FLOAT_HIGH_WORD, FLOAT_HIGH_WORDS = 0.1, (0x3F00, 0x4600)
 """How often it is the high word of a float32, and the high words of the floats from 0.5 to 8192, either sign's."""
-STANDS_STILL, REMAINS_EMPTY = 0.5, 0.97
+P_WORD_UNCHANGED, P_EMPTY_UNCHANGED = 0.5, 0.97
 """How often such a register is the same in the next reading; how often one that is 0 or 0xFFFF is."""

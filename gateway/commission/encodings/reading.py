@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 
 from drivers.errors import OneLineError
 
-_SLACK = 1e-9
+_RELATIVE_TOLERANCE = 1e-9
 """What binary fractions may add to an error, as a share of the value (of 1 at least)."""
-_SINGLE = 2.0**-23
+_FLOAT32_EPSILON = 2.0**-23
 _SPACES = "'’ \u00a0\u202f"
 _NUMBER = re.compile(rf"([+-]?)([.,]?\d[\d.,{_SPACES}]*)")
 _STATES = {"on": True, "true": True, "yes": True, "off": False, "false": False, "no": False}
@@ -31,25 +31,25 @@ class ShownNumber:
         decimals = max(0, len(f"{self.step:.9f}".rstrip("0").partition(".")[2]))
         return f"{self.value:.{decimals}f}"
 
-    def rounded_from(self, values: NDArray[np.float64]) -> NDArray[np.bool_]:
+    def rounding_mask(self, values: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Which of the values the HMI shows like this if it rounds."""
         return np.asarray(np.abs(values - self.value) <= 0.5 * self.step + self._slack)
 
-    def cut_from(self, values: NDArray[np.float64]) -> NDArray[np.bool_]:
+    def truncation_mask(self, values: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Which of the values it shows like this if it cuts digits off, towards 0.
 
         Not one that is the next number that it can show, as near as a float32 comes to it.
         """
         towards_zero = (values - self.value) * (1.0 if self.value >= 0 else -1.0)
-        below_next = self.step - max(self._slack, _SINGLE * abs(self.value))
+        below_next = self.step - max(self._slack, _FLOAT32_EPSILON * abs(self.value))
         return np.asarray((towards_zero >= -self._slack) & (towards_zero < below_next))
 
     @property
     def _slack(self) -> float:
-        return _SLACK * max(1.0, abs(self.value))
+        return _RELATIVE_TOLERANCE * max(1.0, abs(self.value))
 
 
-def parse_shown(text: str) -> ShownNumber | bool:
+def parse_display(text: str) -> ShownNumber | bool:
     """`72.4`, `72,4`, `1'250`, `1.250,5`, `-3`, or `on` and `off`. Raises ReadingError.
 
     One comma or point is a decimal one; several, or one of each, separate thousands but for the last of another kind.

@@ -11,7 +11,7 @@ before they were stored, all of them by the same source to the same, and have th
 still from one reading to the next count once.
 
 An encoding that explains every reading by rounding or cutting is never below one that needs a value that moved; and as
-long as another one does too, none is believed by more than MOST_BELIEVED.
+long as another one does too, none is believed by more than MAX_CONTESTED_BELIEF.
 """
 
 import math
@@ -22,24 +22,24 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.codec import MEASURABLE, decode, registers_needed
+from drivers.codec import MEASURABLE_MAGNITUDES, decode, register_count
 from drivers.tag import DType, Order, Quality, Tag
 from gateway.commission.encodings import priors
 from gateway.commission.encodings.reading import ShownNumber
 
 Vector = NDArray[np.float64]
 
-ROUNDED, CUT, MOVED = 0.9, 0.05, 0.05
+P_ROUNDED, P_TRUNCATED, P_MOVED = 0.9, 0.05, 0.05
 """The HMI rounds; it cuts digits off; the value has moved between the two looks."""
-DRIFT = 0.003
+RELATIVE_DRIFT = 0.003
 """How far a value moves meanwhile, as a share of itself, beside one step of the display."""
-FARTHEST = 40.0
+MAX_DRIFT_WIDTHS = 40.0
 """Widths of that drift (with the tail of a Cauchy law) beyond which it is another value."""
-KEPT, HOPELESS = 60, 25.0
+MAX_ENCODINGS, HOPELESS_NATS = 60, 25.0
 """Encodings that are given, and nats behind the best of their layout from which on they are not kept."""
-ELSEWHERE = 0.05
+P_ELSEWHERE = 0.05
 """How often a value lies nowhere near the address that was given, so that what fits there fits by chance."""
-MOST_BELIEVED = 0.9
+MAX_CONTESTED_BELIEF = 0.9
 """The greatest share of belief as long as another encoding is as exact, or an inexact one would be likelier but for
 that: neighbours are alike in ways not known here."""
 _LOG_MIX = math.log(65536.0)
@@ -101,7 +101,8 @@ class _WeighedEncoding:
 
 
 def rank(observations: Sequence[Observation], address: int) -> list[EncodingCandidate]:
-    """The encodings that explain all observations, best first, at most KEPT; [] where chance explains them better.
+    """The encodings that explain all observations, best first, at most MAX_ENCODINGS; [] where chance explains them
+    better.
 
     `address` is where the value was said to lie. Raises ValueError without observations.
     """
@@ -111,20 +112,20 @@ def rank(observations: Sequence[Observation], address: int) -> list[EncodingCand
     weighed: list[_WeighedEncoding] = []
     # Every type and order at every shift that all observations have the words for.
     for (shift, near), (dtype, common) in product(priors.SHIFTS.items(), priors.TYPES.items()):
-        width, at = registers_needed(Tag("", "", dtype)), address + shift
+        width, at = register_count(Tag("", "", dtype)), address + shift
         if not all(seen.base <= at and at + width <= seen.base + len(seen.words) for seen in observations):
             continue
         scales, offsets, weights = grids[dtype in priors.FLOATS]
         for order, usual in (priors.ONE_REGISTER if width == 1 else priors.MORE_REGISTERS).items():
             layout = _EncodingLayout(at, dtype, order, math.log(near * common * usual))
-            weighed += _weighed(layout, observations, scales, offsets, weights)
+            weighed += _weigh_layout(layout, observations, scales, offsets, weights)
     # That the value lies elsewhere has its share of the belief too; what is less likely than that is not given.
-    chance = math.log(ELSEWHERE) + sum(math.log(seen.shown.step) for seen in observations)
+    chance = math.log(P_ELSEWHERE) + sum(math.log(seen.shown.step) for seen in observations)
     weighed = [row for row in weighed if row.weight >= chance]
     if not weighed:
         return []
     # Exact ones first; every inexact one is believed less than any of them, by how much seldomer a value moves.
-    floor = min((row.weight for row in weighed if row.exact), default=math.inf) + math.log(MOVED / ROUNDED)
+    floor = min((row.weight for row in weighed if row.exact), default=math.inf) + math.log(P_MOVED / P_ROUNDED)
     contested = any(row.weight > floor for row in weighed if not row.exact)
     weighed = [row if row.exact else replace(row, weight=min(row.weight, floor)) for row in weighed]
     # A stable sort: of equal weights the one that comes first in the tables of priors stays first.
@@ -135,7 +136,7 @@ def rank(observations: Sequence[Observation], address: int) -> list[EncodingCand
     others = sum(beliefs[1:]) + math.exp(chance - best)
     rivalled = len(weighed) > 1 and (contested or weighed[1].exact == weighed[0].exact)
     if rivalled:
-        beliefs[0] = min(beliefs[0], others * MOST_BELIEVED / (1.0 - MOST_BELIEVED))
+        beliefs[0] = min(beliefs[0], others * MAX_CONTESTED_BELIEF / (1.0 - MAX_CONTESTED_BELIEF))
     total = beliefs[0] + others
     return [
         EncodingCandidate(
@@ -145,11 +146,11 @@ def rank(observations: Sequence[Observation], address: int) -> list[EncodingCand
             scale=row.scale,
             offset=row.offset,
             weight=row.weight,
-            share=min(belief / total, MOST_BELIEVED) if rivalled else belief / total,
+            share=min(belief / total, MAX_CONTESTED_BELIEF) if rivalled else belief / total,
             exact=row.exact,
             values=row.values,
         )
-        for row, belief in zip(weighed[:KEPT], beliefs, strict=False)
+        for row, belief in zip(weighed[:MAX_ENCODINGS], beliefs, strict=False)
     ]
 
 
@@ -167,7 +168,7 @@ def _grid(*, floats: bool) -> tuple[Vector, Vector, Vector]:
     return columns[0], columns[1], columns[2]
 
 
-def _weighed(
+def _weigh_layout(
     layout: _EncodingLayout, observations: Sequence[Observation], scales: Vector, offsets: Vector, weights: Vector
 ) -> list[_WeighedEncoding]:
     """The layout with every scale and offset that explains all observations."""
@@ -180,7 +181,7 @@ def _weighed(
     roomy = math.log(chance) if low <= min(numbers) and max(numbers) <= high else 0.0
     # A signed type that is more than half used up, and never by a negative number: an unsigned one was chosen as often.
     full = priors.HALF_FULL.get(layout.dtype, math.inf)
-    tight = math.log(priors.SIGNED_THOUGH_TIGHT) if min(numbers) >= 0 and max(numbers) > full else 0.0
+    tight = math.log(priors.P_SIGNED_THOUGH_TIGHT) if min(numbers) >= 0 and max(numbers) > full else 0.0
     total = weights + layout.weight + roomy + tight
     exact = np.ones(total.shape, dtype=np.bool_)
     # Bayes' rule for all scales and offsets at once: log prior + the log likelihood ratio of each observation against
@@ -190,8 +191,8 @@ def _weighed(
     fresh: list[tuple[float, float]] = []
     for raw, seen in zip(raws, observations, strict=True):
         number, step = raw or (0.0, 1.0)
-        words = _covered(layout, seen)
-        logs, explained = _log_shown(number * scales + offsets, seen.shown)
+        words = _covered_words(layout, seen)
+        logs, explained = _log_likelihood(number * scales + offsets, seen.shown)
         total, exact = total + logs, exact & explained
         if np.max(total) == -math.inf:  # so it stays, whatever is added
             return []
@@ -201,7 +202,7 @@ def _weighed(
             fresh.append((number, step))
         before.append(words)
     total = total + _log_resolution(layout, fresh)
-    kept = np.flatnonzero(np.isfinite(total) & (total > np.max(total) - HOPELESS))
+    kept = np.flatnonzero(np.isfinite(total) & (total > np.max(total) - HOPELESS_NATS))
     return [
         _WeighedEncoding(
             layout=layout,
@@ -218,7 +219,7 @@ def _weighed(
 def _raw(layout: _EncodingLayout, seen: Observation) -> tuple[float, float] | None:
     """The raw number and the step to its neighbour; None where the words are no number of this type."""
     tag = Tag("", "", layout.dtype, layout.order)
-    value, quality, _ = decode(tag, _covered(layout, seen))
+    value, quality, _ = decode(tag, _covered_words(layout, seen))
     if quality is not Quality.GOOD or isinstance(value, bool | str) or value is None:
         return None
     number = float(value)
@@ -226,7 +227,7 @@ def _raw(layout: _EncodingLayout, seen: Observation) -> tuple[float, float] | No
         return number, 1.0
     # One unit in the last place of the mantissa (IEEE 754), which no measurable number has below that of 1e-30.
     single = layout.dtype is DType.FLOAT32
-    return number, 2.0 ** (math.floor(math.log2(max(abs(number), MEASURABLE[0]))) - (23 if single else 52))
+    return number, 2.0 ** (math.floor(math.log2(max(abs(number), MEASURABLE_MAGNITUDES[0]))) - (23 if single else 52))
 
 
 def _log_resolution(layout: _EncodingLayout, raws: Sequence[tuple[float, float]]) -> float:
@@ -247,26 +248,26 @@ def _log_resolution(layout: _EncodingLayout, raws: Sequence[tuple[float, float]]
     return math.log(likelihood)
 
 
-def _covered(layout: _EncodingLayout, seen: Observation) -> tuple[int, ...]:
+def _covered_words(layout: _EncodingLayout, seen: Observation) -> tuple[int, ...]:
     first = layout.address - seen.base
-    return seen.words[first : first + registers_needed(Tag("", "", layout.dtype))]
+    return seen.words[first : first + register_count(Tag("", "", layout.dtype))]
 
 
-def _log_shown(values: Vector, shown: ShownNumber) -> tuple[Vector, NDArray[np.bool_]]:
+def _log_likelihood(values: Vector, shown: ShownNumber) -> tuple[Vector, NDArray[np.bool_]]:
     """log P(the HMI shows this | the value): rounded, cut off, or of a moment earlier; -inf far away.
 
     With it, for each value, whether rounding or cutting alone explains the reading.
     """
     step, error = shown.step, values - shown.value
     # The value moved between the HMI's refresh and the read: a Cauchy density, whose tails forgive a wide move.
-    width = step + DRIFT * abs(shown.value)
+    width = step + RELATIVE_DRIFT * abs(shown.value)
     away = np.maximum(np.abs(error) - 0.5 * step, 0.0) / width
     logs = np.full(values.shape, -math.inf)
     # Few of all values are near, and what is rounded or cut is.
-    near = np.flatnonzero(away < FARTHEST)
-    away, rounded, cut = away[near], shown.rounded_from(values[near]), shown.cut_from(values[near])
-    moved = MOVED * step / (math.pi * width * (1.0 + away**2))
-    logs[near] = np.log(ROUNDED * rounded + CUT * cut + moved)
+    near = np.flatnonzero(away < MAX_DRIFT_WIDTHS)
+    away, rounded, cut = away[near], shown.rounding_mask(values[near]), shown.truncation_mask(values[near])
+    moved = P_MOVED * step / (math.pi * width * (1.0 + away**2))
+    logs[near] = np.log(P_ROUNDED * rounded + P_TRUNCATED * cut + moved)
     explained = np.zeros(values.shape, dtype=np.bool_)
     explained[near] = rounded | cut
     return logs, explained
@@ -283,7 +284,7 @@ def _log_background(words: Sequence[int], former: Sequence[int] | None, dtype: D
     for place, word in enumerate(words):
         chance = _stranger(word)
         if former is not None:
-            still = priors.REMAINS_EMPTY if former[place] in (0, 0xFFFF) else priors.STANDS_STILL
+            still = priors.P_EMPTY_UNCHANGED if former[place] in (0, 0xFFFF) else priors.P_WORD_UNCHANGED
             chance = still * (word == former[place]) + (1.0 - still) * chance
         total += math.log(chance)
     return total
@@ -292,11 +293,11 @@ def _log_background(words: Sequence[int], former: Sequence[int] | None, dtype: D
 def _stranger(word: int) -> float:
     """Often 0, or 0xFFFF, or the high word of a float; else as likely any number as any order of magnitude."""
     if word == 0:
-        return priors.ZERO
+        return priors.P_ZERO
     if word == 0xFFFF:
-        return priors.ALL_ONES
+        return priors.P_ALL_ONES
     size = min(word, 65536 - word)  # a small negative number is as likely as a small positive one
     any_number = 0.5 / 65536 + 0.25 / (size * (_LOG_MIX - math.log(2.0)))
-    low, high = priors.FLOAT_TOP
-    top = priors.FLOAT_TOPS / (2 * (high - low)) if low <= word & 0x7FFF < high else 0.0
-    return (1.0 - priors.ZERO - priors.ALL_ONES - priors.FLOAT_TOPS) * any_number + top
+    low, high = priors.FLOAT_HIGH_WORDS
+    top = priors.P_FLOAT_HIGH_WORD / (2 * (high - low)) if low <= word & 0x7FFF < high else 0.0
+    return (1.0 - priors.P_ZERO - priors.P_ALL_ONES - priors.P_FLOAT_HIGH_WORD) * any_number + top

@@ -89,7 +89,7 @@ def read_sheet(
     rows = list(_rows(path, sheet))
     given = dict(given or {})
     for place, (number, cells) in enumerate(rows[:HEADER_WITHIN]):
-        columns = _recognised(cells, synonyms, given)
+        columns = _recognise_columns(cells, synonyms, given)
         if all(name in columns for name in (*needed, *given)):
             used = set(columns.values())
             ignored = tuple(cell.strip() for at, cell in enumerate(cells) if at not in used and cell.strip())
@@ -103,13 +103,13 @@ def read_sheet(
         raise ListError(f"{path}: is empty; give a list with a header and one row a tag")
     # What was asked for by --column and is nowhere explains more than a header that was not recognised.
     first, headers = rows[0][0], ", ".join(repr(cell.strip()) for cell in rows[0][1] if cell.strip())
-    known = {key_of(cell) for _, cells in rows[:HEADER_WITHIN] for cell in cells}
+    known = {header_key(cell) for _, cells in rows[:HEADER_WITHIN] for cell in cells}
     for name, header in given.items():
-        if key_of(header) not in known:
+        if header_key(header) not in known:
             raise ListError(f"{path}: no column is called {header!r} (--column {name}); line {first} has {headers}")
     # The line that has the most of what is needed is the likeliest header.
     place, found = max(
-        ((place, _recognised(cells, synonyms, given)) for place, (_, cells) in enumerate(rows[:HEADER_WITHIN])),
+        ((place, _recognise_columns(cells, synonyms, given)) for place, (_, cells) in enumerate(rows[:HEADER_WITHIN])),
         key=lambda item: (
             *(sum(name in item[1] for name in needed), len(item[1])),
             *(sum(bool(cell.strip()) for cell in rows[item[0]][1]), -item[0]),
@@ -142,17 +142,17 @@ def _by_content(name: str, columns: Sequence[int], rows: Sequence[Sequence[str]]
     return None
 
 
-def _recognised(
+def _recognise_columns(
     cells: Sequence[str], synonyms: Mapping[str, Sequence[str]], given: Mapping[str, str]
 ) -> dict[str, int]:
     """Column -> its place: the given header, else the exact synonym that comes first in the table, else one within.
 
     A header is used once; a synonym is found within a header as whole words only.
     """
-    keys = [key_of(cell) for cell in cells]
+    keys = [header_key(cell) for cell in cells]
     taken: dict[str, int] = {}
     for name, header in given.items():
-        if (wanted := key_of(header)) in keys:
+        if (wanted := header_key(header)) in keys:
             taken[name] = keys.index(wanted)
     # All exact names first: "offset" must not be taken by the column of "offset modbus" that stands before it.
     for exactly in (True, False):
@@ -177,7 +177,7 @@ def _says(key: str, word: str, *, exactly: bool) -> bool:
     return f" {word} " in f" {key} "
 
 
-def key_of(text: str) -> str:
+def header_key(text: str) -> str:
     """A header without case, accents and signs: `Unità di misura [°C]` is `unita di misura c`."""
     plain = unicodedata.normalize("NFKD", text.casefold())
     letters = (char if char.isalnum() else " " for char in plain if not unicodedata.combining(char))
@@ -212,7 +212,7 @@ def _rows(path: Path, sheet: str | None) -> Iterator[tuple[int, list[str]]]:
             break
     reader = csv.reader(io.StringIO(text, newline=""))
     try:
-        reader = csv.reader(io.StringIO(text, newline=""), delimiter=delimiter_of(text))
+        reader = csv.reader(io.StringIO(text, newline=""), delimiter=find_delimiter(text))
         # A quoted cell may hold line breaks: a row is called by the line at which it begins.
         before = 0
         for row in reader:
@@ -223,7 +223,7 @@ def _rows(path: Path, sheet: str | None) -> Iterator[tuple[int, list[str]]]:
         raise ListError(f"{path}: line {reader.line_num}: is not CSV ({error}); correct that line") from None
 
 
-def delimiter_of(text: str) -> str:
+def find_delimiter(text: str) -> str:
     """What separates the cells: the sign that divides the most lines into the same number of two cells or more."""
     lines = [line for line in text.splitlines() if line.strip()][:HEADER_WITHIN]
 
@@ -288,7 +288,7 @@ def _check_archive(path: Path, data: bytes) -> None:
                 raise ListError(f"{path}: its part {part.filename!r} has a document type, which no workbook has")
 
 
-def number_of(text: str) -> float:
+def parse_decimal(text: str) -> float:
     """`0,1`, `0.1`, `1.234,5` and `1,234.5` as numbers; a single comma is a decimal one. Raises ValueError."""
     plain = "".join(text.split()).replace("\u2212", "-")
     match = _GROUPED.fullmatch(plain)

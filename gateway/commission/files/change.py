@@ -19,7 +19,7 @@ from gateway.commission.files.device_file import (
     set_tag,
 )
 from gateway.commission.files.plan_files import Files, device_edit, plant_edit, save
-from gateway.commission.files.toml_edit import put
+from gateway.commission.files.toml_edit import set_key
 from gateway.settings import load_plant
 
 _TIMER_S = 5.0
@@ -76,7 +76,7 @@ def put_block(document: tomlkit.TOMLDocument, block: BlockPlace, template: Path)
     timer = block.timer if block.timer is not None else table.get("timeout_s", _TIMER_S)
     head: dict[str, Any] = {"layout_version": version, "timeout_s": timer}
     if row is not None:
-        put(row, "address", block.address)
+        set_key(row, "address", block.address)
     else:
         head = {"address": block.address, **head}
         if block.temperature is not None:
@@ -91,7 +91,7 @@ def plant_findings(plant: Path) -> list[str]:
     return [f"{one.machine or one.part}: {one.sentence}" for one in check_plant(load_plant(plant))]
 
 
-def carry_out(files: Files, wanted: FileChange, template: Path, *, dry_run: bool) -> dict[str, Any]:
+def apply_change(files: Files, wanted: FileChange, template: Path, *, dry_run: bool) -> dict[str, Any]:
     """Change the files; gives the diff and the backups. With `dry_run` nothing is written, and nothing is checked.
 
     `template` is the shipped register map, whose block's fields are the pattern. Raises ConfigError or OSError.
@@ -116,7 +116,7 @@ def carry_out(files: Files, wanted: FileChange, template: Path, *, dry_run: bool
     plant = plant_edit(files, wanted.plant)
     if wanted.plant and plant is None:
         raise ConfigError([f"--keep {next(iter(wanted.plant))}: is a key of the plant file; give --config FILE"])
-    edits = [edit for edit in (device, plant) if edit is not None and edit.changed]
+    edits = [edit for edit in (device, plant) if edit is not None and edit.has_changes]
     backups = [] if dry_run else save(device, plant)
     return {
         "files": [str(edit.path) for edit in edits],

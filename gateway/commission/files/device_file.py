@@ -10,7 +10,7 @@ from tomlkit.items import AoT, Comment, Table, Whitespace
 from drivers.device_file import NEEDED_FIELDS
 from drivers.driver import capabilities
 from drivers.settings import ConfigError, read_toml
-from gateway.commission.files.toml_edit import put
+from gateway.commission.files.toml_edit import set_key
 from gateway.commission.writeback.fields import describe_field
 from gateway.settings import BLOCK_FIELDS
 
@@ -49,7 +49,7 @@ def set_device(document: tomlkit.TOMLDocument, settings: Mapping[str, Any]) -> N
     if "device" not in document:
         document["device"] = tomlkit.table()
     for key, value in settings.items():
-        put(document["device"], key, value)
+        set_key(document["device"], key, value)
 
 
 def set_tag(document: tomlkit.TOMLDocument, name: str, keys: Mapping[str, Any]) -> None:
@@ -82,7 +82,7 @@ def set_derived(document: tomlkit.TOMLDocument, name: str, law: Mapping[str, Any
         document["derived"] = tomlkit.table()
     inline = tomlkit.inline_table()
     inline.update(law)
-    put(document["derived"], name, inline)
+    set_key(document["derived"], name, inline)
 
 
 def _fill(table: Table, keys: Mapping[str, Any]) -> None:
@@ -90,9 +90,9 @@ def _fill(table: Table, keys: Mapping[str, Any]) -> None:
         if isinstance(value, Mapping):
             inline = tomlkit.inline_table()
             inline.update(value)
-            put(table, key, inline)
+            set_key(table, key, inline)
         else:
-            put(table, key, value)
+            set_key(table, key, value)
 
 
 def encoding(keys: Mapping[str, Any]) -> dict[str, Any]:
@@ -167,7 +167,7 @@ def set_block(
         document["writeback"] = tomlkit.table()
     table: Any = document["writeback"]
     for key, value in head.items():
-        put(table, key, value)
+        set_key(table, key, value)
     chosen = BLOCK_FIELDS if names is None and "fields" not in table else names
     if chosen is None:
         return

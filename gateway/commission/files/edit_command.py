@@ -13,7 +13,7 @@ from gateway.commission.files.change import plant_findings
 from gateway.commission.files.plan_files import Files, find_files
 from gateway.commission.options import SharedOptions
 from gateway.commission.session import Site, Target, perform
-from gateway.console import CommandResult, Line, Part, Rows, shipped
+from gateway.console import CommandResult, Line, Part, Rows, shipped_file
 from gateway.entry import sentences
 
 
@@ -52,7 +52,7 @@ DRY_RUN = click.option("--dry-run", is_flag=True, help="Show what would be chang
 
 def template() -> Path:
     """The shipped register map, whose write-back block is the pattern for new ones."""
-    return shipped("devices", "decanter_plc")
+    return shipped_file("devices", "decanter_plc")
 
 
 def edit_files(
@@ -64,14 +64,14 @@ def edit_files(
         paths = tuple(path for path in (files.plant, files.device) if path is not None)
         target = Target("", files.driver, {}, files=paths)
 
-    async def done(_: Site) -> CommandResult:
+    async def edit(_: Site) -> CommandResult:
         result = work(files)
         # None: no plant file was written, so that nothing is said of whether one is in order.
         judged = files.plant if result.data["written"] else None
         findings = None if judged is None else plant_findings(judged)
         return replace(result, data={**result.data, "findings": findings})
 
-    perform(given, command, arguments, done, _view, target=target)
+    perform(given, command, arguments, edit, _view, target=target)
 
 
 def _view(data: Mapping[str, Any]) -> Iterator[Part]:

@@ -10,9 +10,9 @@ from typing import Any
 import tomlkit
 
 from drivers.driver import capabilities
-from drivers.named_files import writing
+from drivers.named_files import name_write_errors
 from drivers.settings import ConfigError, read_toml
-from gateway.commission.files.change import FileChange, carry_out
+from gateway.commission.files.change import FileChange, apply_change
 from gateway.commission.files.plan_files import Files
 
 PLANT, DEVICE, MAP, README, MODELS = "plant.toml", "devices/plc.toml", "columns.toml", "README.md", "models"
@@ -47,7 +47,7 @@ class FirstFolder:
     place: str
 
     @property
-    def in_the_way(self) -> tuple[Path, ...]:
+    def existing_files(self) -> tuple[Path, ...]:
         """The files of that name that are there already."""
         names = (PLANT, DEVICE, README, *([MAP] if self.map_text else []))
         return tuple(self.folder / name for name in names if (self.folder / name).exists())
@@ -59,13 +59,13 @@ class FirstFolder:
         """
         self.folder.mkdir(parents=True, exist_ok=True)
         # In the same folder, so that each file takes its place in one step.
-        with writing(self.folder), tempfile.TemporaryDirectory(prefix=".init-", dir=self.folder) as name:
+        with name_write_errors(self.folder), tempfile.TemporaryDirectory(prefix=".init-", dir=self.folder) as name:
             stage = Path(name)
             if self.device is not None:
-                _take_over(self.device, stage / DEVICE)
+                _copy_device(self.device, stage / DEVICE)
             files = replace(self.files, plant=stage / PLANT, device=stage / DEVICE)
             try:
-                backups = carry_out(files, self.change, self.template, dry_run=False)["backups"]
+                backups = apply_change(files, self.change, self.template, dry_run=False)["backups"]
             except ConfigError as error:
                 # The sentences are about the folder that the person knows.
                 problems = [problem.replace(f"{stage}/", f"{self.folder}/") for problem in error.problems]
@@ -84,7 +84,7 @@ class FirstFolder:
         return [self.folder / path for path in made]
 
 
-def _take_over(source: Path, target: Path) -> None:
+def _copy_device(source: Path, target: Path) -> None:
     """Copy a device file, and beside it the files that it names. Raises ConfigError or OSError."""
     target.parent.mkdir(parents=True)
     document: Any = tomlkit.parse(source.read_text(encoding="utf-8"))
@@ -99,5 +99,5 @@ def _take_over(source: Path, target: Path) -> None:
         else:
             shutil.copyfile(path, target.parent / path.name)
             document["device"][key] = path.name
-    with writing(target):
+    with name_write_errors(target):
         target.write_text(tomlkit.dumps(document), encoding="utf-8")

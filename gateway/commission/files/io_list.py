@@ -15,12 +15,20 @@ from typing import Any
 from drivers.codec import integer_range
 from drivers.named_files import contents
 from drivers.tag import DType
-from gateway.commission.files.cells import ListError, ListRow, ListSheet, RowError, key_of, number_of, read_sheet
+from gateway.commission.files.cells import (
+    ListError,
+    ListRow,
+    ListSheet,
+    RowError,
+    header_key,
+    parse_decimal,
+    read_sheet,
+)
 from gateway.commission.files.io_models import ModelError, read_model
-from gateway.commission.files.io_places import SIEMENS, AddressCell, ListedPlace, Numbering, place_of
+from gateway.commission.files.io_places import SIEMENS, AddressCell, ListedPlace, Numbering, parse_place
 from gateway.commission.files.io_polls import by_formula, is_iobroker, of_iobroker, read_polls
 from gateway.commission.files.io_templates import ListedUnit, TemplateError, read_yaml
-from gateway.commission.files.io_units import CountFactor, factor_of, range_of, unit_of
+from gateway.commission.files.io_units import CountFactor, parse_factor, parse_range, parse_unit
 from gateway.commission.files.io_words import (
     COLUMNS,
     KNOWN_TYPES,
@@ -28,9 +36,9 @@ from gateway.commission.files.io_words import (
     TABLES,
     WIDTHS,
     TypeCell,
-    tables_of,
+    parse_tables,
     type_cell,
-    widened_to,
+    widen_type,
 )
 from gateway.commission.survey import Register, parse_register
 
@@ -38,8 +46,8 @@ GAINS = ("multiply", "divide")
 """What is done with a reading by a gain above 1."""
 _HEX_NUMBER = re.compile(r"(?:0x|16#)([0-9a-f]{1,8})|([0-9a-f]{1,4})h")
 _EMPTY = ("", "-", "–", "n/a", "n.a.")
-_DIGITS = 9
-_NEAR = 1e-3
+_SCALE_DECIMALS = 9
+_RANGE_TOLERANCE = 1e-3
 """A range ends where a type does if they differ by less, as a part of it."""
 _SINGLE = frozenset({"bool", "int8", "uint8", "int16", "uint16", "bcd16", "string"})
 
@@ -103,7 +111,7 @@ def read_io_list(path: Path, how: Reading, columns: Mapping[str, str] | None = N
     problems: list[str] = []
     for line in sheet.lines:
         try:
-            tags.append(_listed(_ListedRow(sheet, line, how, numbering), tags))
+            tags.append(_read_row(_ListedRow(sheet, line, how, numbering), tags))
         except RowError as error:
             problems.append(f"{sheet.where(line, error.column)}: {error}")
     if not tags and not problems and not sheet.columns:
@@ -155,12 +163,12 @@ def _of_units(sheet: ListSheet, how: Reading) -> ListSheet:
     Raises ListError for a column that nobody reads and that may say by how much readings are multiplied.
     """
     known = {"scale", "decimals", "raw_high", "formula"} & set(sheet.columns)
-    if odd := [] if known else [header for header in sheet.ignored if _SCALES.search(key_of(header))]:
+    if odd := [] if known else [header for header in sheet.ignored if _SCALES.search(header_key(header))]:
         raise ListError(
             f"{sheet.path}: column {odd[0]!r} may say how readings are scaled, and is not understood: give --column "
             f"scale={odd[0]!r}, or take it out"
         )
-    headers = {key_of(text) for text in (*sheet.columns.values(), *sheet.ignored)}
+    headers = {header_key(text) for text in (*sheet.columns.values(), *sheet.ignored)}
     own = is_iobroker(headers)
     rows = [replace(row, cells=of_iobroker(row.cells)) if own else row for row in sheet.lines]
     if "unit_id" in sheet.columns:
@@ -203,8 +211,8 @@ class _ListedRow:
         return self.line.get(column)
 
     def header(self, column: str) -> str:
-        """The column's header, as `key_of` writes it."""
-        return key_of(self.sheet.columns.get(column, ""))
+        """The column's header, as `header_key` writes it."""
+        return header_key(self.sheet.columns.get(column, ""))
 
 
 @dataclass(frozen=True, slots=True)
@@ -219,7 +227,7 @@ class _Scaling:
     taken: str = ""
 
 
-def _listed(row: _ListedRow, before: Sequence[Listed]) -> Listed:
+def _read_row(row: _ListedRow, before: Sequence[Listed]) -> Listed:
     line, how = row.line, row.how
     if refused := line.get("refused"):
         raise RowError("", f"{line.get('name')}: {refused}")
@@ -229,7 +237,7 @@ def _listed(row: _ListedRow, before: Sequence[Listed]) -> Listed:
     name = how.rename.get(listed, listed)
     if twice := next((tag for tag in before if tag.name == name), None):
         raise RowError("name", f"{name!r} is in line {twice.line} already; give each tag a name of its own")
-    if key_of(line.get("access")) in _WRITE_ONLY:
+    if header_key(line.get("access")) in _WRITE_ONLY:
         raise RowError("access", f"{line.get('access')!r} says that it cannot be read; take the row out")
     cell = _type_cell(line)
     address, place = _address(row, cell)
@@ -237,7 +245,7 @@ def _listed(row: _ListedRow, before: Sequence[Listed]) -> Listed:
     numeric = dtype not in ("bool", "string")
     scaling = _scaling(row, dtype) if numeric else _Scaling()
     order, said = _order(row, cell, dtype, place)
-    shared = _shared_with(before, row, address, place)
+    shared = _share_note(before, row, address, place)
     keys = {
         "address": address,
         "dtype": dtype,
@@ -268,7 +276,7 @@ _SCALE_IN_WORDS = re.compile(
 """A scale in running text: `Faktor 0,1`, `x 0.1`, `/10`."""
 
 
-def _shared_with(before: Sequence[Listed], row: _ListedRow, address: str, place: ListedPlace) -> str:
+def _share_note(before: Sequence[Listed], row: _ListedRow, address: str, place: ListedPlace) -> str:
     """With which tag it shares its place, to be printed; "" for none.
 
     Two tags may have one where each takes another bit of it, or where the list itself writes the place in two ways: it
@@ -293,13 +301,15 @@ def _shared_with(before: Sequence[Listed], row: _ListedRow, address: str, place:
 def _factor_place(row: _ListedRow, cell: TypeCell) -> str | None:
     """The register of its factor, which is written as its own address is and moves with the list."""
     if text := row.get("scale_from"):
-        return str(parse_register(text).moved(row.how.shift))
+        return str(parse_register(text).shift(row.how.shift))
     _, text = by_formula(row.line)
     if not text:
         return None
     table = _table(row)
-    place = place_of(AddressCell(text, "int16", row.numbering, row.how.plc, table or row.how.table, named=bool(table)))
-    return str(place.register.moved(row.how.shift))
+    place = parse_place(
+        AddressCell(text, "int16", row.numbering, row.how.plc, table or row.how.table, named=bool(table))
+    )
+    return str(place.register.shift(row.how.shift))
 
 
 _WRITE_ONLY = frozenset({"w", "wo", "write", "write only", "scrittura", "solo scrittura"})
@@ -310,7 +320,7 @@ def _number(line: ListRow, column: str) -> float | None:
     if text in _EMPTY:
         return None
     try:
-        return round(number_of(text), 12)
+        return round(parse_decimal(text), 12)
     except ValueError:
         raise RowError(column, f"{text!r} is no number; give one such as 0,1 or 0.1, or leave it empty") from None
 
@@ -328,7 +338,7 @@ def _raw(text: str, column: str) -> int | float | None:
     if match := _HEX_NUMBER.fullmatch(text.lower()):
         return int(match[1] or match[2], 16)
     try:
-        number = number_of(text)
+        number = parse_decimal(text)
     except ValueError:
         raise RowError(column, f"{text!r} is no number; give the raw number, such as 0x7FFF or 32767") from None
     return int(number) if number.is_integer() else number
@@ -346,7 +356,7 @@ def _sentinel(line: ListRow) -> int | float | list[int | float] | None:
 
 def _of_the_layout(sheet: ListSheet, how: Reading) -> Reading:
     """What an export of a known program has by default."""
-    headers = {key_of(text) for text in (*sheet.columns.values(), *sheet.ignored)}
+    headers = {header_key(text) for text in (*sheet.columns.values(), *sheet.ignored)}
     if not how.plc and "logical address" in headers and any(header.startswith("hmi ") for header in headers):
         return replace(how, plc=SIEMENS)  # a tag table of TIA Portal
     if not how.order and {"respect data type", "client access"} <= headers:
@@ -359,14 +369,14 @@ LOW_WORD_FIRST = "CDAB?"
 
 
 def _numbering(sheet: ListSheet, how: Reading) -> Numbering:
-    header = set(key_of(sheet.columns.get("address", "")).split())
+    header = set(header_key(sheet.columns.get("address", "")).split())
     cells = [line.get("address").lower() for line in sheet.lines]
     bare = [cell for cell in cells if re.fullmatch(r"[0-9a-f]{1,4}", cell)]
     first = 1 if header & {"1", "one"} and header & {"based", "base", "from"} else 0
     if how.numbers or header & {"hex", "hexadecimal", "hexa", "esadecimale", "esa"}:
         hexadecimal = how.numbers == "hex" if how.numbers else not header & {"dec", "decimal", "decimale"}
         return Numbering(hexadecimal, first, how.numbers != "plain")
-    if is_iobroker({key_of(text) for text in (*sheet.columns.values(), *sheet.ignored)}) and not how.numbers:
+    if is_iobroker({header_key(text) for text in (*sheet.columns.values(), *sheet.ignored)}) and not how.numbers:
         either = (
             "ioBroker's table does not say whether its aliases are on: give --numbers decimal (40101 is holding:100)"
         )
@@ -384,14 +394,14 @@ def _gain_of_the_list(sheet: ListSheet) -> str:
     found = set()
     for line in sheet.lines:
         try:
-            factor = _scale_cell(line) or unit_of(line.get("unit"))[1]
+            factor = _scale_cell(line) or parse_unit(line.get("unit"))[1]
             if factor is None or not factor.either:
                 continue
-            dtype = widened_to(_type_cell(line).dtype, _whole(line, "count") or 0, wide=True)
+            dtype = widen_type(_type_cell(line).dtype, _whole(line, "count") or 0, wide=True)
             low, high, _ = _range(line)
         except (RowError, ValueError):
             continue
-        found.add(_decided(factor.number, dtype or _type_cell(line).dtype, low, high))
+        found.add(_decide_gain(factor.number, dtype or _type_cell(line).dtype, low, high))
     found.discard("")
     return found.pop() if len(found) == 1 else ""
 
@@ -411,10 +421,10 @@ _DIVISORS = frozenset(
 def _scale_cell(line: ListRow) -> CountFactor | None:
     """The factor of the scale's column; None for none. Raises RowError."""
     text = line.get("scale")
-    if text in _EMPTY or key_of(text) in ("none", "nessuna", "no", "linear", "lineare"):
+    if text in _EMPTY or header_key(text) in ("none", "nessuna", "no", "linear", "lineare"):
         return None
     try:
-        return factor_of(text)
+        return parse_factor(text)
     except ValueError as error:
         raise RowError("scale", str(error)) from None
 
@@ -422,7 +432,7 @@ def _scale_cell(line: ListRow) -> CountFactor | None:
 def _range(line: ListRow) -> tuple[float | None, float | None, str]:
     """(low, high, the column they are from), from their own columns or from that of ranges."""
     low, high = _number(line, "low"), _number(line, "high")
-    if low is None and high is None and (found := range_of(line.get("range"))) is not None:
+    if low is None and high is None and (found := parse_range(line.get("range"))) is not None:
         return *found, "range"
     return low, high, "high" if low is None else "low"
 
@@ -431,14 +441,14 @@ def _limits(dtype: str) -> tuple[float, float] | None:
     return integer_range(DType(dtype)) if dtype in set(DType) else None
 
 
-def _decided(number: float, dtype: str, low: float | None, high: float | None) -> str:
+def _decide_gain(number: float, dtype: str, low: float | None, high: float | None) -> str:
     """Whether a gain above 1 multiplies or divides, by the range and the type; "" where both are possible."""
     limits = _limits(dtype)
     if limits is None or high is None:
         return ""
     ends = {"multiply": limits[1] * number, "divide": limits[1] / number}
-    exact = [gain for gain, end in ends.items() if abs(end - high) <= _NEAR * high]
-    possible = [gain for gain, end in ends.items() if high <= end * (1 + _NEAR)]
+    exact = [gain for gain, end in ends.items() if abs(end - high) <= _RANGE_TOLERANCE * high]
+    possible = [gain for gain, end in ends.items() if high <= end * (1 + _RANGE_TOLERANCE)]
     # Counts of 10 units give no 0.5, and no range that is smaller than one of them.
     if any(end is not None and not (end / number).is_integer() and abs(end) < 100 * number for end in (low, high)):
         possible = [gain for gain in possible if gain == "divide"]
@@ -456,14 +466,16 @@ def _scaling(row: _ListedRow, dtype: str) -> _Scaling:
     low, high, column = _range(line)
     offset = _number(line, "offset")
     raw_low, raw_high = _number(line, "raw_low"), _number(line, "raw_high")
-    kind = key_of(line.get("scale"))
+    kind = header_key(line.get("scale"))
     if kind in ("square root", "radice quadrata"):
         raise RowError("scale", f"{line.get('scale')!r} is a curve, which is not supported; give a linear scale")
     unit_text = "" if line.get("unit") in _EMPTY else line.get("unit")
     try:
         # What another program writes there is a name alone.
         named = _NAMES_OF_VALUES.fullmatch(unit_text)
-        unit, of_unit = (unit_text, None) if not unit_text or line.get("exact") else unit_of("" if named else unit_text)
+        unit, of_unit = (
+            (unit_text, None) if not unit_text or line.get("exact") else parse_unit("" if named else unit_text)
+        )
     except ValueError as error:
         raise RowError("unit", str(error)) from None
     scale, taken = _scale(row, dtype, of_unit, (low, high))
@@ -473,10 +485,10 @@ def _scaling(row: _ListedRow, dtype: str) -> _Scaling:
         if span == 0 or high == least:
             raise RowError("raw_high", "the raw range or the range in units is empty; give two different ends")
         slope = (high - least) / span
-        scale, offset = round(slope, _DIGITS), round(least - slope * (raw_low or 0.0), _DIGITS)
+        scale, offset = round(slope, _SCALE_DECIMALS), round(least - slope * (raw_low or 0.0), _SCALE_DECIMALS)
     elif kind in ("linear", "lineare"):
         raise RowError("scale", f"{line.get('scale')!r} needs the ends of both ranges beside it; give them")
-    if key_of(line.get("negate")) in ("1", "true", "yes", "si"):
+    if header_key(line.get("negate")) in ("1", "true", "yes", "si"):
         scale, offset, taken = -(scale or 1.0), -(offset or 0.0), f"{taken}; negated".removeprefix("; ")
     if low is not None and high is not None and not low < high:
         raise RowError("low", f"{low:g} is not below the highest value {high:g}; swap or correct them")
@@ -515,7 +527,7 @@ def _scale(
     column = "unit" if of_unit is not None else "scale"
     # Of a negative one the range is upside down.
     upright = ends if own.number > 0 else tuple(end if end is None else -end for end in reversed(ends))
-    gain = _decided(abs(own.number), dtype, *upright) or row.how.gain
+    gain = _decide_gain(abs(own.number), dtype, *upright) or row.how.gain
     if not gain:
         raise RowError(
             column,
@@ -547,11 +559,11 @@ def _plausible(
         return low, high, ""
     scale, offset = line[0] or 1.0, line[1] or 0.0
     reach = sorted(limit * scale + offset for limit in limits)
-    slack = _NEAR * max(abs(reach[0]), abs(reach[1])) + abs(scale)
+    slack = _RANGE_TOLERANCE * max(abs(reach[0]), abs(reach[1])) + abs(scale)
     outside = (high is not None and high > reach[1] + slack) or (low is not None and low < reach[0] - slack)
     if outside and abs(scale) < 1 and high == limits[1] and low in (None, *limits, 0.0):
         # Its ends are the type's own: it is a range of raw counts.
-        counts = [end if end is None else round(end * scale + offset, _DIGITS) for end in (low, high)]
+        counts = [end if end is None else round(end * scale + offset, _SCALE_DECIMALS) for end in (low, high)]
         return counts[0], counts[1], "range of raw counts"
     shown = " to ".join("?" if end is None else f"{end:g}" for end in (low, high))
     if outside:
@@ -574,9 +586,9 @@ def _type_cell(line: ListRow) -> TypeCell:
         return TypeCell()
     if re.search(r"\barray\b|\[\s*\d*\s*\.\.", text, re.IGNORECASE):
         raise RowError("dtype", f"{text!r} is an array, which is not supported; give each element its own row")
-    cell = type_cell(key_of(text))
+    cell = type_cell(header_key(text))
     if cell.unknown:
-        word = "" if key_of(text) == cell.unknown else f": {cell.unknown!r} is not understood"
+        word = "" if header_key(text) == cell.unknown else f": {cell.unknown!r} is not understood"
         raise RowError("dtype", f"{text!r} is no type that is known here{word}; give one of {KNOWN_TYPES}")
     return cell
 
@@ -603,7 +615,7 @@ def _type(row: _ListedRow, cell: TypeCell, place: ListedPlace, address: str) -> 
             return "bool", 0
         raise RowError("dtype", f"{text!r} is wider than bit {place.bit} of a register; give BOOL, or no bit")
     if count and row.how.registers:
-        widened = widened_to(dtype, count, wide=cell.wide)
+        widened = widen_type(dtype, count, wide=cell.wide)
         if not widened:
             own = WIDTHS[dtype]
             raise RowError("dtype", f"{text!r} has {own} register{'s' * (own > 1)}, and the row says {count}")
@@ -619,7 +631,7 @@ def _type(row: _ListedRow, cell: TypeCell, place: ListedPlace, address: str) -> 
 def _order(row: _ListedRow, cell: TypeCell, dtype: str, place: ListedPlace) -> tuple[str | None, str]:
     """(order, how it was taken); None where the type has none."""
     text = row.get("order")
-    own = ORDERS.get(key_of(text)) if text not in _EMPTY else ""
+    own = ORDERS.get(header_key(text)) if text not in _EMPTY else ""
     if own is None:
         raise RowError("order", f"{text!r} is no order that is known here; give ABCD, CDAB, BADC or DCBA")
     if own and cell.order and own != cell.order:
@@ -655,12 +667,12 @@ def _address(row: _ListedRow, cell: TypeCell) -> tuple[str, ListedPlace]:
     if not how.registers:
         return text, ListedPlace(register=_NO_REGISTER, bit=own)
     table = _table(row)
-    place = place_of(AddressCell(text, cell.dtype, row.numbering, how.plc, table or how.table, named=bool(table)))
+    place = parse_place(AddressCell(text, cell.dtype, row.numbering, how.plc, table or how.table, named=bool(table)))
     if own is not None and place.bit is None:
         place = replace(place, bit=own)
     if place.bit is not None and place.bit > 15:
         raise RowError("bit", f"bit {place.bit} is not in a register, which has bits 0 to 15")
-    register = place.register.moved(how.shift)
+    register = place.register.shift(how.shift)
     if not 0 <= register.number <= 65535:
         raise RowError("address", f"{text!r} moved by {how.shift} is outside 0 to 65535; give another --shift")
     if register.is_bit:
@@ -689,11 +701,11 @@ def _table(row: _ListedRow) -> str:
     text = row.get("table")
     if text in _EMPTY:
         return ""
-    key, header = key_of(text), row.header("table")
+    key, header = header_key(text), row.header("table")
     if known := TABLES.get(key):
         return known
     if any(word in header for word in ("func", "funz", "code", "codice", "fc")) or "fc" in key:
-        tables = tables_of(key)
+        tables = parse_tables(key)
         if tables is not None and not tables:
             raise RowError("table", f"{text!r} only writes, and a tag is read; take the row out")
         if (tables is not None and len(set(tables)) == 1) or tables == ("holding", "input"):

@@ -106,7 +106,7 @@ class AddressCell:
     named: bool = False
 
 
-def place_of(cell: AddressCell) -> ListedPlace:
+def parse_place(cell: AddressCell) -> ListedPlace:
     """The place that an address cell names. Raises RowError."""
     text, kind, plc = cell.text, cell.kind, cell.plc
     plain = text.lower().replace(" ", "")
@@ -167,12 +167,12 @@ def _single(plain: str, cell: AddressCell) -> ListedPlace:
                     f"{text!r} is {register} as a reference number, and its row says {table}; where the list's numbers "
                     "are addresses as they go on the wire, give --numbers plain",
                 )
-            return ListedPlace(_within(register, text))
+            return ListedPlace(_check_range(register, text))
     if match := _SHORT.fullmatch(plain):  # counts from 1, as reference numbers do; %MW100 from 0
         register = Register(_REFERENCE_TABLES[match[1]], int(match[2]) - 1)
         if cell.named and register.table != table:
             raise RowError("address", f"{text!r} is {register}, and its row says {table}; correct one of them")
-        return ListedPlace(_within(register, text))
+        return ListedPlace(_check_range(register, text))
     if match := _NOUGHT.fullmatch(plain):
         number = match[1]
         if number.isdecimal() and not how.hexadecimal and cell.kind in ("", "bool"):
@@ -180,22 +180,22 @@ def _single(plain: str, cell: AddressCell) -> ListedPlace:
                 raise RowError(
                     "address", f"{text!r} is a coil's reference number, or hexadecimal; give --numbers hex, or coil:99"
                 )
-            return ListedPlace(_within(Register("coil", int(number) - 1), text))
-        return ListedPlace(_within(Register(table, int(number, 16)), text))
+            return ListedPlace(_check_range(Register("coil", int(number) - 1), text))
+        return ListedPlace(_check_range(Register(table, int(number, 16)), text))
     if match := _IEC.fullmatch(plain):
         return _iec(match, text, cell.plc)
     if match := _HEX.fullmatch(plain):
-        return ListedPlace(_within(Register(table, int(match[1] or match[2], 16)), text))
+        return ListedPlace(_check_range(Register(table, int(match[1] or match[2], 16)), text))
     if match := _HEADED.fullmatch(plain):
         raise RowError(
             "address", f"{text!r}: {match[1].upper()} counts from 1 or from 0 by its server; give 40101 or holding:100"
         )
     if how.hexadecimal and _BARE_HEX.fullmatch(plain):
-        return ListedPlace(_within(Register(table, int(plain, 16) - how.first), text))
+        return ListedPlace(_check_range(Register(table, int(plain, 16) - how.first), text))
     if not how.hexadecimal and plain.isdecimal() and len(plain) <= 5:
         if how.doubt:
             raise RowError("address", f"{text!r}: {how.doubt}")
-        return ListedPlace(_within(Register(table, int(plain) - how.first), text))
+        return ListedPlace(_check_range(Register(table, int(plain) - how.first), text))
     raise RowError("address", f"{text!r} is no address; give one such as 40101, 4x101, %MW100, holding:100 or 100")
 
 
@@ -214,16 +214,16 @@ def _iec(match: re.Match[str], text: str, plc: str) -> ListedPlace:
             raise RowError("address", f"{text!r} has bit {bit}, and {plc} counts {rule.bits} of them")
         if rule.table in ("holding", "input"):  # by bytes: two a register, the low one first
             return ListedPlace(
-                _within(Register(rule.table, rule.first + number // 2), text), 8 * (number % 2) + bit, note=plc
+                _check_range(Register(rule.table, rule.first + number // 2), text), 8 * (number % 2) + bit, note=plc
             )
-        return ListedPlace(_within(Register(rule.table, rule.first + rule.bits * number + bit), text), note=plc)
+        return ListedPlace(_check_range(Register(rule.table, rule.first + rule.bits * number + bit), text), note=plc)
     if rule.halves and number % 2:
         raise RowError("address", f"{text!r} begins in the middle of a register, of which {plc} counts the bytes")
     register = Register(rule.table, rule.first + (number // 2 if rule.halves else rule.step * number))
-    return ListedPlace(_within(register, text), bit, note=plc or f"%{letters.upper()} by its number: else --plc")
+    return ListedPlace(_check_range(register, text), bit, note=plc or f"%{letters.upper()} by its number: else --plc")
 
 
-def _within(register: Register, text: str) -> Register:
+def _check_range(register: Register, text: str) -> Register:
     if not 0 <= register.number <= 65535:
         raise RowError("address", f"{text!r} is outside the addresses, which are 0 to 65535")
     return register

@@ -7,7 +7,7 @@ ten times too large.
 import re
 from dataclasses import dataclass
 
-from gateway.commission.files.cells import key_of, number_of
+from gateway.commission.files.cells import header_key, parse_decimal
 
 _POWER = r"10\s*\^\s*[-+]?\d|10[⁺⁻]?[⁰¹²³⁴⁵⁶⁷⁸⁹]|1?[eE]-\d"
 _FACTOR = rf"(?:{_POWER}|1\s*/\s*10*|\d+(?:[.,]\d+)?)"
@@ -61,16 +61,16 @@ class CountFactor:
     either: bool = False
 
 
-def unit_of(text: str) -> tuple[str, CountFactor | None]:
+def parse_unit(text: str) -> tuple[str, CountFactor | None]:
     """The unit in a unit's cell and the factor beside it, None for none. Raises ValueError in words."""
     plain = " ".join(text.replace("\u00a0", " ").split())
     for pattern, instead in _WORDS:
         plain = pattern.sub(instead, plain)
-    if not _left(plain):
+    if not _has_residue(plain):
         return _name(plain), None
     for pattern, kind in _FORMS:
         match = pattern.fullmatch(plain)
-        if match is None or _left(match["unit"]):
+        if match is None or _has_residue(match["unit"]):
             continue
         number = _number(match["factor"])
         if not number or (number > 1 and kind == "of" and not (match["unit"] and _is_round(number))):
@@ -82,14 +82,16 @@ def unit_of(text: str) -> tuple[str, CountFactor | None]:
     )
 
 
-def factor_of(text: str) -> CountFactor:
+def parse_factor(text: str) -> CountFactor:
     """A scale's cell: 0.1, x0.1, /10, 1/10, 10^-1, 0.1 V; a plain number above 1 may be inverse. Raises ValueError."""
     plain = "".join(text.split()) if not re.search(r"[a-z°%]", text, re.IGNORECASE) else text
     try:
-        number = number_of(plain)
+        number = parse_decimal(plain)
     except ValueError:
         try:
-            _, factor = unit_of(re.sub(r"^(?:raw|value|valore|reg(?:ister)?|[nxuv])\s*(?=[x×*·/÷:])", "", text.strip()))
+            _, factor = parse_unit(
+                re.sub(r"^(?:raw|value|valore|reg(?:ister)?|[nxuv])\s*(?=[x×*·/÷:])", "", text.strip())
+            )
         except ValueError:
             factor = None
         if factor is None:
@@ -99,25 +101,25 @@ def factor_of(text: str) -> CountFactor:
     return CountFactor(round(number, 12), either=abs(number) > 1)
 
 
-def range_of(text: str) -> tuple[float, float] | None:
+def parse_range(text: str) -> tuple[float, float] | None:
     """`-20..150`, `0 to 100`, `0÷10` as two numbers; None for what is no range of two."""
     match = _RANGE.fullmatch(text.strip())
     if match is None:
         return None
     try:
-        low, high = number_of(match["low"]), number_of(match["high"])
+        low, high = parse_decimal(match["low"]), parse_decimal(match["high"])
     except ValueError:
         return None
     return (low, high) if low < high else None
 
 
-def _left(text: str) -> bool:
+def _has_residue(text: str) -> bool:
     """Whether digits or operators of division are in it that no unit has."""
     return re.search(r"\d|÷", _DIGITS_OF_UNITS.sub("", text.translate(_SUPERSCRIPTS))) is not None
 
 
 def _name(text: str) -> str:
-    return _UNITS.get(key_of(text), text)
+    return _UNITS.get(header_key(text), text)
 
 
 def _number(text: str) -> float:
@@ -128,7 +130,7 @@ def _number(text: str) -> float:
         return 1.0 / float(plain.partition("/")[2])
     if plain.startswith(("e", "1e")):
         return float("1" + plain.removeprefix("1"))
-    return number_of(plain)
+    return parse_decimal(plain)
 
 
 def _is_round(number: float) -> bool:

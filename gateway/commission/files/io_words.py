@@ -107,7 +107,7 @@ COLUMNS: Mapping[str, tuple[str, ...]] = {
         *("beschreibung", "kommentar", "commentaire", "remarque", "descripcion", "comentario", "observaciones"),
     ),
 }
-"""Column -> the headers by which it is recognised, as `cells.key_of` writes them; the first that fits wins."""
+"""Column -> the headers by which it is recognised, as `cells.header_key` writes them; the first that fits wins."""
 
 _STRING = re.compile(r"(?:w?string|stringa|char|testo|text)\s*[\[( ]?\s*(\d*)")
 
@@ -205,7 +205,7 @@ _FUNCTION_WORDS = re.compile(
 )
 
 
-def tables_of(key: str) -> tuple[str, ...] | None:
+def parse_tables(key: str) -> tuple[str, ...] | None:
     """The tables that a cell of function codes reads (`03/06/16`); empty for writing alone, None for no codes."""
     plain = _FUNCTION_WORDS.sub(" ", re.sub(r"(?<=[a-z])(?=\d)|(?<=\d)(?=[a-z])", " ", key))
     parts = plain.split()
@@ -258,11 +258,11 @@ _SUFFIXES = {"be": "ABCD", "le": "DCBA", "sw": "CDAB", "sb": "BADC"}
 
 
 def type_cell(key: str) -> TypeCell:
-    """A type's cell, as `cells.key_of` writes it."""
+    """A type's cell, as `cells.header_key` writes it."""
     if match := _SUFFIXED.fullmatch(key):
         return TypeCell("float64" if match[1] == "double" else _TYPES[match[1]], order=_SUFFIXES[match[2]])
     for start in (key, key.replace("32bit", "32 bit").replace("16bit", "16 bit").replace("64bit", "64 bit")):
-        if found := type_of(start):
+        if found := parse_type(start):
             return TypeCell(found[0], found[1], wide=start not in _WIDTHLESS)
     words, order = f" {key} ", ""
     # The longest phrase first: `little endian byte swap` is another order than `little endian`.
@@ -273,7 +273,7 @@ def type_cell(key: str) -> TypeCell:
     rest = " ".join(words.split())
     count = _COUNTED.search(rest)
     rest = " ".join(_COUNTED.sub(" ", rest).split())
-    found = type_of(rest)
+    found = parse_type(rest)
     wide = rest not in _WIDTHLESS
     if found is None:
         tokens = [token for token in re.sub(r"(\d)bit", r"\1 bit", rest).split() if token not in _FILLERS]
@@ -290,14 +290,14 @@ def type_cell(key: str) -> TypeCell:
         found = (f"{kind}{bits}", 0)
     dtype, length = found
     if count is not None:
-        widened = widened_to(dtype, int(count[1]), wide=wide)
+        widened = widen_type(dtype, int(count[1]), wide=wide)
         if not widened:
             return TypeCell(unknown=count[0])
         dtype, wide = widened, True
     return TypeCell(dtype, length, order, wide)
 
 
-def widened_to(dtype: str, registers: int, *, wide: bool) -> str:
+def widen_type(dtype: str, registers: int, *, wide: bool) -> str:
     """The type of its kind that has so many registers; "" where it says another width itself."""
     own = WIDTHS.get(dtype, 0)
     if own in (0, registers):
@@ -315,7 +315,7 @@ WIDTHS: Mapping[str, int] = {
 """Registers of a type; a text has as many as it needs."""
 
 
-def type_of(key: str) -> tuple[str, int] | None:
+def parse_type(key: str) -> tuple[str, int] | None:
     """(type, length in bytes) by a type's whole name without case and signs; None for one that is not known."""
     if match := _STRING.fullmatch(key):
         return "string", int(match[1] or 0)
@@ -323,6 +323,6 @@ def type_of(key: str) -> tuple[str, int] | None:
     return (found, 0) if found else None
 
 
-def flag_of(key: str) -> bool | None:
+def parse_flag(key: str) -> bool | None:
     """On or off, by what an HMI writes; None for a word that is neither."""
     return _FLAGS.get(key)

@@ -7,7 +7,7 @@ from typing import Any
 import tomlkit
 
 from drivers.settings import ConfigError
-from gateway.commission.files.toml_edit import Edit, edited
+from gateway.commission.files.toml_edit import Edit, edit_file
 from gateway.settings import load_plant
 
 
@@ -47,7 +47,7 @@ def with_machine(
             table["temperature"] = predicted
         rows.append(table)
 
-    return edited(plant, change)
+    return edit_file(plant, change)
 
 
 def without_machine(plant: Path, name: str) -> Edit:
@@ -62,4 +62,4 @@ def without_machine(plant: Path, name: str) -> Edit:
         rows: Any = document["machine"]
         del rows[names.index(name)]
 
-    return edited(plant, change)
+    return edit_file(plant, change)

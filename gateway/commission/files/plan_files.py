@@ -11,7 +11,7 @@ from tomlkit.items import AoT
 from drivers.driver import DRIVERS, LINKS, capabilities
 from drivers.settings import ConfigError, read_toml
 from gateway.commission.files.device_file import PLACE_KEYS, set_device, starter
-from gateway.commission.files.toml_edit import Edit, commit, edited, put
+from gateway.commission.files.toml_edit import Edit, commit, edit_file, set_key
 from gateway.commission.session import CONNECT_S, DEFAULT_DRIVER, Target, TargetError, make_target
 from gateway.settings import ModelSection, is_common, load_config, load_device, load_plant
 
@@ -59,7 +59,7 @@ class Files:
     settings: Mapping[str, Any]
 
     @property
-    def existing(self) -> tuple[Path, ...]:
+    def present(self) -> tuple[Path, ...]:
         """Those that are there."""
         return tuple(path for path in (self.plant, self.device) if path is not None and path.exists())
 
@@ -78,19 +78,19 @@ def find_files(
         if device is not None:
             raise TargetError(f"--config and --device exclude each other: {plant} names its device file itself")
         tables = read_toml(plant)
-        machine = _machine_of(plant, tables, machine)
-        row: Mapping[str, Any] = _row_of(plant, _device_of(tables, machine), link)
+        machine = _pick_machine(plant, tables, machine)
+        row: Mapping[str, Any] = _device_file_row(plant, _device_table(tables, machine), link)
         path = plant.parent / row["file"]
     else:
         row = {}
         path = device or (plant or Path()).parent / "devices" / f"{(plant or Path()).stem}.toml"
-    driver, all_settings = _driver_of(path, plant, link, given, row)
+    driver, all_settings = _find_driver(path, plant, link, given, row)
     place = {key: value for key, value in all_settings.items() if key in PLACE_KEYS}
     settings = {key: value for key, value in all_settings.items() if key not in PLACE_KEYS}
     return Files(plant=plant, device=path, driver=driver, link=link, machine=machine, place=place, settings=settings)
 
 
-def _driver_of(
+def _find_driver(
     path: Path, plant: Path | None, link: str | None, given: Mapping[str, Any], row: Mapping[str, Any]
 ) -> tuple[str, Mapping[str, Any]]:
     """(driver, settings): of the device file that is there, else by the link that is given, else as `row` has it.
@@ -119,7 +119,7 @@ def _driver_of(
     return target.driver, plain
 
 
-def _machine_of(plant: Path, tables: Mapping[str, Any], machine: str | None) -> str | None:
+def _pick_machine(plant: Path, tables: Mapping[str, Any], machine: str | None) -> str | None:
     """The machine of the file whose tables are meant, by default its only one; None for a file without their tables.
 
     Raises ConfigError or TargetError.
@@ -136,7 +136,7 @@ def _machine_of(plant: Path, tables: Mapping[str, Any], machine: str | None) -> 
     return names[0] if machine is None else machine
 
 
-def _device_of(tables: Mapping[str, Any], machine: str | None) -> Mapping[str, Any]:
+def _device_table(tables: Mapping[str, Any], machine: str | None) -> Mapping[str, Any]:
     """The [device] table of the file's only machine, or of the one of that name: its own over the common one."""
     common: Mapping[str, Any] = tables.get("device", {})
     if machine is None:
@@ -145,7 +145,7 @@ def _device_of(tables: Mapping[str, Any], machine: str | None) -> Mapping[str, A
     return {**common, **own}
 
 
-def _row_of(plant: Path, table: Mapping[str, Any], link: str | None) -> Mapping[str, Any]:
+def _device_file_row(plant: Path, table: Mapping[str, Any], link: str | None) -> Mapping[str, Any]:
     """The table of a plant file that names a device `file`, of its first link or of the one called `link`."""
     links = table.get("links")
     if links is None and isinstance(table.get("file"), str):
@@ -166,11 +166,11 @@ Change = Callable[[tomlkit.TOMLDocument], None]
 def device_edit(files: Files, change: Change) -> Edit:
     """The device file with a change, and with the settings that were given. Raises ConfigError."""
 
-    def changed(document: tomlkit.TOMLDocument) -> None:
+    def apply(document: tomlkit.TOMLDocument) -> None:
         set_device(document, files.settings)
         change(document)
 
-    return edited(files.device, changed, starter(files.device.stem, files.driver))
+    return edit_file(files.device, apply, starter(files.device.stem, files.driver))
 
 
 def plant_edit(files: Files, keep: Mapping[str, Any]) -> Edit | None:
@@ -185,7 +185,7 @@ def plant_edit(files: Files, keep: Mapping[str, Any]) -> Edit | None:
         return None
     new = not files.plant.exists()
 
-    def changed(document: tomlkit.TOMLDocument) -> None:
+    def apply(document: tomlkit.TOMLDocument) -> None:
         own: Any = document
         if files.machine is not None:
             own = next(row for row in document["machine"] if row["name"] == files.machine)
@@ -194,15 +194,15 @@ def plant_edit(files: Files, keep: Mapping[str, Any]) -> Edit | None:
         elif files.place:
             row = _device_row(document, own, files)
             for key, value in files.place.items():
-                put(row, key, value)
+                set_key(row, key, value)
         for dotted, value in keep.items():
             section, *tag, key = dotted.split(".")
             if tag:
-                put(_temperature_row(document, own, ".".join(tag)), key, value)
+                set_key(_temperature_row(document, own, ".".join(tag)), key, value)
             else:
-                put(_table(document if is_common(section, key) else own, section), key, value)
+                set_key(_table(document if is_common(section, key) else own, section), key, value)
 
-    return edited(files.plant, changed, _PLANT)
+    return edit_file(files.plant, apply, _PLANT)
 
 
 def _begin_device(document: tomlkit.TOMLDocument, files: Files) -> None:
@@ -254,22 +254,22 @@ def _temperature_row(document: tomlkit.TOMLDocument, own: Any, tag: str) -> Any:
         if model is None and own is not document:
             common: Any = document.get("temperature", ())
             for row in common:
-                rows.append(_copied(row))
+                rows.append(_make_table(row))
             model = document.get("model") if not len(rows) else None
         if model is not None:
             named = {"tag": model.get("temperature", ModelSection().temperature), "model": model.get("path")}
-            rows.append(_copied({**named, "correction": model.get("correction")}))
+            rows.append(_make_table({**named, "correction": model.get("correction")}))
         own["temperature"] = rows
     rows = own["temperature"]
     if not isinstance(rows, AoT):
         raise ConfigError(["temperature: is written as a plain list; write each as a [[temperature]] table"])
     if (found := next((row for row in rows if row.get("tag") == tag), None)) is not None:
         return found
-    rows.append(_copied({"tag": tag}))
+    rows.append(_make_table({"tag": tag}))
     return rows[-1]
 
 
-def _copied(row: Mapping[str, Any]) -> Any:
+def _make_table(row: Mapping[str, Any]) -> Any:
     table = tomlkit.table()
     table.update({key: value for key, value in row.items() if value is not None})
     return table
@@ -280,14 +280,14 @@ def save(device: Edit, plant: Edit | None) -> list[Path]:
 
     Raises ConfigError (for the plant file: the device file stands then) or OSError.
     """
-    backups = [commit(device, load_device)] if device.changed else []
-    if plant is not None and plant.changed:
-        so_far = f"{device.path} is written" if device.changed else "nothing was written"
+    backups = [commit(device, load_device)] if device.has_changes else []
+    if plant is not None and plant.has_changes:
+        so_far = f"{device.path} is written" if device.has_changes else "nothing was written"
         backups.append(commit(plant, load_plant, so_far=so_far))
     return [path for path in backups if path is not None]
 
 
-def settings_of(pairs: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+def split_settings(pairs: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
     """--keep KEY=VALUE: (settings of the device, keys of the plant file, which have a dot). Raises ConfigError."""
     plant = {key: value for key, value in pairs.items() if "." in key}
     for key in plant:

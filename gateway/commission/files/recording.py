@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from drivers.csv_rows import CsvRowError, numbered_rows, write_rows
-from drivers.named_files import regular, writing
+from drivers.named_files import name_write_errors, regular
 from drivers.tag import Sample, Tag
 from gateway.commission.files.cells import ListError
 from gateway.store import SQLITE_HEADER
@@ -134,7 +134,7 @@ class ScanRecorder:
                 cells.append(str(int(value)) if isinstance(value, bool) else repr(value))
         write_rows(self._stream, [(f"{time:.3f}", *cells)])
         # What was read stands in the file even when the program is killed.
-        with writing(self._path):
+        with name_write_errors(self._path):
             self._stream.flush()
 
     def close(self) -> None:

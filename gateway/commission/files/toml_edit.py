@@ -14,7 +14,7 @@ from typing import Any
 import tomlkit
 from tomlkit.exceptions import TOMLKitError
 
-from drivers.named_files import writing
+from drivers.named_files import name_write_errors
 from drivers.settings import ConfigError, read_toml
 
 _CROWDED = re.compile(r"^([^\n#\[ \t][^\n]*|[\])}][^\n]*)\n(?=\[)", re.MULTILINE)
@@ -31,7 +31,7 @@ class Edit:
     after: str
 
     @property
-    def changed(self) -> bool:
+    def has_changes(self) -> bool:
         """False where the file says it all already."""
         return self.before != self.after
 
@@ -42,7 +42,7 @@ class Edit:
         return "\n".join(difflib.unified_diff(old, new, before, str(self.path), n=2, lineterm=""))
 
 
-def edited(path: Path, change: Change, starter: str = "") -> Edit:
+def edit_file(path: Path, change: Change, starter: str = "") -> Edit:
     """The file with the change, or where there is none `starter` with it. Raises ConfigError for what is not TOML."""
     before = None
     if path.exists():
@@ -117,13 +117,13 @@ def commit(
 
 def _write(path: Path, text: str, mode: int) -> None:
     file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, mode)
-    with writing(path), os.fdopen(file, "wb") as stream:
+    with name_write_errors(path), os.fdopen(file, "wb") as stream:
         stream.write(text.encode("utf-8"))
         stream.flush()
         os.fsync(stream.fileno())
 
 
-def put(table: Any, key: str, value: object) -> None:
+def set_key(table: Any, key: str, value: object) -> None:
     """Set one key, in its place where it is there already; None takes it out. An equal value stays as it is written."""
     if value is None:
         if key in table:

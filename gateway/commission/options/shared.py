@@ -30,47 +30,47 @@ class SharedOption(click.Option):
         return super().get_help_record(ctx) if isinstance(ctx.command, click.Group) else None
 
 
-def _shared(*names: str, **settings: Any) -> Any:
+def _shared_option(*names: str, **settings: Any) -> Any:
     return click.option(*names, cls=SharedOption, **settings)
 
 
 _TARGET_OPTIONS = (
-    _shared(
+    _shared_option(
         "--config",
         "plant",
         type=_FILE,
         help="Plant file: its first link, or the one that --link names.  [default: plant.toml, config/plant.toml]",
     ),
-    _shared("--machine", metavar="NAME", help="Which machine of a plant file that has several."),
-    _shared("--device", type=_FILE, help="Device file (register map) instead of a plant file."),
-    _shared("--link", metavar="KIND", help=f"One of {', '.join(LINKS)}; with --config also a link's name."),
+    _shared_option("--machine", metavar="NAME", help="Which machine of a plant file that has several."),
+    _shared_option("--device", type=_FILE, help="Device file (register map) instead of a plant file."),
+    _shared_option("--link", metavar="KIND", help=f"One of {', '.join(LINKS)}; with --config also a link's name."),
 )
 _DRIVER_OPTIONS = (
-    _shared("--host", help="Modbus over a network: the PLC's name or address."),
-    _shared("--port", type=click.IntRange(1, 65535), help="Its TCP port (502; TLS: 802)."),
-    _shared("--unit", type=click.IntRange(0, 255), help="Modbus unit (1)."),
-    _shared("--timeout", type=click.FloatRange(0.001, 60), help="Deadline of one request in seconds."),
-    _shared("--serial", metavar="PATH", help="Modbus RTU: the serial port."),
-    _shared("--baud", type=click.IntRange(300), help="Bits a second of the serial line (19200)."),
-    _shared("--parity", type=click.Choice(["N", "E", "O"]), help="Parity of the serial line (E)."),
-    _shared(
+    _shared_option("--host", help="Modbus over a network: the PLC's name or address."),
+    _shared_option("--port", type=click.IntRange(1, 65535), help="Its TCP port (502; TLS: 802)."),
+    _shared_option("--unit", type=click.IntRange(0, 255), help="Modbus unit (1)."),
+    _shared_option("--timeout", type=click.FloatRange(0.001, 60), help="Deadline of one request in seconds."),
+    _shared_option("--serial", metavar="PATH", help="Modbus RTU: the serial port."),
+    _shared_option("--baud", type=click.IntRange(300), help="Bits a second of the serial line (19200)."),
+    _shared_option("--parity", type=click.Choice(["N", "E", "O"]), help="Parity of the serial line (E)."),
+    _shared_option(
         "--tls", "certificates", metavar="DIR", help="Modbus/TCP Security: folder of ca.pem, client.pem, client.key."
     ),
-    _shared("--interface", help="CAN: python-can's name of the interface (socketcan), or 'hub'."),
-    _shared("--channel", help="CAN: the interface's own, such as can0, or a hub's path."),
-    _shared("--bitrate", type=click.IntRange(1000), help="CAN: bits a second."),
-    _shared("--node", type=click.IntRange(1, 127), help="CANopen node."),
-    _shared("--eds", type=_FILE, help="CANopen: the node's EDS file."),
-    _shared("--dbc", type=_FILE, help="CAN: a DBC file."),
+    _shared_option("--interface", help="CAN: python-can's name of the interface (socketcan), or 'hub'."),
+    _shared_option("--channel", help="CAN: the interface's own, such as can0, or a hub's path."),
+    _shared_option("--bitrate", type=click.IntRange(1000), help="CAN: bits a second."),
+    _shared_option("--node", type=click.IntRange(1, 127), help="CANopen node."),
+    _shared_option("--eds", type=_FILE, help="CANopen: the node's EDS file."),
+    _shared_option("--dbc", type=_FILE, help="CAN: a DBC file."),
 )
-_OTHERS = _shared("--set", "others", multiple=True, metavar="KEY=VALUE", help="Any other setting of the driver.")
+_OTHERS = _shared_option("--set", "others", multiple=True, metavar="KEY=VALUE", help="Any other setting of the driver.")
 CONNECTION_OPTIONS = (*_TARGET_OPTIONS, *_DRIVER_OPTIONS, _OTHERS)
 """Which device over which link: for what a plant file does not say."""
 
 RECORD_OPTIONS = (
-    _shared("--json", "as_json", is_flag=True, help="One JSON object instead of text."),
-    _shared("--pcap", type=_FILE, help="Also keep the frames in this pcap file."),
-    _shared(
+    _shared_option("--json", "as_json", is_flag=True, help="One JSON object instead of text."),
+    _shared_option("--pcap", type=_FILE, help="Also keep the frames in this pcap file."),
+    _shared_option(
         "--records",
         type=_FILE,
         default=RECORDS,
@@ -78,7 +78,7 @@ RECORD_OPTIONS = (
         envvar="DECANTER_RECORDS",
         help="Append what was done to this file.",
     ),
-    _shared(
+    _shared_option(
         "--by",
         default="",
         envvar="DECANTER_BY",
@@ -88,7 +88,7 @@ RECORD_OPTIONS = (
 """What is kept of a command, and by whom it was asked."""
 
 
-def _made(options: Any) -> list[click.Parameter]:
+def _collect_params(options: Any) -> list[click.Parameter]:
     command: Any = lambda **_: None  # noqa: E731
     for option in reversed(options):
         command = option(command)
@@ -97,10 +97,10 @@ def _made(options: Any) -> list[click.Parameter]:
 
 def shared_options() -> tuple[list[click.Parameter], list[click.Parameter]]:
     """The options of the connection and those of the records, as a command has them."""
-    return _made(CONNECTION_OPTIONS), _made(RECORD_OPTIONS)
+    return _collect_params(CONNECTION_OPTIONS), _collect_params(RECORD_OPTIONS)
 
 
-_SETTINGS = tuple(option.name for option in _made(_DRIVER_OPTIONS) if option.name)
+_SETTINGS = tuple(option.name for option in _collect_params(_DRIVER_OPTIONS) if option.name)
 """The driver's settings that have an option of their own."""
 
 
@@ -127,14 +127,14 @@ def link_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """The command with all shared options; it gets them as one argument, `given`."""
 
     @wraps(command)
-    def with_given(**options: Any) -> Any:
-        given = _given(options)
+    def call(**options: Any) -> Any:
+        given = _take_shared(options)
         if given.plant is None and given.device is None and not _PLACES & set(given.settings):
             with suppress(ValueError):  # what is missing without one the target says
                 given = replace(given, plant=find_plant_file())
         return command(given=given, **options)
 
-    wrapped: Callable[..., Any] = with_given
+    wrapped: Callable[..., Any] = call
     for option in reversed((*CONNECTION_OPTIONS, *RECORD_OPTIONS)):
         wrapped = option(wrapped)
     return wrapped
@@ -147,16 +147,16 @@ def record_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """
 
     @wraps(command)
-    def with_given(**options: Any) -> Any:
+    def call(**options: Any) -> Any:
         filled = {"plant": None, "device": None, "link": None, "machine": None, "others": (), **options}
-        given = _given(filled)
+        given = _take_shared(filled)
         default = click.get_current_context().get_parameter_source("records") is ParameterSource.DEFAULT
         if default and given.plant is None and filled.get("audit") is None:
             with suppress(ValueError):  # without one the audit log lies beside the records
                 given = replace(given, plant=find_plant_file())
         return command(given=given, **filled)
 
-    wrapped: Callable[..., Any] = with_given
+    wrapped: Callable[..., Any] = call
     for option in reversed(RECORD_OPTIONS):
         wrapped = option(wrapped)
     return wrapped
@@ -169,7 +169,7 @@ def audit_option(command: Callable[..., Any]) -> Callable[..., Any]:
     return wrapped
 
 
-def _given(options: dict[str, Any]) -> SharedOptions:
+def _take_shared(options: dict[str, Any]) -> SharedOptions:
     """Take the shared options out of all options."""
     values = {name: options.pop(name, None) for name in _SETTINGS}
     settings: dict[str, Any] = {

@@ -13,7 +13,7 @@ from typing import Any
 import click
 
 from drivers.errors import DriverError
-from drivers.tap import listening
+from drivers.tap import tap_frames
 from gateway.commission.options import SharedOptions
 from gateway.commission.session.evidence import FrameEvidence
 from gateway.commission.session.records import CommandRecord, append, check_writable, file_hashes, versions
@@ -43,12 +43,12 @@ def perform(
     `target` is the device where the command has found it already.
     """
     with sentences():
-        target = target_of(given) if target is None else target
+        target = find_target(given) if target is None else target
         check_writable(given.records)
     begun, clock = time.time(), time.monotonic()
     with sentences(), closing(FrameEvidence(given.pcap, target.medium)) as evidence:
         site = Site(target, evidence)
-        outcome = _carry_out(site, work)
+        outcome = _run_work(site, work)
     seconds = time.monotonic() - clock
     record = CommandRecord(
         time=begun,
@@ -71,7 +71,7 @@ def perform(
     reason = {"reason": outcome.complaint} if outcome.complaint else {}
     whole = {"exit": int(outcome.code), **outcome.data, **extra, **reason}
 
-    def around(_: Mapping[str, Any]) -> Iterator[Part]:
+    def all_parts(_: Mapping[str, Any]) -> Iterator[Part]:
         if set(outcome.data) - {"reason"}:
             if target.place:
                 yield target.place
@@ -82,10 +82,10 @@ def perform(
         if given.pcap is not None:
             yield f"evidence: {given.pcap} ({evidence.sent} frames sent, {evidence.received} received)"
 
-    conclude(replace(outcome, data=whole), around, as_json=given.as_json)
+    conclude(replace(outcome, data=whole), all_parts, as_json=given.as_json)
 
 
-def target_of(given: SharedOptions) -> Target:
+def find_target(given: SharedOptions) -> Target:
     """The device that the options name. Raises TargetError or ConfigError."""
     return make_target(given.plant, given.device, given.link, given.settings, given.machine)
 
@@ -99,15 +99,15 @@ def audit_path(audit: Path | None, given: SharedOptions, target: Target | None =
     return audit if audit is not None else given.records.with_name("audit.sqlite")
 
 
-def _carry_out(site: Site, work: Work) -> CommandResult:
+def _run_work(site: Site, work: Work) -> CommandResult:
     """The work's outcome; what goes wrong on the way is one too."""
 
-    async def awaited() -> CommandResult:  # asyncio.run wants a coroutine, and `work` may give any awaitable
+    async def start() -> CommandResult:  # asyncio.run wants a coroutine, and `work` may give any awaitable
         return await work(site)
 
     try:
-        with listening(site.evidence.take):
-            return asyncio.run(awaited())
+        with tap_frames(site.evidence.take):
+            return asyncio.run(start())
     except (DriverError, ValueError, OSError) as error:
         context = click.get_current_context(silent=True)
         if context is not None and context.find_root().params.get("traceback"):

@@ -30,7 +30,7 @@ def mention_gateway(site: Site) -> None:
     site.notes.append(f"a gateway runs with this plant file {about}")
 
 
-def read_through(line: GatewayLine, tags: Sequence[Tag], known: Sequence[Tag]) -> tuple[dict[str, Any], list[Sample]]:
+def read_samples(line: GatewayLine, tags: Sequence[Tag], known: Sequence[Tag]) -> tuple[dict[str, Any], list[Sample]]:
     """The samples of the gateway's last scan, or, where not all tags are its own, asked of the device by it.
 
     Gives the reply without its samples too. Raises ControlError or OSError.
@@ -40,7 +40,7 @@ def read_through(line: GatewayLine, tags: Sequence[Tag], known: Sequence[Tag]) -
         reply = line.ask("read", tags=names)
     else:
         reply = line.ask("read", addresses=[as_request(tag) for tag in tags])
-    samples = {row["tag"]: sample_of(row) for row in reply.pop("samples")}
+    samples = {row["tag"]: parse_sample(row) for row in reply.pop("samples")}
     return reply, [samples[name] for name in names if name in samples]
 
 
@@ -51,7 +51,7 @@ def as_request(tag: Tag) -> dict[str, Any]:
     return request | ({"bit": tag.bit} if tag.bit is not None else {})
 
 
-def sample_of(plain: dict[str, Any]) -> Sample:
+def parse_sample(plain: dict[str, Any]) -> Sample:
     """A sample from its JSON."""
     quality = Quality[plain["quality"]]
     return Sample(

@@ -9,7 +9,7 @@ import struct
 from pathlib import Path
 from typing import BinaryIO
 
-from drivers.named_files import writing
+from drivers.named_files import name_write_errors
 from drivers.tap import Medium, TapFrame
 from gateway.store import make_private
 
@@ -43,7 +43,7 @@ class PcapWriter:
         data = self._packet(frame) if frame.medium in ("tcp", "udp") else frame.data
         seconds, rest = divmod(frame.time, 1.0)
         head = struct.pack(">IIII", int(seconds), int(rest * 1e6), len(data), len(data))
-        with writing(self.path):
+        with name_write_errors(self.path):
             self._file.write(head + data)
             self._file.flush()
 

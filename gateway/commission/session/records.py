@@ -1,6 +1,6 @@
 """What every command of the commissioning did: one line of JSON each, only ever appended, each bound to the one before.
 
-A line's `previous` is the SHA-256 of the line before it, so a changed, missing or inserted line shows (`broken_at`).
+A line's `previous` is the SHA-256 of the line before it, so a changed, missing or inserted line shows (`find_break`).
 """
 
 import fcntl
@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Any
 
 from drivers.errors import OneLineError
-from drivers.named_files import writing
-from gateway.store import first_break, hash_of, make_private
+from drivers.named_files import name_write_errors
+from gateway.store import first_break, make_private, sha256_hex
 from sim.strict_json import json_text
 
 LIBRARIES = ("decanter-gateway", "pymodbus", "python-can", "canopen", "cantools", "pyserial")
@@ -58,7 +58,7 @@ def append(path: Path, record: CommandRecord) -> str:
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     make_private(path)
-    with writing(path), path.open("a+b") as file:
+    with name_write_errors(path), path.open("a+b") as file:
         fcntl.flock(file, fcntl.LOCK_EX)
         # The last line is read backwards in blocks: a file of records grows for years, and an append must not.
         start, tail = os.lseek(file.fileno(), 0, os.SEEK_END), b""
@@ -67,12 +67,12 @@ def append(path: Path, record: CommandRecord) -> str:
             start -= size
             tail = os.pread(file.fileno(), size, start) + tail
         lines = tail.splitlines()
-        plain = {**asdict(record), "previous": hash_of(lines[-1]) if lines else ""}
+        plain = {**asdict(record), "previous": sha256_hex(lines[-1]) if lines else ""}
         line = json_text(plain).encode()
         file.write(line + b"\n")
         file.flush()
         os.fsync(file.fileno())
-    return hash_of(line)
+    return sha256_hex(line)
 
 
 def check_writable(path: Path) -> None:
@@ -97,19 +97,19 @@ def read_records(path: Path) -> list[CommandRecord]:
     return records
 
 
-def broken_at(path: Path) -> int | None:
+def find_break(path: Path) -> int | None:
     """The number of the first line (1..) that does not follow the one before it; None for an unbroken chain.
 
     The last line is bound by nothing after it: keep the hash that `append` gave, or the report's. Raises RecordsError
     and OSError as `read_records` does.
     """
-    before = ("", *(hash_of(line) for line in _lines(path)))
+    before = ("", *(sha256_hex(line) for line in _lines(path)))
     return first_break(zip((record.previous for record in read_records(path)), before, strict=False))
 
 
 def file_hashes(paths: Iterable[Path]) -> dict[str, str]:
     """The SHA-256 of each file that is there."""
-    return {str(path): hash_of(path.read_bytes()) for path in paths if path.is_file()}
+    return {str(path): sha256_hex(path.read_bytes()) for path in paths if path.is_file()}
 
 
 def versions(libraries: Sequence[str] = LIBRARIES) -> dict[str, str]:
@@ -123,7 +123,7 @@ def versions(libraries: Sequence[str] = LIBRARIES) -> dict[str, str]:
     return numbers
 
 
-def at(moment: float | None) -> str:
+def format_moment(moment: float | None) -> str:
     """A moment (s UTC) for a person; "" for None."""
     return "" if moment is None else time.strftime("%Y-%m-%d %H:%M:%S UTC", time.gmtime(moment))
 

@@ -42,7 +42,7 @@ class Site:
         self.exchanges.add(statistics, self.target.driver)
 
     @asynccontextmanager
-    async def counting(self, opening: AbstractAsyncContextManager[C]) -> AsyncIterator[C]:
+    async def with_counters(self, opening: AbstractAsyncContextManager[C]) -> AsyncIterator[C]:
         """What is opened, with its counters taken over at its end."""
         async with opening as opened:
             try:
@@ -53,36 +53,36 @@ class Site:
     def registers(self, **settings: Any) -> AbstractAsyncContextManager[AsksRegisters]:
         """The device's registers, with some settings others. Raises DriverError."""
         settings = {**self.target.settings, **settings}
-        return self.counting(open_registers(self.target.driver, settings, clock=time.time))
+        return self.with_counters(open_registers(self.target.driver, settings, clock=time.time))
 
     def bus(self) -> AbstractAsyncContextManager[ListensToBus]:
         """The CAN bus of the device. Raises DriverError."""
-        return self.counting(open_bus_survey(self.target.driver, self.target.settings, clock=time.time))
+        return self.with_counters(open_bus_survey(self.target.driver, self.target.settings, clock=time.time))
 
     def driver(self, write_map: Sequence[Tag] = ()) -> AbstractAsyncContextManager[Driver]:
         """The device's driver with a connection. Raises DriverError."""
-        return self.counting(self.target.opened(write_map))
+        return self.with_counters(self.target.open_driver(write_map))
 
 
 PERIOD_S = 1.0
 """Without a plant file."""
 
 
-def period_of(site: Site, period: float | None = None) -> float:
+def find_period(site: Site, period: float | None = None) -> float:
     """The period (s) that was given, else the plant file's, else a second."""
     if period is not None:
         return period
     return site.target.config.scan.period if site.target.config is not None else PERIOD_S
 
 
-def device_of(site: Site) -> DeviceMap:
+def require_device(site: Site) -> DeviceMap:
     """The device file. Raises ValueError where there is none."""
     if site.target.map is None:
         raise ValueError("which tags? Give the plant file (--config FILE) or the device file (--device FILE)")
     return site.target.map
 
 
-def words_of(site: Site) -> tuple[Tag, ...]:
+def list_block_words(site: Site) -> tuple[Tag, ...]:
     """The words of all blocks, where something may be written."""
     config = site.target.config
-    return () if config is not None and config.writeback.mode == "off" else device_of(site).block_words
+    return () if config is not None and config.writeback.mode == "off" else require_device(site).block_words

@@ -34,12 +34,12 @@ def warning(name: str, sentence: str) -> CheckStep:
     return CheckStep(name, "warning", sentence)
 
 
-def failed(name: str, sentence: str, error: Exception | None = None) -> CheckStep:
+def failed_step(name: str, sentence: str, error: Exception | None = None) -> CheckStep:
     """It does not work; the error's kind gives the exit code, else it is that of a failed check."""
     return CheckStep(name, "failed", sentence, Exit.CHECK_FAILED if error is None else exit_code(error))
 
 
-def result_of(steps: Sequence[CheckStep], **facts: Any) -> CommandResult:
+def conclude_steps(steps: Sequence[CheckStep], **facts: Any) -> CommandResult:
     """The steps and facts as a command's result; the first step that failed gives its sentence and exit code."""
     data = {"steps": [step.plain() for step in steps], **facts}
     first = next((step for step in steps if step.state == "failed"), None)

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from drivers.capabilities import Capabilities
-from drivers.driver import LINKS, Driver, capabilities, link_of, open_driver
+from drivers.driver import LINKS, Driver, capabilities, link_name, open_driver
 from drivers.errors import OneLineError
 from drivers.settings import split_place
 from drivers.tag import Tag
@@ -86,7 +86,7 @@ class Target:
         return open_driver(self.driver, self.settings, clock=time.time, write_map=write_map)
 
     @asynccontextmanager
-    async def opened(self, write_map: Sequence[Tag] = ()) -> AsyncIterator[Driver]:
+    async def open_driver(self, write_map: Sequence[Tag] = ()) -> AsyncIterator[Driver]:
         """The driver with a connection, closed at the end. Raises DriverError where there is none."""
         driver = self.make_driver(write_map)
         try:
@@ -123,14 +123,14 @@ def make_target(
         if link is not None:
             # By its own name, else by its kind; of several of a kind the first one is meant (hence the reversal).
             known = {each.name: each for each in reversed(config.links)}
-            kinds = {link_of(each.map.driver, each.settings): each for each in reversed(config.links)}
+            kinds = {link_name(each.map.driver, each.settings): each for each in reversed(config.links)}
             chosen = known.get(link) or kinds.get(link)
             if chosen is None:
                 names = ", ".join(dict.fromkeys(known))
                 raise TargetError(f"--link: the plant file has no link {link!r}; it has {names}")
             row = chosen
         target = Target(
-            kind=link_of(row.map.driver, row.settings),
+            kind=link_name(row.map.driver, row.settings),
             driver=row.map.driver,
             settings={**row.settings, **settings},
             map=row.map,
@@ -141,7 +141,7 @@ def make_target(
     if device is not None:
         table = load_device(device)
         merged = {**table.settings, **settings}
-        kind = link or link_of(table.driver, merged)
+        kind = link or link_name(table.driver, merged)
         if kind in LINKS and LINKS[kind].driver != table.driver:
             raise TargetError(f"--link: {kind!r} is of driver {LINKS[kind].driver!r}, and {device} of {table.driver!r}")
         return _complete(Target(kind=kind, driver=table.driver, settings=merged, map=table, files=(device,)))
@@ -152,10 +152,10 @@ def make_target(
         )
     if link is None and "channel" in settings:
         raise TargetError("--channel is a CAN bus: say --link canopen or --link can")
-    return _complete(Target(link or link_of(DEFAULT_DRIVER, settings), "", settings))
+    return _complete(Target(link or link_name(DEFAULT_DRIVER, settings), "", settings))
 
 
-def gateway_of(plant: Path, machine: str | None = None, socket: Path | None = None) -> Target | None:
+def gateway_target(plant: Path, machine: str | None = None, socket: Path | None = None) -> Target | None:
     """The gateway of a plant file that cannot be used any more, or at a `socket`; None where neither is so.
 
     For what must not depend on the file: no device is known.

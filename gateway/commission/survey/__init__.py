@@ -1,22 +1,22 @@
 """An unknown device searched: who answers, what can be read, what is heard."""
 
 from gateway.commission.survey.addresses import (
-    LAST,
+    LAST_ADDRESS,
     AddressTextError,
     Register,
     parse_register,
     parse_stretch,
-    reference_of,
+    reference_number,
 )
 from gateway.commission.survey.bus import SDO_S, probe_bus, scan_can, scan_nodes
 from gateway.commission.survey.models import BASES, scan_models
 from gateway.commission.survey.network import (
-    addresses_of,
     connect_sentence,
-    greeting_of,
+    guess_service,
     local_end,
-    looks_like,
     not_modbus,
+    read_greeting,
+    resolve_host,
 )
 from gateway.commission.survey.registers import BEHIND_GATEWAY, ILLEGAL_FUNCTION, first_register, scan_registers
 from gateway.commission.survey.units import scan_units

@@ -10,8 +10,8 @@ _TABLES = {str(digit): table for table, digit in _FIRST.items()}
 _PDU = re.compile(r"(coil|discrete|input|holding):(\d{1,5})")
 _REFERENCE = re.compile(r"([0134])(\d{4,5})")
 _STRETCH = re.compile(r"(.+?)-(\d{1,6})")
-_SHORT = 9999
-LAST = 65535
+_FIRST_FIVE_DIGIT_NUMBER = 9999
+LAST_ADDRESS = 65535
 
 
 class AddressTextError(OneLineError, ValueError):
@@ -31,7 +31,7 @@ class Register:
     @property
     def reference(self) -> str:
         """The number that manuals and HMIs print, counted from 1: 40101, or 400101 style beyond the first 9999."""
-        digits = 4 if self.number < _SHORT else 5
+        digits = 4 if self.number < _FIRST_FIVE_DIGIT_NUMBER else 5
         return f"{_FIRST[self.table]}{self.number + 1:0{digits}d}"
 
     @property
@@ -39,7 +39,7 @@ class Register:
         """True in the tables of single bits."""
         return self.table in ("coil", "discrete")
 
-    def moved(self, by: int) -> "Register":
+    def shift(self, by: int) -> "Register":
         """The one so many addresses on."""
         return Register(self.table, self.number + by)
 
@@ -55,8 +55,8 @@ def parse_register(text: str) -> Register:
         raise AddressTextError(
             f"{text!r} is no register; give its PDU address such as holding:100, or its number such as 40101"
         )
-    if not 0 <= register.number <= LAST:
-        raise AddressTextError(f"{text!r} is beyond the addresses, which are 0 to {LAST}")
+    if not 0 <= register.number <= LAST_ADDRESS:
+        raise AddressTextError(f"{text!r} is beyond the addresses, which are 0 to {LAST_ADDRESS}")
     return register
 
 
@@ -67,12 +67,12 @@ def parse_stretch(text: str) -> tuple[Register, int]:
         return parse_register(text), 1
     first = parse_register(match[1])
     last = parse_register(match[2]) if _REFERENCE.fullmatch(match[1]) else Register(first.table, int(match[2]))
-    if last.table != first.table or not first.number <= last.number <= LAST:
+    if last.table != first.table or not first.number <= last.number <= LAST_ADDRESS:
         raise AddressTextError(f"{text!r} is no stretch of one table; give the first and the last, as holding:0-499")
     return first, last.number - first.number + 1
 
 
-def reference_of(address: str) -> str:
+def reference_number(address: str) -> str:
     """The reference number of a driver's address; "" where the link has none (CAN, CANopen)."""
     try:
         return parse_register(address).reference

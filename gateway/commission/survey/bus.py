@@ -9,7 +9,7 @@ from typing import Any
 from drivers.can import Dbc, frame_key, frame_name
 from drivers.errors import DeviceException, LinkDown, ReplyMismatch, ReplyTimeout
 from drivers.survey import BusFrame, ListensToBus
-from gateway.commission.session import CheckStep, Site, failed, ok, warning
+from gateway.commission.session import CheckStep, Site, failed_step, ok, warning
 from gateway.console import CommandResult, Progress
 from gateway.entry import Exit
 
@@ -40,16 +40,16 @@ async def probe_bus(site: Site, steps: list[CheckStep], facts: dict[str, Any]) -
             elif site.target.capabilities.nodes:  # the node is asked next, and may answer
                 steps.append(warning("traffic", silence))
             else:
-                steps.append(failed("traffic", silence, ReplyTimeout(silence)))
+                steps.append(failed_step("traffic", silence, ReplyTimeout(silence)))
             if site.target.capabilities.nodes:
                 node = int(settings.get("node", 1))
                 pinned = settings.get("identity") or {}
                 if await _node(survey, node, frames, steps, facts):
-                    _held_against(pinned, steps, facts)
+                    _compare_pin(pinned, steps, facts)
     except LinkDown as error:
         hint = "is the interface there and up (ip link set can0 up type can bitrate ...)?"
         hint = hint if settings.get("interface", "socketcan") == "socketcan" else "is the hub or adapter there?"
-        steps.append(failed("bus", f"{error}: {hint}", error))
+        steps.append(failed_step("bus", f"{error}: {hint}", error))
 
 
 async def _node(
@@ -63,27 +63,27 @@ async def _node(
     else:
         steps.append(warning("heartbeat", f"node {node} sent no heartbeat in {LISTEN_S:g} s (object 0x1017 may be 0)"))
     try:
-        facts["identity"] = await identity_of(survey, node)
+        facts["identity"] = await read_identity(survey, node)
     except ReplyTimeout as error:
         others = sorted({frame.id - HEARTBEAT for frame in frames if HEARTBEAT < frame.id <= HEARTBEAT + 127})
         seen = f"; heartbeats come from node {', '.join(map(str, others))}: give --node" if others else ""
-        steps.append(failed("node", f"node {node} answers no SDO request: wrong node, or it is off{seen}", error))
+        steps.append(failed_step("node", f"node {node} answers no SDO request: wrong node, or it is off{seen}", error))
     except ReplyMismatch as error:
-        steps.append(failed("node", str(error), error))
+        steps.append(failed_step("node", str(error), error))
     else:
         steps.append(ok("node", ", ".join(f"{name} {value}" for name, value in facts["identity"].items())))
         return True
     return False
 
 
-def _held_against(pinned: Mapping[str, int], steps: list[CheckStep], facts: dict[str, Any]) -> None:
+def _compare_pin(pinned: Mapping[str, int], steps: list[CheckStep], facts: dict[str, Any]) -> None:
     """Whether the node is the pinned one; what would pin it, where nothing does."""
     said = {name: int(facts["identity"][name], 16) for name in _PINNED if name in facts["identity"]}
     if wrong := [name for name, number in pinned.items() if said.get(name) != number]:
         name = wrong[0]
         heard = f"0x{said[name]:08X}" if name in said else "nothing"
         reason = f"another device: of its {name} it says {heard}, and 0x{pinned[name]:08X} is pinned (identity)"
-        steps.append(failed("pinned", reason, LinkDown(reason)))
+        steps.append(failed_step("pinned", reason, LinkDown(reason)))
     elif pinned:
         steps.append(ok("pinned", "it is the pinned device"))
     elif said:
@@ -92,7 +92,7 @@ def _held_against(pinned: Mapping[str, int], steps: list[CheckStep], facts: dict
         steps.append(ok("proposal", f"identity = {{ {marks} }} in [device] tells it from others"))
 
 
-async def identity_of(survey: ListensToBus, node: int, timeout: float = SDO_S) -> dict[str, str]:
+async def read_identity(survey: ListensToBus, node: int, timeout: float = SDO_S) -> dict[str, str]:
     """What a node says of itself; the objects that it does not have are left out.
 
     Raises ReplyTimeout where it does not answer at all.
@@ -133,7 +133,7 @@ async def scan_nodes(site: Site, nodes: Sequence[int], progress: Progress, *, li
                 answers = False
             except (DeviceException, ReplyMismatch):
                 pass
-            identity = await identity_of(survey, node) if answers else None
+            identity = await read_identity(survey, node) if answers else None
             if identity is not None or node in beats:
                 state = beats.get(node)
                 sentence = "no heartbeat" if state is None else STATES.get(state, f"state {state}")
@@ -169,7 +169,7 @@ async def scan_can(site: Site, seconds: float) -> CommandResult:
         names = {facts.key: name for name, facts in Dbc(Path(settings["dbc"])).messages.items()}
     async with site.bus() as survey:
         frames = await survey.listen(seconds)
-    rows = rows_of(frames, seconds, names)
+    rows = identifier_rows(frames, seconds, names)
     data: dict[str, Any] = {"seconds": seconds, "heard": len(frames), "ids": rows}
     if bitrate := settings.get("bitrate"):
         from drivers.can.bus import frame_bits
@@ -180,7 +180,7 @@ async def scan_can(site: Site, seconds: float) -> CommandResult:
     return CommandResult(data, "" if frames else sentence, Exit.TIMEOUT)
 
 
-def rows_of(frames: Sequence[BusFrame], seconds: float, names: Mapping[int, str]) -> list[dict[str, Any]]:
+def identifier_rows(frames: Sequence[BusFrame], seconds: float, names: Mapping[int, str]) -> list[dict[str, Any]]:
     """Each identifier with its rate, the period between its frames, its lengths, what moves in it, what it may be."""
     by_key: dict[int, list[BusFrame]] = {}
     for frame in frames:

@@ -5,7 +5,7 @@ from typing import Any
 from drivers.errors import DeviceException, ReplyMismatch, ReplyTimeout
 from drivers.survey import AsksRegisters
 from gateway.commission.session import Site, mention_gateway
-from gateway.commission.survey.addresses import LAST, Register
+from gateway.commission.survey.addresses import LAST_ADDRESS, Register
 from gateway.console import CommandResult
 
 BASES = (40000, 0, 50000)
@@ -50,7 +50,7 @@ async def _base(survey: AsksRegisters, bases: tuple[int, ...]) -> int | None:
 
 async def _walk(site: Site, survey: AsksRegisters, at: int, models: list[dict[str, Any]]) -> None:
     for _ in range(MOST_MODELS):
-        if at >= LAST:
+        if at >= LAST_ADDRESS:
             break
         try:
             words = await survey.read("holding", at, 2)
@@ -71,4 +71,4 @@ async def _walk(site: Site, survey: AsksRegisters, at: int, models: list[dict[st
             }
         )
         at += length + 2
-    site.notes.append(f"the chain of models has no end within {MOST_MODELS} models and {LAST} registers")
+    site.notes.append(f"the chain of models has no end within {MOST_MODELS} models and {LAST_ADDRESS} registers")

@@ -24,7 +24,7 @@ _LOOKS_LIKE: tuple[tuple[bytes, str], ...] = (
 )
 
 
-async def addresses_of(host: str) -> list[str]:
+async def resolve_host(host: str) -> list[str]:
     """What the name resolves to. Raises OSError."""
     infos = await asyncio.get_running_loop().getaddrinfo(host, None, type=socket.SOCK_STREAM)
     return list(dict.fromkeys(str(info[4][0]) for info in infos))
@@ -58,20 +58,20 @@ def connect_sentence(host: str, port: int, error: LinkDown) -> str:
     return str(error)
 
 
-def looks_like(received: bytes) -> str:
+def guess_service(received: bytes) -> str:
     """What the first bytes from a port betray; "" where nothing is known."""
     return next((name for start, name in _LOOKS_LIKE if received.startswith(start)), "")
 
 
 def not_modbus(port: int, received: bytes) -> str:
     """The sentence for a port that answers with something else."""
-    seen = looks_like(received)
+    seen = guess_service(received)
     shown = received[:24].decode("ascii", errors="replace") if received[:4].isascii() else received[:12].hex(" ")
     is_it = f"it looks like {seen}" if seen else f"it begins with {shown!r}"
     return f"port {port} is no Modbus port: what answers there is not Modbus TCP, {is_it}"
 
 
-async def greeting_of(host: str, port: int) -> bytes:
+async def read_greeting(host: str, port: int) -> bytes:
     """What a port that is silent in Modbus says when it is asked as a web server; b"" if it stays silent.
 
     To be asked only of a port that has answered no Modbus request: a Modbus device drops it by its protocol id.

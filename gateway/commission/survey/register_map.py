@@ -13,7 +13,7 @@ from itertools import pairwise
 Stretch = tuple[int, int]
 """First address and count."""
 Search = Generator[Stretch, bool, None]
-SINGLES = 8
+MAX_SINGLY_ASKED = 8
 """A refused block of so many addresses is asked address by address: fewer requests where nothing is there."""
 
 
@@ -39,7 +39,7 @@ class ReadableMap:
         return self._ranges(_READABLE)
 
     @property
-    def refused(self) -> list[Stretch]:
+    def refusals(self) -> list[Stretch]:
         """The ranges that the device refuses address by address."""
         return self._ranges(_REFUSED)
 
@@ -104,7 +104,7 @@ class _RangeSearch:
             if not (yield from self._ask(*block)):
                 refused.append(block)
         for block in refused:
-            yield from self._refused(*block)
+            yield from self._split_refusal(*block)
         yield from self._largest()
 
     def _ask(self, start: int, count: int) -> Generator[Stretch, bool, bool]:
@@ -119,27 +119,27 @@ class _RangeSearch:
             self.map.mark(start, 1, readable=False)
         return answered
 
-    def _refused(self, start: int, count: int) -> Search:
+    def _split_refusal(self, start: int, count: int) -> Search:
         """Find out about a block that was refused as a whole."""
         if count == 1:
             return
         if count > self.limit:  # the limit has come down since this block was asked for
             parts = [(at, min(self.limit, start + count - at)) for at in range(start, start + count, self.limit)]
-        elif count <= SINGLES:
+        elif count <= MAX_SINGLY_ASKED:
             parts = [(at, 1) for at in range(start, start + count)]
         else:
             parts = [(start, count // 2), (start + count // 2, count - count // 2)]
         for part in parts:
             if not (yield from self._ask(*part)):
-                yield from self._refused(*part)
-        yield from self._explained(start, count)
+                yield from self._split_refusal(*part)
+        yield from self._explain_refusal(start, count)
 
-    def _explained(self, start: int, count: int) -> Search:
+    def _explain_refusal(self, start: int, count: int) -> Search:
         """Why a block was refused whose parts all answer: too long, or across a seam."""
         explained = count > self.limit or any(start < seam < start + count for seam in self.map.seams)
         if explained or not self.map.all_readable(start, count):
             return
-        length = yield from self._longest_from(start, count)
+        length = yield from self._longest_block(start, count)
         if (yield from self._is_limit(start, count, length)):
             self.map.too_long = length + 1
             self.limit = max(1, min(self.limit, length))
@@ -157,8 +157,8 @@ class _RangeSearch:
         # One address further on the same length crosses a seam that lay just behind it.
         return (yield from self._ask(start + 1, length))
 
-    def _longest_from(self, start: int, refused: int) -> Generator[Stretch, bool, int]:
-        """The longest block from `start` that is answered, where `refused` addresses are not and one is."""
+    def _longest_block(self, start: int, refused: int) -> Generator[Stretch, bool, int]:
+        """The longest block from `start` that is answered, where `refusals` addresses are not and one is."""
         # Bisection: a block of `low` is answered and one of `high` is not, until they are neighbours.
         low, high = 1, refused
         while high - low > 1:
@@ -174,16 +174,16 @@ class _RangeSearch:
         seams = -1
         while seams != len(self.map.seams) and not self.map.too_long:
             seams = len(self.map.seams)
-            ranges = [part for stretch in self.map.readable for part in _cut(stretch, self.map.seams)]
+            ranges = [part for stretch in self.map.readable for part in _split_stretch(stretch, self.map.seams)]
             start, length = max(ranges, key=lambda stretch: stretch[1], default=(0, 0))
             wanted = min(length, self.limit)
             if wanted <= self.map.largest:
                 return
             if not (yield from self._ask(start, wanted)):
-                yield from self._explained(start, wanted)
+                yield from self._explain_refusal(start, wanted)
 
 
-def _cut(stretch: Stretch, seams: Sequence[int]) -> list[Stretch]:
+def _split_stretch(stretch: Stretch, seams: Sequence[int]) -> list[Stretch]:
     """The parts of a range between the seams in it."""
     start, end = stretch[0], stretch[0] + stretch[1]
     edges = [start, *sorted(seam for seam in seams if start < seam < end), end]

@@ -21,7 +21,7 @@ BEHIND_GATEWAY = frozenset({10, 11})
 """Exceptions of a gateway: path unavailable, target failed to respond (MODBUS Application Protocol V1.1b3, 7)."""
 ILLEGAL_FUNCTION = 1
 _BUSY_TRIES = 8
-_PATIENCE = 4
+_MAX_FIRST_SILENCES = 4
 """So many refusals by silence in a row, with no answer before them, are a device that is not there."""
 
 
@@ -43,7 +43,7 @@ class _Asking:
         """
         for last in (False, True):
             try:
-                await self._patiently(start, count)
+                await self._ask_patiently(start, count)
             except DeviceException as error:
                 if error.code in BEHIND_GATEWAY or error.code == ILLEGAL_FUNCTION:
                     raise
@@ -52,13 +52,13 @@ class _Asking:
             except (ReplyTimeout, ReplyMismatch, LinkDown) as error:
                 if last:
                     await self._find_alive(start, count)
-                    await self._missed(error)
+                    await self._note_silence(error)
             else:
                 self.alive, self.silences = (start, 1), 0
                 return True
         return False
 
-    async def _patiently(self, start: int, count: int) -> None:
+    async def _ask_patiently(self, start: int, count: int) -> None:
         """Ask, again after a pause while the device says that it is busy."""
         for attempt in range(_BUSY_TRIES):
             try:
@@ -78,11 +78,11 @@ class _Asking:
                 self.alive = (place, 1)
                 return
 
-    async def _missed(self, error: ReplyTimeout | ReplyMismatch | LinkDown) -> None:
+    async def _note_silence(self, error: ReplyTimeout | ReplyMismatch | LinkDown) -> None:
         """A refusal by silence, if the device still answers elsewhere. Raises the error if it does not."""
         self.silences += 1
         if self.alive is None:
-            if self.silences >= _PATIENCE or isinstance(error, LinkDown):
+            if self.silences >= _MAX_FIRST_SILENCES or isinstance(error, LinkDown):
                 raise error
         else:
             await self.survey.read(self.table, *self.alive)
@@ -114,7 +114,7 @@ async def scan_registers(site: Site, first: Register, count: int, budget: int, p
         "table": first.table,
         "asked": _range(first, readable.count),
         "readable": ranges(readable.readable),
-        "refused": ranges(readable.refused),
+        "refused": ranges(readable.refusals),
         "unknown": ranges(readable.unknown),
         "largest_block": readable.largest,
         "too_long": readable.too_long or None,
@@ -129,7 +129,7 @@ async def scan_registers(site: Site, first: Register, count: int, budget: int, p
 
 
 def _range(start: Register, count: int) -> dict[str, Any]:
-    last = start.moved(count - 1)
+    last = start.shift(count - 1)
     return {
         "first": str(start),
         "last": str(last),

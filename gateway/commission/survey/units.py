@@ -41,19 +41,19 @@ async def scan_units(site: Site, units: Sequence[int] | None, progress: Progress
         scan = _UnitScan(survey, register)
         for place, unit in enumerate(wanted):
             progress(f"unit {unit}", place / len(wanted))
-            row = await scan.answer_of(unit)
+            row = await scan.ask_unit(unit)
             asked += 1
             silent = 0 if row else silent + 1
             if row is not None:
                 if not answered:
                     # Not before something answers: it may hang up on a number that is not its own.
-                    nobody = await scan.answer_of(RESERVED) if RESERVED not in wanted else None
+                    nobody = await scan.ask_unit(RESERVED) if RESERVED not in wanted else None
                     ignored = nobody is not None and not nobody["refused"]
                 answered = True
                 # What refuses the number that nobody has in the same words is the one that passes requests on.
                 if not (row["refused"] and nobody and nobody["answer"] == row["answer"]):
                     # A device that answers to any number need not say again who it is.
-                    row["identity"] = "" if ignored and rows else await scan.identity_of(unit)
+                    row["identity"] = "" if ignored and rows else await scan.ask_identity(unit)
                     rows.append(row)
             if units is None and silent == MOST_SILENT:
                 break
@@ -84,7 +84,7 @@ class _UnitScan:
         self._survey, self._register = survey, register
         self.disliked = 0
 
-    async def answer_of(self, unit: int) -> dict[str, Any] | None:
+    async def ask_unit(self, unit: int) -> dict[str, Any] | None:
         """What one unit answers; None if nothing. Raises LinkDown when the connection does not come back."""
         begun = time.monotonic()
         for last in (False, True):
@@ -108,7 +108,7 @@ class _UnitScan:
             return {"unit": unit, "answer": answer, "ms": ms, "identity": "", "refused": refused}
         return None
 
-    async def identity_of(self, unit: int) -> str:
+    async def ask_identity(self, unit: int) -> str:
         """What the unit says of itself; "" if nothing. Most devices refuse function 43; some fall silent or hang up."""
         if self.disliked:
             return ""

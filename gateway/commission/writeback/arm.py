@@ -14,15 +14,15 @@ from gateway.commission.options import SharedOptions, audit_option, link_options
 from gateway.commission.session import (
     Site,
     Target,
-    at,
     audit_path,
-    gateway_of,
+    find_period,
+    format_moment,
+    gateway_target,
     login,
     perform,
-    period_of,
     running_gateway,
 )
-from gateway.commission.writeback.block_writer import gateway_runs, layouts_of, open_block_writers
+from gateway.commission.writeback.block_writer import gateway_runs, open_block_writers, require_layouts
 from gateway.console import CommandResult, Line, Part, socket_option
 from gateway.entry import sentences
 from gateway.machine.writing import (
@@ -31,9 +31,9 @@ from gateway.machine.writing import (
     clear_for_arming,
     countersign,
     disarm_in_log,
+    find_places,
     next_start,
-    places_for,
-    signed,
+    sign_arming,
     uptime,
 )
 from gateway.store import DISARMED, EXPIRED, AuditError, given_words, head, open_audit
@@ -56,22 +56,22 @@ async def start_arming(
 
     Raises ArmingError, AuditError, ValueError or OSError.
     """
-    layouts_of(site)
+    require_layouts(site)
     now = time.time()
-    arming = signed(by, reason, minutes, now)
+    arming = sign_arming(by, reason, minutes, now)
     if (config := site.target.config) is not None and config.writeback.mode == "off":
         site.notes.append("writeback.mode is 'off': a gateway with this plant file computes and writes nothing")
-    reply = _asked(site, "arm", by=arming.by, reason=arming.reason, minutes=minutes, acknowledge=[*acknowledged])
+    reply = _ask_gateway(site, "arm", by=arming.by, reason=arming.reason, minutes=minutes, acknowledge=[*acknowledged])
     if reply is None:
-        if _gateway_is_known_to_run(site):
+        if _is_gateway_alive(site):
             raise ArmingError(
                 "a gateway runs with this plant file, and its control socket does not answer; stop it first"
             )
         config = site.target.config
-        places = places_for(audit_path, config)
+        places = find_places(audit_path, config)
         with closing(open_audit(audit_path)) as audit:
             clear_for_arming(places, audit.record, by=arming.by, now=now, acknowledged=acknowledged)
-        armed_for = "" if config is None else config.armed_for
+        armed_for = "" if config is None else config.arming_hash
         arm_in_log(audit_path, arming, now, key=places.key, subject=site.target.subject, armed_for=armed_for)
         countersign(places, now)
     place = "the audit log" if reply is None else f"the running gateway (pid {reply['pid']})"
@@ -87,9 +87,9 @@ async def end_arming(site: Site, audit_path: Path, by: str, reason: str) -> Comm
     does not, the result has a complaint. It says what the next start of the gateway will do too. Raises ArmingError,
     AuditError, ValueError or OSError.
     """
-    complaint, runs = "", _gateway_is_known_to_run(site)
+    complaint, runs = "", _is_gateway_alive(site)
     try:
-        reply = _asked(site, "disarm", by=by, reason=reason)
+        reply = _ask_gateway(site, "disarm", by=by, reason=reason)
     except OSError as error:
         reply, runs = None, True
         site.notes.append(f"the running gateway does not answer at its control socket ({error})")
@@ -108,18 +108,18 @@ async def end_arming(site: Site, audit_path: Path, by: str, reason: str) -> Comm
         ]
         row = next(filter(None, rows), None)
         try:
-            countersign(places_for(audit_path, config), time.time())
+            countersign(find_places(audit_path, config), time.time())
         except ArmingError as error:
             site.notes.append(str(error))
         was, sentence = row is not None, "nothing was armed"
-        patience = max(_TAKEN_S, _TAKEN_PERIODS * period_of(site))
-        is_taken = runs and await _is_taken_from_log(audit_path, before, patience)
+        patience = max(_TAKEN_S, _TAKEN_PERIODS * find_period(site))
+        is_taken = runs and await _is_withdrawal_logged(audit_path, before, patience)
         if is_taken:
             was, sentence = True, "the running gateway has found it in the audit log, and writes no more"
         elif runs and (reply := _answer_now(site, "disarm", by=by, reason=reason)) is not None:
             # Its socket is there again: a gateway that has lost it makes another.
             was, sentence = was or bool(reply["was_armed"]), f"the running gateway (pid {reply['pid']}) writes no more"
-        elif runs and _gateway_is_known_to_run(site):
+        elif runs and _is_gateway_alive(site):
             sentence = "validity 0 was not written"
             complaint = (
                 "the disarming is on record, and whether the running gateway has taken it is NOT known: it answers "
@@ -155,7 +155,7 @@ def _newest_row(audit_path: Path, subject: str) -> int:
     return 0
 
 
-async def _is_taken_from_log(audit_path: Path, before: Mapping[str, int], seconds: float) -> bool:
+async def _is_withdrawal_logged(audit_path: Path, before: Mapping[str, int], seconds: float) -> bool:
     """Whether a running gateway says in the audit log, behind the rows `before`, that it has disarmed itself."""
     deadline = time.monotonic() + seconds
     while time.monotonic() < deadline:
@@ -183,7 +183,7 @@ def _subjects(target: Target, audit_path: Path) -> list[str]:
     return [target.machine] if places.several else list(dict.fromkeys(("", target.machine)))
 
 
-def _asked(site: Site, command: str, **keys: Any) -> dict[str, Any] | None:
+def _ask_gateway(site: Site, command: str, **keys: Any) -> dict[str, Any] | None:
     """The running gateway's answer; None where none can be reached. Raises OSError for one that does not answer."""
     line = running_gateway(site.target)
     if line is None:
@@ -195,11 +195,11 @@ def _asked(site: Site, command: str, **keys: Any) -> dict[str, Any] | None:
 def _answer_now(site: Site, command: str, **keys: Any) -> dict[str, Any] | None:
     """The running gateway's answer; None for one that gives none."""
     with suppress(OSError):
-        return _asked(site, command, **keys)
+        return _ask_gateway(site, command, **keys)
     return None
 
 
-def _gateway_is_known_to_run(site: Site) -> bool:
+def _is_gateway_alive(site: Site) -> bool:
     """Whether a gateway has the historian that the plant file names."""
     config, places = site.target.config, site.target.places
     historian = config.historian.path if config is not None else places.historian if places is not None else None
@@ -231,11 +231,11 @@ def arm(given: SharedOptions, reason: str, minutes: float, acknowledged: tuple[s
         )
 
     arguments = {"reason": reason, "minutes": minutes, "acknowledged": list(acknowledged)}
-    perform(given, "arm", arguments, work, _armed)
+    perform(given, "arm", arguments, work, _armed_lines)
 
 
-def _armed(data: Mapping[str, Any]) -> Iterator[Part]:
-    yield Line(f"ARMED until {at(data['until'])} by {data['by']}: {data['reason']}", "yellow")
+def _armed_lines(data: Mapping[str, Any]) -> Iterator[Part]:
+    yield Line(f"ARMED until {format_moment(data['until'])} by {data['by']}: {data['reason']}", "yellow")
     yield f"told to {data['told']}; audit log {data['audit']}, head {data['head'][:16]}"
 
 
@@ -257,13 +257,13 @@ def disarm(given: SharedOptions, reason: str, socket: Path | None, audit: Path |
     target = None
     with sentences():
         if given.plant is not None and given.device is None:
-            target = gateway_of(given.plant, given.machine, socket)
+            target = gateway_target(given.plant, given.machine, socket)
     if target is not None and target.places is not None and target.places.problem is not None:
         click.echo(f"{target.places.problem}; it is disarmed all the same", err=True)
-    perform(given, "disarm", {"reason": reason}, work, _disarmed, target=target)
+    perform(given, "disarm", {"reason": reason}, work, _disarmed_lines, target=target)
 
 
-def _disarmed(data: Mapping[str, Any]) -> Iterator[Part]:
+def _disarmed_lines(data: Mapping[str, Any]) -> Iterator[Part]:
     sentence = f"disarmed; {data['said']}" if data["was_armed"] else "nothing was armed; the disarming is on record"
     if not data["known"]:
         sentence = f"the disarming is on record; {data['said']}"

@@ -8,10 +8,10 @@ from typing import Any
 import click
 
 from gateway.commission.options import SharedOptions, audit_option, record_options
-from gateway.commission.session import at, audit_path
+from gateway.commission.session import audit_path, format_moment
 from gateway.console import CommandResult, Part, Rows, conclude
 from gateway.entry import sentences
-from gateway.machine.writing import places_for
+from gateway.machine.writing import find_places
 from gateway.settings import Config, load_plant
 from gateway.store import AuditRow, examine, numbered_files, read, trusted_key
 
@@ -54,7 +54,7 @@ def audit(
     """
     with sentences():
         configs = load_plant(given.plant) if given.plant is not None else ()
-        places = places_for(audit_path(audit, given), configs[0] if configs else None)
+        places = find_places(audit_path(audit, given), configs[0] if configs else None)
         places = replace(
             places,
             heads=heads or places.heads,
@@ -85,7 +85,10 @@ def _of_machine(rows: Sequence[AuditRow], machine: str, configs: Sequence[Config
 
 def _view(data: Mapping[str, Any]) -> Iterator[Part]:
     title = f"{data['path']}: {data['rows']} rows, the chain is {'broken' if data['broken'] else 'whole'}"
-    rows = [[entry["id"], at(entry["time"]), entry["kind"], entry["who"], entry["reason"]] for entry in data["entries"]]
+    rows = [
+        [entry["id"], format_moment(entry["time"]), entry["kind"], entry["who"], entry["reason"]]
+        for entry in data["entries"]
+    ]
     yield Rows(title, ("row", "time", "kind", "who", "reason"), rows)
     yield f"head: {data['head']}"
     yield from (f"witness: {name}: {sentence}" for name, sentence in data["witnesses"].items())

@@ -29,11 +29,11 @@ from gateway.machine.writing import (
     Arming,
     SessionWords,
     Validity,
-    arming_of,
     build,
+    find_places,
     next_heartbeat,
     obstacle,
-    places_for,
+    parse_arming,
     uptime,
 )
 from gateway.settings import DeviceMap, WritebackLayout
@@ -45,9 +45,9 @@ from gateway.store import (
     AuditRow,
     WitnessPlaces,
     armings,
+    end_reason,
+    find_arming,
     open_audit,
-    over,
-    standing,
 )
 
 PERMIT_S = 1.0
@@ -68,7 +68,7 @@ def arming_in_force(places: WitnessPlaces, now: float, subject: str = "") -> Arm
     One on a log that lacks a row whose head was signed is none: what it lacks may be the disarming.
     """
     path = places.audit
-    row = standing(path, now, uptime(), key=places.key, subject=subject)
+    row = find_arming(path, now, uptime(), key=places.key, subject=subject)
     if row is None:
         _note_the_end(places, now, subject)
         raise WriteForbidden(
@@ -77,7 +77,7 @@ def arming_in_force(places: WitnessPlaces, now: float, subject: str = "") -> Arm
         )
     if why := obstacle(places)[0]:
         raise WriteForbidden(f"not armed: nothing is written: {why}")
-    return arming_of(row)
+    return parse_arming(row)
 
 
 def _note_the_end(places: WitnessPlaces, now: float, subject: str) -> None:
@@ -86,13 +86,13 @@ def _note_the_end(places: WitnessPlaces, now: float, subject: str) -> None:
     last = next(armings(path, places.key, subject=subject), None)
     if last is None or last.entry.kind != ARMED:
         return
-    if not (why := over(path, last, now, uptime())):
+    if not (why := end_reason(path, last, now, uptime())):
         return
     with closing(open_audit(path)) as audit:
-        audit.record(AuditEntry(now, EXPIRED, last.entry.who, why).of(subject))
+        audit.record(AuditEntry(now, EXPIRED, last.entry.who, why).with_subject(subject))
 
 
-def layouts_of(site: Site) -> tuple[DeviceMap, tuple[WritebackLayout, ...]]:
+def require_layouts(site: Site) -> tuple[DeviceMap, tuple[WritebackLayout, ...]]:
     """The device file and its blocks. Raises ValueError where there is none."""
     device = site.target.map
     if device is None:
@@ -155,7 +155,7 @@ class BlockWriter:
 
         try:
             self._check_arming()
-            if not await self.permitted():
+            if not await self.has_permit():
                 raise WriteForbidden("the PLC does not permit writing (WritePermit); nothing was sent")
             # On the disk before it is sent: whatever comes of it, no write is without its row.
             if not await self.audit.stored(self._entry(WRITE, words, "", offset)):
@@ -191,11 +191,11 @@ class BlockWriter:
         if self.taking_back:
             return
         now = time.time()
-        row = standing(self.audit.path, now, uptime(), key=self.key, subject=self.subject)
+        row = find_arming(self.audit.path, now, uptime(), key=self.key, subject=self.subject)
         if now >= self.arming.until or row is None:
             raise WriteForbidden("the arming is over; nothing was sent")
 
-    async def permitted(self) -> bool:
+    async def has_permit(self) -> bool:
         """The PLC's permit, as it reads now; False where it is not known."""
         sample = (await self.read("WritePermit"))[0]
         return sample.quality.is_good and bool(sample.value)
@@ -208,7 +208,7 @@ class BlockWriter:
         detail = {"words": pack(f">{len(words)}H", *words).hex(), "offset": offset, "via": "command"}
         if self.layout.suffix:
             detail["block"] = self.layout.suffix
-        return AuditEntry(time.time(), kind, self.arming.by, reason, detail).of(self.subject)
+        return AuditEntry(time.time(), kind, self.arming.by, reason, detail).with_subject(self.subject)
 
     # ---------------------------------------------------------------- reading
 
@@ -284,13 +284,13 @@ class BlockWriter:
 
     async def permit(self, on: bool) -> None:
         """Have a person give or take the permit, unless it is as it has to be. Raises Unable."""
-        if await self.permitted() == on:
+        if await self.has_permit() == on:
             return
         word = "give" if on else "take away"
         if self.ask is None or not self.ask(f"Please {word} the write permit at the PLC. Done?"):
             raise Unable(f"nobody was there to {word} the permit (--ask)")
         await self.wait_for_scans()
-        if await self.permitted() != on:
+        if await self.has_permit() != on:
             raise Unable("the permit has not changed")
 
 
@@ -310,12 +310,12 @@ async def open_block_writers(
     from the system's randomness. Raises WriteForbidden where it is not armed or a gateway runs, AuditError,
     DriverError, ValueError.
     """
-    device, layouts = layouts_of(site)
-    places, subject = places_for(audit_path, site.target.config), site.target.subject
+    device, layouts = require_layouts(site)
+    places, subject = find_places(audit_path, site.target.config), site.target.subject
     # Before the look at the arming: beside a gateway that writes on, the newest record may be later than that look.
     if site.target.config is not None and gateway_runs(site.target.config.historian.path):
         raise ValueError("a gateway runs with this plant file and writes the same block; stop it for this test")
-    arming = arming_of(taking_back) if taking_back is not None else arming_in_force(places, time.time(), subject)
+    arming = parse_arming(taking_back) if taking_back is not None else arming_in_force(places, time.time(), subject)
     with closing(open_audit(audit_path)) as audit:
         async with site.driver(device.block_words) as driver:
             if not isinstance(driver, Writes):
@@ -360,7 +360,7 @@ def with_block_writers(
 ) -> Callable[[Site], Awaitable[CommandResult]]:
     """The work with the writers of all blocks, and a bar on a terminal where nobody is asked."""
 
-    async def carried_out(site: Site) -> CommandResult:
+    async def open_and_work(site: Site) -> CommandResult:
         asked = partial(click.confirm, default=False, err=True) if ask else None
         async with open_block_writers(site, audit_path(audit, given, site.target), asked) as writers:
             if ask:
@@ -368,7 +368,7 @@ def with_block_writers(
             with progress(title) as report:
                 return await work(writers, report)
 
-    return carried_out
+    return open_and_work
 
 
 def of_each_block(
@@ -376,11 +376,11 @@ def of_each_block(
 ) -> Callable[[Sequence[BlockWriter], Progress], Awaitable[CommandResult]]:
     """The work for one block after the other, as one result: all rows, each with its block where there are several."""
 
-    async def carried_out(writers: Sequence[BlockWriter], report: Progress) -> CommandResult:
+    async def work_each(writers: Sequence[BlockWriter], report: Progress) -> CommandResult:
         results = [(writer.layout.temperature or "", await work(writer, report)) for writer in writers]
         return results[0][1] if len(results) == 1 else join_results(results)
 
-    return carried_out
+    return work_each
 
 
 def join_results(results: Sequence[tuple[str, CommandResult]]) -> CommandResult:

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from drivers.named_files import writing
+from drivers.named_files import name_write_errors
 from gateway.commission.writeback.structured_text import Program, generate
 from gateway.commission.writeback.targets import TARGETS
 from gateway.commission.writeback.vectors import plain
@@ -66,7 +66,7 @@ def codegen(
         text = generate(device_map, name, Program(location, permit_at, cycle) if program else None, tool)
         if out is not None:
             out.parent.mkdir(parents=True, exist_ok=True)
-            with writing(out):
+            with name_write_errors(out):
                 out.write_text(text, encoding="ascii")
         if suite is not None:
             write_suite(device, suite)
@@ -91,7 +91,7 @@ def write_suite(device: Path, out: Path) -> None:
     head = json.dumps(content, indent=1)[:-2]
     out.parent.mkdir(parents=True, exist_ok=True)
     tail = ",\n".join(f' "{key}": [\n  {steps}\n ]' for key, steps in lists.items())
-    with writing(out):
+    with name_write_errors(out):
         out.write_text(f"{head},\n{tail}\n}}\n", encoding="utf-8")
 
 

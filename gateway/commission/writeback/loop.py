@@ -47,7 +47,7 @@ async def alarm_loop(writer: BlockWriter, progress: Progress) -> CommandResult:
             seen = writer.ask(f"Does the HMI show bit {bit}{of}, {name} ({ALARM_MEANINGS[name]}), and no other?")
         elif writer.ask is not None:
             seen = writer.ask(f"Does the HMI show no alarm{of} of the gateway now?")
-        row |= {"accepted": _accepted(before, after, 1), "seen": seen}
+        row |= {"accepted": _took_all(before, after, 1), "seen": seen}
         # After the question: what the person acknowledged at the HMI meanwhile shows in it.
         word = writer.layout.acknowledge_bits
         row["acknowledge_bits"] = (await writer.numbers(word))[0] if word in writer.device.by_name else None
@@ -96,7 +96,7 @@ async def _own_beats(writer: BlockWriter) -> dict[str, Any]:
         await writer.block(validity=_KEPT)
         await writer.wait_for_scans()
     after = await writer.account()
-    ok = _accepted(before, after, BLOCKS)
+    ok = _took_all(before, after, BLOCKS)
     sentence = f"{after.accepted - before.accepted & 0xFFFF} of {BLOCKS} accepted"
     return _row("blocks with a new heartbeat are accepted", ok, sentence)
 
@@ -139,7 +139,7 @@ def _row(name: str, ok: bool, sentence: str, **more: Any) -> dict[str, Any]:
     return {"step": name, "ok": ok, "sentence": sentence, **more}
 
 
-def _accepted(before: Account, after: Account, blocks: int) -> bool:
+def _took_all(before: Account, after: Account, blocks: int) -> bool:
     # The PLC's counters are words that begin anew at 65536: differences are taken modulo that.
     return after.accepted - before.accepted & 0xFFFF == blocks and after.refused == before.refused
 

@@ -147,7 +147,7 @@ def _block(device: DeviceMap, layout: WritebackLayout, name: str) -> dict[str, A
     ]
     return {
         "name": name,
-        "source": _said(device.path.name),
+        "source": _comment_text(device.path.name),
         "digest": hashlib.sha256(device.path.read_bytes()).hexdigest(),
         "version": layout.version,
         "blocks": layout.blocks,
@@ -165,7 +165,7 @@ def _block(device: DeviceMap, layout: WritebackLayout, name: str) -> dict[str, A
     }
 
 
-def _said(text: str) -> str:
+def _comment_text(text: str) -> str:
     """Text that a comment can hold: ASCII, and nothing that would end the comment."""
     return text.encode("ascii", "replace").decode().replace("*", "-")
 
@@ -192,12 +192,12 @@ def _program(device: DeviceMap, name: str, program: Program, target: PlcTool) ->
         {
             "suffix": layout.suffix,
             "place": layout.place,
-            "speaks_of": _said(f", for {layout.temperature}") if layout.blocks > 1 else "",
+            "speaks_of": _comment_text(f", for {layout.temperature}") if layout.blocks > 1 else "",
             "words": [
                 {
                     "variable": f"Word{layout.suffix}{place:02d}",
                     "field": field.name,
-                    "address": _said(tag.address),
+                    "address": _comment_text(tag.address),
                     "tag": tag,
                 }
                 for place, (field, tag) in enumerate(zip(layout.fields, layout.words, strict=True))
@@ -210,7 +210,7 @@ def _program(device: DeviceMap, name: str, program: Program, target: PlcTool) ->
     located = all(_register(word["tag"]) is not None for word in words)
     content = {
         "name": name,
-        "source": _said(device.path.name),
+        "source": _comment_text(device.path.name),
         "located": located,
         "permit_at": target.permit(program.permit_at),
         "cycle": program.cycle,
@@ -289,8 +289,8 @@ def _answers(device: DeviceMap) -> Iterator[dict[str, Any]]:
         yield {
             "variable": f"Own{identifier('Own' + own[0].name)[3:].capitalize()}",
             "tag": own[0],
-            "tags": _said(", ".join(tag.name for tag in own)),
-            "address": _said(address),
+            "tags": _comment_text(", ".join(tag.name for tag in own)),
+            "address": _comment_text(address),
             "bits": bits,
             "number": number,
         }

@@ -63,7 +63,7 @@ class Unable(Exception):
     """This step cannot be put to this PLC, or not over this link; the message says why."""
 
 
-async def put_through(
+async def run_suite(
     steps: Sequence[SuiteStep],
     side: PlcSide,
     codes: Mapping[str, int],
@@ -71,17 +71,17 @@ async def put_through(
     progress: Progress = lambda _name, _share: None,
 ) -> list[Result]:
     """The result of every step; `names` are the block's fields. Raises DriverError where the PLC cannot be reached."""
-    return await put_together(steps, [side], codes, names, progress)
+    return await run_steps(steps, [side], codes, names, progress)
 
 
-async def put_together(
+async def run_steps(
     steps: Sequence[SuiteStep],
     sides: Sequence[PlcSide],
     codes: Mapping[str, int],
     names: Sequence[str],
     progress: Progress = lambda _name, _share: None,
 ) -> list[Result]:
-    """As `put_through`, with one PLC's several blocks: each step is put to its `block`, and all of them are watched."""
+    """As `run_suite`, with one PLC's several blocks: each step is put to its `block`, and all of them are watched."""
     return [result async for result in each_result(steps, sides, codes, names, progress)]
 
 
@@ -92,7 +92,7 @@ async def each_result(
     names: Sequence[str],
     progress: Progress = lambda _name, _share: None,
 ) -> AsyncGenerator[Result, None]:
-    """The results of `put_together`, each as soon as its step is done."""
+    """The results of `run_steps`, each as soon as its step is done."""
     sent: dict[str, tuple[int, ...]] = {}
     before = [await side.account() for side in sides]
     for number, step in enumerate(steps):

@@ -18,15 +18,15 @@ from gateway.commission.writeback.block_writer import (
     with_block_writers,
 )
 from gateway.commission.writeback.loop import alarm_loop, heartbeat_loop, view_alarms, view_heartbeats
-from gateway.commission.writeback.suite import Result, put_through, put_together
-from gateway.commission.writeback.vectors import SuiteStep, together, vectors
+from gateway.commission.writeback.suite import Result, run_steps, run_suite
+from gateway.commission.writeback.vectors import SuiteStep, joint_steps, vectors
 from gateway.console import CommandResult, Progress, Rows, View
 
 
 async def conform(writer: BlockWriter, progress: Progress, steps: tuple[SuiteStep, ...] = ()) -> CommandResult:
     """Every step's result; `steps` are those of the device file's layout unless given. Raises DriverError."""
     names = [field.name for field in writer.layout.fields]
-    results = await put_through(steps or vectors(writer.layout), writer, writer.device.refusals, names, progress)
+    results = await run_suite(steps or vectors(writer.layout), writer, writer.device.refusals, names, progress)
     return outcome(results)
 
 
@@ -35,14 +35,14 @@ async def conform_all(writers: Sequence[BlockWriter], progress: Progress) -> Com
     if len(writers) == 1:
         return await conform(writers[0], progress)
     results = [(writer.layout.temperature or "", await conform(writer, progress)) for writer in writers]
-    return join_results([*results, ("together", await conform_together(writers, progress))])
+    return join_results([*results, ("together", await conform_jointly(writers, progress))])
 
 
-async def conform_together(writers: Sequence[BlockWriter], progress: Progress) -> CommandResult:
+async def conform_jointly(writers: Sequence[BlockWriter], progress: Progress) -> CommandResult:
     """What is sent to one block never makes another one usable: the result of each step. Raises DriverError."""
     first = writers[0]
     names = [field.name for field in first.layout.fields]
-    return outcome(await put_together(together(first.layout), writers, first.device.refusals, names, progress))
+    return outcome(await run_steps(joint_steps(first.layout), writers, first.device.refusals, names, progress))
 
 
 def outcome(results: Sequence[Result]) -> CommandResult:

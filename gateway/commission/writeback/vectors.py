@@ -19,11 +19,11 @@ from gateway.machine.writing import SessionWords, Validity, build
 from gateway.settings import WritebackLayout
 
 FORMAT = 3
-FLIPS = 24
+BIT_FLIPS = 24
 _USABLE = Validity(31)
 _VERSION, _CHECKSUM, _STILL = ("layout version",), ("CRC",), ("heartbeat did not change",)
 _CHALLENGE, _WRITER, _SEQUENCE = ("another challenge",), ("another writer",), ("sequence not 1 to 100 ahead",)
-WRITER, SECOND = 4711, 815
+FIRST_WRITER, SECOND_WRITER = 4711, 815
 """The numbers of the suite's two writers."""
 _CALM: Mapping[str, float | None] = {
     "input_quality": 0.0,
@@ -88,7 +88,7 @@ class _Story:
         values: Mapping[str, float | None] = _CALM,
         *,
         beat: bool = True,
-        writer: int = WRITER,
+        writer: int = FIRST_WRITER,
         ahead: int = 1,
     ) -> tuple[int, ...]:
         """The block whose sequence is `ahead` of the last one's; with `beat` False its heartbeat is the last one's."""
@@ -108,7 +108,7 @@ class _Story:
         }.get(name, "CRC")
 
 
-def vectors(layout: WritebackLayout, seed: int = 0, flips: int = FLIPS) -> tuple[SuiteStep, ...]:
+def vectors(layout: WritebackLayout, seed: int = 0, flips: int = BIT_FLIPS) -> tuple[SuiteStep, ...]:
     """The steps for a layout; `flips` turned bits are drawn from `seed`.
 
     Before each block that is to be refused a whole one is accepted, so that the timer has not run out meanwhile,
@@ -117,37 +117,43 @@ def vectors(layout: WritebackLayout, seed: int = 0, flips: int = FLIPS) -> tuple
     story, timeout = _Story(layout, seed), layout.timeout
     steps: list[SuiteStep] = []
 
-    def accepted(name: str, words: tuple[int, ...], *, usable: bool = True, **more: Any) -> None:
+    def add_acceptance(name: str, words: tuple[int, ...], *, usable: bool = True, **more: Any) -> None:
         steps.append(SuiteStep(name, words, accepted=1, usable=usable, challenge=0, **more))
 
-    def refused(name: str, words: tuple[int, ...], reasons: tuple[str, ...], **more: Any) -> None:
+    def add_refusal(name: str, words: tuple[int, ...], reasons: tuple[str, ...], **more: Any) -> None:
         given = {"challenge": 0, "renews": False, **more}
         steps.append(SuiteStep(f"{name} is refused", words, refused=1, reasons=reasons, usable=True, **given))
-        accepted("a whole block is accepted", story.block())
+        add_acceptance("a whole block is accepted", story.block())
 
-    def replayed(name: str, again: str, reasons: tuple[str, ...], *, usable: bool = False) -> None:
+    def add_replay(name: str, again: str, reasons: tuple[str, ...], *, usable: bool = False) -> None:
         steps.append(SuiteStep(name, again=again, refused=1, reasons=reasons, usable=usable, renews=False))
 
     steps.append(SuiteStep("once the timer has run out nothing is usable", wait_s=1.3 * timeout, permit=True))
-    accepted("a whole new block is accepted", story.block(), session_writer=WRITER)
+    add_acceptance("a whole new block is accepted", story.block(), session_writer=FIRST_WRITER)
     # Each of the contract's refusals, one by one.
     torn = ("sequence and its copy differ",)
     version = list(story.block())
     version[story.index["layout_version"]] += 1
-    refused("another layout version", tuple(version), _VERSION)
-    refused("a torn block", story.block(), torn, turned=(story.index["sequence_copy"], 7))
-    refused("a changed number", story.block(), _CHECKSUM, turned=(story.index["validity"], 2))
-    refused("a wrong checksum", story.block(), _CHECKSUM, turned=(story.index["crc"], 4711))
-    refused("the heartbeat of the last block", story.block(beat=False), _STILL)
+    add_refusal("another layout version", tuple(version), _VERSION)
+    add_refusal("a torn block", story.block(), torn, turned=(story.index["sequence_copy"], 7))
+    add_refusal("a changed number", story.block(), _CHECKSUM, turned=(story.index["validity"], 2))
+    add_refusal("a wrong checksum", story.block(), _CHECKSUM, turned=(story.index["crc"], 4711))
+    add_refusal("the heartbeat of the last block", story.block(beat=False), _STILL)
     part = story.index["crc"] // 2  # in the middle of the block, where none begins
     reasons = ("length or start", *_CHECKSUM, *torn)
     steps.append(SuiteStep("a part of a block is refused", (0x5AA5,), part, refused=1, reasons=reasons, usable=True))
-    accepted("a whole block is accepted", story.block())
+    add_acceptance("a whole block is accepted", story.block())
     # The session: its challenge, its writer, its sequence.
-    refused("another challenge", story.block(), _CHALLENGE, challenge=0x5A5A)
-    refused("another writer", story.block(writer=SECOND), _WRITER, session_writer=WRITER, refused_writer=SECOND)
-    refused("writer 0", story.block(writer=0), _WRITER, session_writer=WRITER, refused_writer=0)
-    accepted("a block 100 ahead is accepted", story.block(ahead=100))
+    add_refusal("another challenge", story.block(), _CHALLENGE, challenge=0x5A5A)
+    add_refusal(
+        "another writer",
+        story.block(writer=SECOND_WRITER),
+        _WRITER,
+        session_writer=FIRST_WRITER,
+        refused_writer=SECOND_WRITER,
+    )
+    add_refusal("writer 0", story.block(writer=0), _WRITER, session_writer=FIRST_WRITER, refused_writer=0)
+    add_acceptance("a block 100 ahead is accepted", story.block(ahead=100))
     begun = story.sequence
     for name, ahead in (("a block 101 ahead", 101), ("an older sequence", -2), ("the same sequence", 0)):
         story.sequence = begun
@@ -163,15 +169,17 @@ def vectors(layout: WritebackLayout, seed: int = 0, flips: int = FLIPS) -> tuple
             )
         )
     story.sequence = begun
-    accepted("the first block of a recording", story.block())
-    accepted("the second block of a recording", story.block())
-    replayed("a recorded block of this session is refused", "the first block of a recording", _SEQUENCE, usable=True)
+    add_acceptance("the first block of a recording", story.block())
+    add_acceptance("the second block of a recording", story.block())
+    add_replay("a recorded block of this session is refused", "the first block of a recording", _SEQUENCE, usable=True)
     # What makes a block that was accepted unusable: its own validity, and the plant's permit.
     for bits in (0b11110, 0b0010):
         name = f"validity {bits:05b} is accepted and nothing of it is usable"
-        accepted(name, story.block(Validity(bits)), usable=False, renews=False)
-    accepted("validity 00000 ends the session", story.block(Validity.NONE), usable=False, renews=True, session_writer=0)
-    replayed("a recorded block does not begin a session", "the second block of a recording", _CHALLENGE)
+        add_acceptance(name, story.block(Validity(bits)), usable=False, renews=False)
+    add_acceptance(
+        "validity 00000 ends the session", story.block(Validity.NONE), usable=False, renews=True, session_writer=0
+    )
+    add_replay("a recorded block does not begin a session", "the second block of a recording", _CHALLENGE)
     steps.append(
         SuiteStep(
             "writer 0 begins no session",
@@ -183,9 +191,13 @@ def vectors(layout: WritebackLayout, seed: int = 0, flips: int = FLIPS) -> tuple
             session_writer=0,
         )
     )
-    accepted("another writer may begin the next session", story.block(writer=SECOND), session_writer=SECOND)
-    accepted("and end it", story.block(Validity.NONE, writer=SECOND), usable=False, renews=True, session_writer=0)
-    accepted("a valid block is usable again", story.block(), session_writer=WRITER)
+    add_acceptance(
+        "another writer may begin the next session", story.block(writer=SECOND_WRITER), session_writer=SECOND_WRITER
+    )
+    add_acceptance(
+        "and end it", story.block(Validity.NONE, writer=SECOND_WRITER), usable=False, renews=True, session_writer=0
+    )
+    add_acceptance("a valid block is usable again", story.block(), session_writer=FIRST_WRITER)
     steps.append(SuiteStep("without the permit nothing is usable", permit=False, renews=True, session_writer=0))
     unpermitted = story.block()
     steps.append(
@@ -198,7 +210,7 @@ def vectors(layout: WritebackLayout, seed: int = 0, flips: int = FLIPS) -> tuple
             challenge=0,
         )
     )
-    accepted("with the permit a new block is usable", story.block(), permit=True)
+    add_acceptance("with the permit a new block is usable", story.block(), permit=True)
     steps.append(
         SuiteStep(
             "a recorded block after the permit came back is refused",
@@ -210,11 +222,11 @@ def vectors(layout: WritebackLayout, seed: int = 0, flips: int = FLIPS) -> tuple
         )
     )
     # The timer: only a whole block restarts it.
-    accepted("the timer is restarted by a block", story.block())
+    add_acceptance("the timer is restarted by a block", story.block())
     steps.append(SuiteStep("the timer still runs after half its time", wait_s=0.5 * timeout, usable=True))
     steps.append(SuiteStep("the timer has run out after 130 % of its time", wait_s=0.8 * timeout, renews=True))
-    replayed("a recorded block after the timer is refused", "with the permit a new block is usable", _CHALLENGE)
-    accepted("a block brings it back", story.block())
+    add_replay("a recorded block after the timer is refused", "with the permit a new block is usable", _CHALLENGE)
+    add_acceptance("a block brings it back", story.block())
     still = SuiteStep(
         "a heartbeat that stands still is refused",
         story.block(beat=False),
@@ -226,26 +238,28 @@ def vectors(layout: WritebackLayout, seed: int = 0, flips: int = FLIPS) -> tuple
     )
     steps.append(still)
     steps.append(SuiteStep("a refused block does not restart the timer", wait_s=0.8 * timeout, renews=True))
-    accepted("the next whole block does", story.block())
+    add_acceptance("the next whole block does", story.block())
     # The ends of what the words can hold, and what a restart of the gateway looks like.
-    accepted("numbers that are not known are no fault", story.block(Validity.INPUTS, {}), usable=False)
+    add_acceptance("numbers that are not known are no fault", story.block(Validity.INPUTS, {}), usable=False)
     numbers = [name for name in _CALM if name not in ("alarms", "model_hash")]
-    accepted("the least numbers are accepted", story.block(values=dict.fromkeys(numbers, -1e9)))
-    accepted("the greatest numbers are accepted", story.block(values=dict.fromkeys(numbers, 1e9)))
-    accepted("a gateway that stops takes back", story.block(Validity.NONE), usable=False, renews=True)
+    add_acceptance("the least numbers are accepted", story.block(values=dict.fromkeys(numbers, -1e9)))
+    add_acceptance("the greatest numbers are accepted", story.block(values=dict.fromkeys(numbers, 1e9)))
+    add_acceptance("a gateway that stops takes back", story.block(Validity.NONE), usable=False, renews=True)
     # Over the end of both words: the sequence goes on at 0, the heartbeat, which is never 0, at 1.
     story.sequence = story.heartbeat = 0xFFFE
     for name in ("sequence 65535", "sequence 0 after 65535", "sequence 1"):
-        accepted(f"{name} is accepted", story.block())
+        add_acceptance(f"{name} is accepted", story.block())
     story.sequence, story.heartbeat = 0, 30_000
-    restarted = story.block(writer=SECOND)
-    refused("a gateway that begins anew within the session", restarted, _WRITER, refused_writer=SECOND)
-    accepted("the session is ended", story.block(Validity.NONE), usable=False, renews=True)
+    restarted = story.block(writer=SECOND_WRITER)
+    add_refusal("a gateway that begins anew within the session", restarted, _WRITER, refused_writer=SECOND_WRITER)
+    add_acceptance("the session is ended", story.block(Validity.NONE), usable=False, renews=True)
     story.sequence = 0
-    accepted("a gateway that begins anew is accepted", story.block(writer=WRITER), session_writer=WRITER)
+    add_acceptance(
+        "a gateway that begins anew is accepted", story.block(writer=FIRST_WRITER), session_writer=FIRST_WRITER
+    )
     # Turned bits at random: what no list of faults thinks of.
     for number in range(1, flips + 1):
-        accepted("a whole block is accepted", story.block())
+        add_acceptance("a whole block is accepted", story.block())
         turned, reason = story.flip()
         steps.append(
             SuiteStep(
@@ -258,25 +272,25 @@ def vectors(layout: WritebackLayout, seed: int = 0, flips: int = FLIPS) -> tuple
                 turned=turned,
             )
         )
-    accepted("the last whole block is accepted", story.block())
-    accepted("a withdrawal is accepted", story.block(Validity.NONE, {}), usable=False, renews=True)
+    add_acceptance("the last whole block is accepted", story.block())
+    add_acceptance("a withdrawal is accepted", story.block(Validity.NONE, {}), usable=False, renews=True)
     return tuple(steps)
 
 
-ROUNDS = 3
+REPLAY_SESSIONS = 3
 """So many sessions of the other block are tried with a recording: a PLC may count its challenges anew for each."""
 
 
-def together(layout: WritebackLayout) -> tuple[SuiteStep, ...]:
+def joint_steps(layout: WritebackLayout) -> tuple[SuiteStep, ...]:
     """The steps for a PLC's further blocks beside the first: what is sent to one never makes another one usable."""
     steps: list[SuiteStep] = []
     for other in range(1, layout.blocks):
         first, second = _Story(layout, 0), _Story(layout, 0)
 
-        def accepted(name: str, words: tuple[int, ...], block: int, *, usable: bool = True, **more: Any) -> None:
+        def add_acceptance(name: str, words: tuple[int, ...], block: int, *, usable: bool = True, **more: Any) -> None:
             steps.append(SuiteStep(name, words, accepted=1, usable=usable, challenge=0, block=block, **more))
 
-        def replayed(name: str, again: str, block: int, *, usable: bool) -> None:
+        def add_replay(name: str, again: str, block: int, *, usable: bool) -> None:
             steps.append(
                 SuiteStep(name, again=again, refused=1, reasons=_CHALLENGE, usable=usable, renews=False, block=block)
             )
@@ -284,21 +298,23 @@ def together(layout: WritebackLayout) -> tuple[SuiteStep, ...]:
         which, begins = f"block {other + 1}", f"block 1 beside block {other + 1} is accepted"
         steps.append(SuiteStep(f"before {which} the timers have run out", wait_s=1.3 * layout.timeout, permit=True))
         steps.append(SuiteStep(f"{which} is not usable either", block=other))
-        accepted(begins, first.block(), 0)
-        replayed(f"the block of block 1 is refused as {which}", begins, other, usable=False)
-        accepted(f"{which} has a session of its own", second.block(), other)
-        accepted(f"block 1 goes on beside {which}", first.block(), 0)
-        replayed(f"the block of {which} is refused as block 1", f"{which} has a session of its own", 0, usable=True)
-        accepted(f"{which} goes on beside block 1", second.block(), other)
-        replayed(f"the newest of block 1 is refused as {which}", f"block 1 goes on beside {which}", other, usable=True)
+        add_acceptance(begins, first.block(), 0)
+        add_replay(f"the block of block 1 is refused as {which}", begins, other, usable=False)
+        add_acceptance(f"{which} has a session of its own", second.block(), other)
+        add_acceptance(f"block 1 goes on beside {which}", first.block(), 0)
+        add_replay(f"the block of {which} is refused as block 1", f"{which} has a session of its own", 0, usable=True)
+        add_acceptance(f"{which} goes on beside block 1", second.block(), other)
+        add_replay(
+            f"the newest of block 1 is refused as {which}", f"block 1 goes on beside {which}", other, usable=True
+        )
         ending = f"validity 00000 ends the session of block 1 beside {which}"
-        accepted(ending, first.block(Validity.NONE), 0, usable=False, renews=True)
+        add_acceptance(ending, first.block(Validity.NONE), 0, usable=False, renews=True)
         steps.append(SuiteStep(f"{which} stays usable", block=other, usable=True, renews=False))
-        for number in range(1, ROUNDS + 1):
-            accepted(
+        for number in range(1, REPLAY_SESSIONS + 1):
+            add_acceptance(
                 f"session {number} of {which} is ended", second.block(Validity.NONE), other, usable=False, renews=True
             )
-            replayed(
+            add_replay(
                 f"block 1 is refused as {which} after session {number}",
                 begins,
                 other,
@@ -310,7 +326,7 @@ def together(layout: WritebackLayout) -> tuple[SuiteStep, ...]:
 def plain(layouts: Sequence[WritebackLayout], codes: Mapping[str, int]) -> dict[str, Any]:
     """The suite of a PLC's blocks as JSON can carry it, so that another program can put a PLC through it.
 
-    `steps` are for each block by itself, `together` for all of them.
+    `steps` are for each block by itself, `joint_steps` for all of them.
     """
     layout = layouts[0]
     return {
@@ -330,7 +346,7 @@ def plain(layouts: Sequence[WritebackLayout], codes: Mapping[str, int]) -> dict[
         ],
         "refusals": dict(codes),
         "steps": [asdict(step) for step in vectors(layout)],
-        "together": [asdict(step) for step in together(layout)],
+        "together": [asdict(step) for step in joint_steps(layout)],
     }
 
 

@@ -9,14 +9,14 @@ from drivers.device_file import STATUS_TAGS
 from drivers.driver import Writes
 from drivers.errors import DriverError
 from drivers.survey import read_plan
-from gateway.commission.session import Site, at
-from gateway.commission.survey import reference_of
-from gateway.commission.writeback.block_writer import layouts_of
+from gateway.commission.session import Site, format_moment
+from gateway.commission.survey import reference_number
+from gateway.commission.writeback.block_writer import require_layouts
 from gateway.commission.writeback.fields import ALARM_BITS, ALARM_MEANINGS, ALWAYS_KNOWN, MEANINGS, unknown_word
 from gateway.console import CommandResult, Line, Part, Rows
-from gateway.machine.writing import obstacle, places_for, uptime
-from gateway.settings import LEAST_BLOCKS, DeviceMap
-from gateway.store import standing
+from gateway.machine.writing import find_places, obstacle, uptime
+from gateway.settings import MIN_BLOCKS_PER_SECOND, DeviceMap
+from gateway.store import find_arming
 
 LEAST_BLOCKS_IN_TIMER = 3.0
 """So many blocks have to fit in the PLC's timer, so that one that is lost does not make it run out."""
@@ -27,11 +27,11 @@ async def plan_writing(site: Site, audit_path: Path) -> CommandResult:
 
     Raises ValueError for a device file without a block, AuditError.
     """
-    device, layouts = layouts_of(site)
-    problems = list(problems_of(site, device))
+    device, layouts = require_layouts(site)
+    problems = list(writing_problems(site, device))
     config = site.target.config
-    places = places_for(audit_path, config)
-    row = standing(audit_path, time.time(), uptime(), key=places.key, subject=site.target.subject)
+    places = find_places(audit_path, config)
+    row = find_arming(audit_path, time.time(), uptime(), key=places.key, subject=site.target.subject)
     if row is not None and (why := obstacle(places)[0]):
         row, problems = None, [*problems, why]
     words = []
@@ -44,7 +44,7 @@ async def plan_writing(site: Site, audit_path: Path) -> CommandResult:
                     "block": layout.temperature or "",
                     "field": field.name,
                     "address": tag.address,
-                    "reference": reference_of(tag.address),
+                    "reference": reference_number(tag.address),
                     "type": "int16" if field.signed else "uint16",
                     "scale": field.scale,
                     "unit": unit,
@@ -64,7 +64,7 @@ async def plan_writing(site: Site, audit_path: Path) -> CommandResult:
         "layout_version": layouts[0].version,
         "plc_timer_s": layouts[0].timeout,
         "period_s": config.scan.period if config else None,
-        "most_per_second": config.blocks_per_second if config else LEAST_BLOCKS,
+        "most_per_second": config.blocks_per_second if config else MIN_BLOCKS_PER_SECOND,
         "audit": str(audit_path),
         "written_by": plan.written_by if plan is not None else "",
         "problems": problems,
@@ -73,7 +73,7 @@ async def plan_writing(site: Site, audit_path: Path) -> CommandResult:
     return CommandResult(data, complaint)
 
 
-def problems_of(site: Site, device: DeviceMap) -> Iterator[str]:
+def writing_problems(site: Site, device: DeviceMap) -> Iterator[str]:
     """What stands in the way of writing the device's blocks, one sentence each."""
     known, config = device.by_name, site.target.config
     if "WritePermit" not in known:
@@ -119,7 +119,7 @@ def writing_view(data: Mapping[str, Any]) -> Iterator[Part]:
     yield f"{by}, sent once; {period}, at most {data['most_per_second']:g} a second"
     yield f"the PLC's timer: {data['plc_timer_s']:g} s; audit log {data['audit']}"
     if armed := data["armed"]:
-        yield Line(f"ARMED until {at(armed['until'])} by {armed['by']}: {armed['reason']}", "yellow")
+        yield Line(f"ARMED until {format_moment(armed['until'])} by {armed['by']}: {armed['reason']}", "yellow")
     else:
         yield f"not armed{', mode ' + data['mode'] if data['mode'] else ''}"
     yield from (Line(f"missing: {problem}", "red") for problem in data["problems"])

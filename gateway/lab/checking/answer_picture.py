@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from drivers.named_files import writing
+from drivers.named_files import name_write_errors
 from sim.lab.checking.query import Always, Expression, Hypothesis, Indicator, Probability, Quantity, Simulation
 from sim.lab.checking.smc import Answer
-from sim.lab.checking.smc.rules import one_or_two_sided
+from sim.lab.checking.smc.rules import uppaal_interval
 from sim.lab.pictures import blank_figure
 
 if TYPE_CHECKING:
@@ -45,7 +45,7 @@ def draw_answer(answer: Answer, text: str, path: Path, unit: str) -> None:
     title = text if len(text) <= 100 else f"{text[:97]}..."
     figure.suptitle(f"{title}\n{answer.start}\n{answer.runs} runs, seed {answer.seed}", fontsize=9)
     panels[-1].set_xlabel("s since the start")
-    with writing(path):
+    with name_write_errors(path):
         figure.savefig(path, dpi=130)
 
 
@@ -91,7 +91,7 @@ def _passages(axes: Axes, answer: Answer) -> None:
     if times.size > POINTS:
         times = times[np.linspace(0, times.size - 1, POINTS).astype(int)]
     come = np.searchsorted(np.sort(answer.passages), times, side="right").astype(float)
-    low, high = one_or_two_sided(come, np.full(times.size, runs), 0.95)
+    low, high = uppaal_interval(come, np.full(times.size, runs), 0.95)
     axes.fill_between(times, low, high, color=COLOUR, alpha=0.2, linewidth=0, label="95 % interval of each moment")
     axes.plot(times, come / runs, color=COLOUR, label="share violated by then" if violated else "share reached by then")
     ends = answer.numbers["low"], answer.numbers["high"]

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from drivers.csv_rows import write_rows
-from drivers.named_files import writing
+from drivers.named_files import name_write_errors
 from gateway.console import (
     CommandResult,
     Line,
@@ -27,12 +27,12 @@ from gateway.lab.traces.load import load
 from gateway.store import newest_scan, reading, to_trace
 from sim.lab.checking.language import parse_query
 from sim.lab.checking.query import Simulation, Symbolic
-from sim.lab.checking.smc import Answer, QuerySettings, Rule, Start, answer, believed, decided, initial
+from sim.lab.checking.smc import Answer, QuerySettings, Rule, Start, answer, believed_start, decide_symbolic, initial
 from sim.lab.formats import FoundModel, find_model
-from sim.lab.pictures import ENDINGS
-from sim.sha import DEGREES, Model, Trace, encoded, shown_unit
+from sim.lab.pictures import PICTURE_SUFFIXES
+from sim.sha import DEFAULT_UNIT, Model, Trace, display_unit, encode_trace
 
-HISTORY = 24 * 3600.0
+HISTORY_S = 24 * 3600.0
 """Seconds of a historian that are filtered to know what is believed at its end; a stay is seldom longer."""
 
 
@@ -46,9 +46,9 @@ def _share(_: click.Context, parameter: click.Parameter, number: float) -> float
 def _picture(context: click.Context, parameter: click.Parameter, path: Path | None) -> Path | None:
     if path is None:
         return None
-    if path.suffix.lower() not in ENDINGS:
+    if path.suffix.lower() not in PICTURE_SUFFIXES:
         raise click.BadParameter(
-            f"{path} is no picture; give a name that ends in {', '.join(ENDINGS)}", param=parameter
+            f"{path} is no picture; give a name that ends in {', '.join(PICTURE_SUFFIXES)}", param=parameter
         )
     return _place(context, parameter, path)
 
@@ -150,8 +150,8 @@ def check(
                 )
             trace = traces[0]
             found_model = find_model(model_name, alphabet=column_map.alphabet, temperature=column_map.temperature)
-        unit = shown_unit(found_model.model.unit if found_model.model is not None else DEGREES)
-        result = answered(
+        unit = display_unit(found_model.model.unit if found_model.model is not None else DEFAULT_UNIT)
+        result = answer_query(
             query_text,
             found_model,
             trace,
@@ -165,7 +165,7 @@ def check(
             if not result.courses:
                 raise ValueError("--csv writes the courses of a simulate query; this query has none")
             labels = result.query.labels if isinstance(result.query, Simulation) else ()
-            with writing(courses), courses.open("w", encoding="utf-8", newline="") as file:
+            with name_write_errors(courses), courses.open("w", encoding="utf-8", newline="") as file:
                 write_rows(file, [("run", "time", *labels)])
                 for number, course in enumerate(result.courses):
                     moments = enumerate(course.times.tolist())
@@ -192,7 +192,7 @@ def check(
     conclude(found, lambda _: _show(result, query_text, courses, picture, unit=unit), as_json=as_json)
 
 
-def answered(
+def answer_query(
     query_text: str,
     found_model: FoundModel,
     trace: Trace | None,
@@ -211,14 +211,14 @@ def answered(
     model = found_model.model
     query = parse_query(query_text, model if model is not None else found_model.structure)
     if isinstance(query, Symbolic):
-        return decided(query, found_model.structure)
+        return decide_symbolic(query, found_model.structure)
     start = _start(found_model.runnable(), trace, origin=origin, future=future, machine=machine)
     return answer(query, start, settings, report)
 
 
 def _start(model: Model, trace: Trace | None, *, origin: str, future: str | None, machine: str | None) -> Start:
     """Where the runs start, by --from and --future. Raises ValueError for options that do not go together."""
-    trace = trace and encoded(trace, model.alphabet)
+    trace = trace and encode_trace(trace, model.alphabet)
     kind, _, value = origin.partition(":")
     if kind == "initial" and not value:
         if future == "semi-markov" and trace is not None:
@@ -238,7 +238,7 @@ def _start(model: Model, trace: Trace | None, *, origin: str, future: str | None
         if not (isfinite(seconds) and seconds >= 0):
             raise ValueError(f"--from trace:{value}: give the seconds since the trace's first row, such as trace:600")
         recorded = future != "semi-markov"
-        return believed(model, trace, float(trace.times[0]) + seconds, recorded=recorded)
+        return believed_start(model, trace, float(trace.times[0]) + seconds, recorded=recorded)
     if kind == "historian" and value:
         if trace is not None or future == "recorded":
             raise ValueError("what comes after a historian's end is not recorded: leave --events and --future out")
@@ -247,8 +247,8 @@ def _start(model: Model, trace: Trace | None, *, origin: str, future: str | None
             last = newest_scan(connection, machine=machine)
         if last is None:
             raise ValueError(f"{path}: this historian has no scans yet; let the gateway run first")
-        past = to_trace(path, path.name, start=last - HISTORY, end=nextafter(last, inf), machine=machine)
-        return believed(model, encoded(past, model.alphabet))
+        past = to_trace(path, path.name, start=last - HISTORY_S, end=nextafter(last, inf), machine=machine)
+        return believed_start(model, encode_trace(past, model.alphabet))
     raise ValueError(f"--from {origin!r}: write initial, location:NAME, trace:SECONDS or historian:FILE")
 
 

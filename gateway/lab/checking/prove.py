@@ -8,8 +8,8 @@ from typing import Any
 import click
 from click.core import ParameterSource
 
-from drivers.named_files import writing
-from gateway.console import CommandResult, Line, Part, Rows, conclude, finite, json_option, map_option, shipped
+from drivers.named_files import name_write_errors
+from gateway.console import CommandResult, Line, Part, Rows, conclude, finite, json_option, map_option, shipped_file
 from gateway.entry import sentences
 from gateway.lab.models.show import show_verdict
 from gateway.lab.options import policy_option
@@ -17,8 +17,8 @@ from gateway.lab.traces.load import load
 from sim.engine import Policy
 from sim.lab.formats import FoundModel, find_model
 from sim.lab.recordings import load_map
-from sim.proof import DAY, Assumptions, Sojourn, TimedWord, Verification, verify, word_text
-from sim.sha import encoded
+from sim.proof import DAY_S, Assumptions, Sojourn, TimedWord, Verification, verify, word_text
+from sim.sha import encode_trace
 
 GROWS = (
     "A flow that relaxes cannot grow: learn with `decanter model learn --method bins`, "
@@ -112,14 +112,14 @@ def prove(
         # which says nothing about a model that has an alphabet of its own.
         source = click.get_current_context().get_parameter_source("map_name")
         if not paths and source is ParameterSource.COMMANDLINE:
-            column_map = load_map(shipped("traces", map_name))
+            column_map = load_map(shipped_file("traces", map_name))
         if column_map is None:
             found = find_model(model)
         else:
             found = find_model(model, alphabet=column_map.alphabet, temperature=column_map.temperature)
         if found.model is not None:
             alphabet = found.model.alphabet
-            traces = [encoded(trace, alphabet) for trace in traces]
+            traces = [encode_trace(trace, alphabet) for trace in traces]
         assumptions = Assumptions(
             z=z,
             sojourn=sojourn,
@@ -127,7 +127,7 @@ def prove(
             start=start,
             policy=policy,
             unknown=not known,
-            horizon=None if wear is None else wear * DAY,
+            horizon=None if wear is None else wear * DAY_S,
         )
         # The alphabet of artefacts is the one that their report lists, if it lists one.
         reported = tuple(name for name, _ in found.artefacts.report.events) if found.artefacts else ()
@@ -142,7 +142,7 @@ def prove(
         )
         worst = _counterexample(result)
         if out is not None and worst is not None:
-            with writing(out):
+            with name_write_errors(out):
                 out.write_text(word_text(worst[1]) + "\n", encoding="utf-8")
     data = plain(result, found)
     proved = CommandResult(data, ok=data["fitness"] != "unfit")
@@ -167,7 +167,7 @@ def plain(result: Verification, found: FoundModel) -> dict[str, Any]:
         "model": found.name,
         # What is proven may foresee nothing: that is the verdict's, where one was kept.
         "fitness": "unfit" if not result.deployable else "not known" if found.verdict is None else found.verdict.word,
-        "verdict": None if found.verdict is None else found.verdict.told(),
+        "verdict": None if found.verdict is None else found.verdict.as_command_json(),
         "deployable": result.deployable,
         "reasons": list(result.reasons),
         "assumptions": list(result.assumptions),

@@ -13,12 +13,12 @@ from gateway.lab.checking.word import replay_word
 from gateway.lab.options import policy_option, start_option, trace_option
 from gateway.lab.traces.load import load
 from gateway.lab.traces.picture import picture_option
-from sim.engine import Policy, Start, errors, measured, open_loop, open_loop_schedule, start_law
+from sim.engine import Policy, Start, errors, open_loop, open_loop_schedule, readings, start_law
 from sim.engine import simulate as sample_runs
-from sim.forecast import beyond, standardised
+from sim.forecast import review_errors, standardise
 from sim.lab.formats import find_model
 from sim.lab.pictures import Curve, Picture, draw
-from sim.sha import Model, Trace, encoded, shown_unit, unit_of
+from sim.sha import Model, Trace, display_unit, encode_trace, signal_unit
 
 BAND = (0.05, 0.95)
 
@@ -59,17 +59,17 @@ def simulate_traces(
 def _simulate_one(
     model: Model, trace: Trace, runs: int, policy: Policy, start: Start, rng: np.random.Generator, picture: Path | None
 ) -> dict[str, Any]:
-    unit = unit_of([trace], model.temperature, model.unit)
+    unit = signal_unit([trace], model.temperature, model.unit)
     mean = open_loop(model, trace, policy, start)
     missed = errors(mean, trace, model.temperature)
     steps = open_loop_schedule(model, trace, policy)
     sampled = sample_runs(steps, start_law(model, trace, start), runs, rng)
     noisy = sampled.temperatures + model.sensor_sigma * rng.normal(size=sampled.temperatures.shape)
     low, high = np.quantile(noisy, BAND, axis=0)
-    times, values = measured(trace, model.temperature)
+    times, values = readings(trace, model.temperature)
     place = np.searchsorted(sampled.times, times)
     inside = (values >= low[place]) & (values <= high[place])
-    outside = beyond(*standardised(mean, trace, model))
+    outside = review_errors(*standardise(mean, trace, model))
     if picture is not None:
         # The band is of the runs' moments, the line of the exact mean's: it is drawn at the latter.
         edges = (np.interp(mean.times, sampled.times, edge) for edge in (low, high))
@@ -153,7 +153,7 @@ def simulate(
         traces, column_map = load(paths, map_name)
         found_model = find_model(directory, alphabet=column_map.alphabet, temperature=column_map.temperature)
         chosen = found_model.runnable()
-        traces = [encoded(trace, chosen.alphabet) for trace in traces]
+        traces = [encode_trace(trace, chosen.alphabet) for trace in traces]
         rows = simulate_traces(
             chosen, traces, runs=runs, policy=policy, start=start, seed=seed, picture=picture, report=report
         )
@@ -166,7 +166,7 @@ def _show_rows(rows: Sequence[Mapping[str, Any]], picture: Path | None) -> Itera
     columns = ("trace", "events", "rmse", "mae", "rmse at events", "final", "coverage 90 %", "clamps", "flags")
     done = [[row[name] for name in columns] for row in rows if "error" not in row]
     if done:
-        units = " and ".join(dict.fromkeys(shown_unit(row["unit"]) for row in rows if "error" not in row))
+        units = " and ".join(dict.fromkeys(display_unit(row["unit"]) for row in rows if "error" not in row))
         yield Rows(f"open loop ({units})", columns, done)
     if picture is not None:
         yield f"picture: {picture}"

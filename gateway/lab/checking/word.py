@@ -10,7 +10,7 @@ from sim.effects import in_sensor_scale
 from sim.engine import Policy
 from sim.lab.formats import find_model
 from sim.proof import parse_word, replay
-from sim.sha import shown_unit
+from sim.sha import display_unit
 
 COLUMNS = ("time", "symbol", "location", "seconds", "m", "offset", "entered", "left", "clamped")
 
@@ -30,7 +30,7 @@ def replay_word(directory: str, text_or_file: str, policy: Policy, *, as_json: b
                 reason = f"byte {error.start} is not UTF-8; give a text file with a timed word"
                 raise ValueError(f"{text_or_file}: {reason}") from None
         done = replay(model, parse_word(text), policy)
-    low, high, unit = model.sha.low, model.sha.high, shown_unit(model.unit)
+    low, high, unit = model.sha.low, model.sha.high, display_unit(model.unit)
     outside = done.leaves(low, high)
     data = {
         "model": model.sha.name,

@@ -13,7 +13,7 @@ import click
 import numpy as np
 
 from drivers.csv_rows import write_rows
-from drivers.named_files import writing
+from drivers.named_files import name_write_errors
 from gateway.console import (
     CommandResult,
     Line,
@@ -24,21 +24,21 @@ from gateway.console import (
     map_option,
     progress,
     seed_option,
-    shipped,
+    shipped_file,
 )
 from gateway.entry import Exit, fail, interruptible, sentences
 from gateway.lab.fleet.places import place_words
-from gateway.lab.fleet.sources import TABLE, sources_in
+from gateway.lab.fleet.sources import TABLE, find_sources
 from gateway.lab.fleet.study import MODEL, RESULTS, FleetFindings, FleetRequest, study
 from gateway.lab.models.show import spread_sentence
 from gateway.lab.options import cluster_option, jobs_option, temperature_option
 from sim.forecast import Z90
-from sim.lab.judge import held
-from sim.lab.learning import MachineSpread, StandsOut, spread_of
+from sim.lab.judge import hold_folder
+from sim.lab.learning import MachineSpread, StandsOut, offset_spread
 from sim.lab.pictures import blank_figure
 from sim.lab.recordings import load_map, units
 from sim.lab.workers import cluster, processes
-from sim.sha import shown_unit
+from sim.sha import display_unit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -89,9 +89,9 @@ def fleet(
     """
     try:
         with sentences(), progress("fleet") as bar, interruptible(bar) as report:
-            column_map = load_map(shipped("traces", map_name))
+            column_map = load_map(shipped_file("traces", map_name))
             request = FleetRequest(
-                sources=sources_in(place, column_map, schema),
+                sources=find_sources(place, column_map, schema),
                 column_map=column_map,
                 temperature=temperature or column_map.temperature,
                 out=out,
@@ -102,7 +102,7 @@ def fleet(
             )
             count = jobs or len(os.sched_getaffinity(0))
             with (
-                held(out),
+                hold_folder(out),
                 nullcontext(processes(count)) if address is None else cluster(address) as workers,
             ):
                 found = study(request, workers, (lambda _: None) if as_json else click.echo, report)
@@ -112,7 +112,7 @@ def fleet(
     except KeyboardInterrupt:
         what = f"what was done lies in {out / RESULTS}, and the same command goes on"
         fail(f"stopped before the end; {what}", Exit.INTERRUPTED)
-    unit = shown_unit(found.model.unit)
+    unit = display_unit(found.model.unit)
     failed = {name: result.failure for name, result in found.results.items() if result.failure}
     data: dict[str, Any] = {
         "model": str(out / MODEL),
@@ -126,11 +126,13 @@ def fleet(
         "failed": failed,
         "left_out": dict(found.left_out),
         "unread": {name: list(result.unread) for name, result in found.results.items() if result.unread},
-        "machines": rows_of(found, words),
+        "machines": machine_rows(found, words),
     }
 
     def show() -> Iterator[Part]:
-        rows = [{name: row[name] for name in row if name not in COSTS} for row in rows_of(found, words)[:MOST_NAMED]]
+        rows = [
+            {name: row[name] for name in row if name not in COSTS} for row in machine_rows(found, words)[:MOST_NAMED]
+        ]
         title = f"{len(found.results)} machines: targets off the type's, held-out free-run errors, in {unit}"
         yield Rows(title, list(rows[0]), [["" if value is None else value for value in row.values()] for row in rows])
         if len(found.results) > len(rows):
@@ -162,7 +164,7 @@ def outstanding_sentence(found: FleetFindings, name: str, words: Mapping[str, st
     return f"{name} stands out {'; also '.join(parts)}"
 
 
-def rows_of(found: FleetFindings, words: Mapping[str, str]) -> list[dict[str, Any]]:
+def machine_rows(found: FleetFindings, words: Mapping[str, str]) -> list[dict[str, Any]]:
     """A row a machine: those that stand out, then the one furthest from the type first, those that failed last.
 
     `words` are those of the groups of locations.
@@ -198,8 +200,8 @@ def rows_of(found: FleetFindings, words: Mapping[str, str]) -> list[dict[str, An
 
 def write_table(found: FleetFindings, words: Mapping[str, str], path: Path) -> None:
     """All machines as CSV. Raises OSError."""
-    rows = rows_of(found, words)
-    with writing(path), path.open("w", newline="", encoding="utf-8") as file:
+    rows = machine_rows(found, words)
+    with name_write_errors(path), path.open("w", newline="", encoding="utf-8") as file:
         write_rows(file, (rows[0], *(row.values() for row in rows)))
 
 
@@ -214,12 +216,12 @@ def draw(found: FleetFindings, words: Mapping[str, str], path: Path) -> None:
     size = (10 + 4 * len(groups), 1.8 + min(0.22 * len(names), 9.0))
     figure = blank_figure(*size)
     whole, *others = figure.subplots(1, 1 + len(groups), squeeze=False, sharey=True)[0]
-    unit = shown_unit(found.model.unit)
+    unit = display_unit(found.model.unit)
     _panel(whole, found.spread, names, set(found.outstanding))
     whole.set_xlabel(f"targets above the type's, {unit}")
     for axes, group in zip(others, groups, strict=True):
         known = {name: each for name in names if (each := found.results[name].grouped.get(group)) is not None}
-        spread = spread_of(
+        spread = offset_spread(
             {name: each.offset for name, each in known.items()}, {name: each.error for name, each in known.items()}
         )
         _panel(axes, spread, names, striking[group])
@@ -228,7 +230,7 @@ def draw(found: FleetFindings, words: Mapping[str, str], path: Path) -> None:
     whole.set_yticks(named, [names[number] for number in named])
     whole.set_title(f"{len(names)} machines of a type")
     whole.legend(loc="lower right")
-    with writing(path):
+    with name_write_errors(path):
         figure.savefig(path, dpi=130)
 
 

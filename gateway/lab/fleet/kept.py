@@ -8,7 +8,7 @@ from typing import Any, Literal
 from pydantic import Field
 
 from gateway.lab.fleet.machine_task import MachineResult
-from gateway.lab.json_rows import RowKeys, append_row, checked_row, read_rows
+from gateway.lab.json_rows import RowKeys, append_row, check_row, read_rows
 from sim.files import ArtefactError
 from sim.lab.learning import GroupTargets
 
@@ -78,13 +78,13 @@ def kept_rows(file: Path) -> KeptRows:
         if row.get("format") != FORMAT:
             continue  # of another version: done again
         if "type" in row:
-            taught = checked_row(file, line, row, KeptType, REMEDY)
+            taught = check_row(file, line, row, KeptType, REMEDY)
         else:
-            machines.append((f"{file}:{line}", checked_row(file, line, row, KeptMachine, REMEDY)))
+            machines.append((f"{file}:{line}", check_row(file, line, row, KeptMachine, REMEDY)))
     return KeptRows(taught, machines)
 
 
-def result_of(place: str, row: KeptMachine, groups: Collection[str]) -> MachineResult:
+def parse_result(place: str, row: KeptMachine, groups: Collection[str]) -> MachineResult:
     """A result as it was kept; `groups` are those of its type's locations. Raises ArtefactError for another one."""
     unknown = [name for name in row.grouped if name not in groups]
     if unknown:

@@ -9,17 +9,17 @@ import numpy as np
 
 from gateway.entry import sentence
 from gateway.lab.fleet.sources import MachineSource, MachineTraces
-from gateway.lab.gap.diagnose import check_traces, roles_of
+from gateway.lab.gap.diagnose import check_traces, signal_roles
 from gateway.lab.resource_usage import peak_megabytes
 from sim.effects import of_machine
 from sim.engine import errors, open_loop
 from sim.lab.discrepancy import diagnose
-from sim.lab.learning import GroupTargets, LearningError, believed, grouped_targets, own_targets
+from sim.lab.learning import GroupTargets, LearningError, grouped_targets, own_targets, shrink_offset
 from sim.lab.learning.bins import learn_bins
 from sim.lab.recordings import ColumnMap
-from sim.sha import Alphabet, Model, Trace, encoded
+from sim.sha import Alphabet, Model, Trace, encode_trace
 
-LAST = 4
+HELD_OUT_DIVISOR = 4
 """The last of so many parts of a machine's record is held out."""
 
 
@@ -66,29 +66,29 @@ class MachineResult:
     own: Model | None = None
 
 
-def judged(task: FleetTask) -> MachineResult:
+def judge_machine(task: FleetTask) -> MachineResult:
     """The task done, or the sentence of what stood in its way."""
     begin, read = time.process_time(), MachineTraces([])
     try:
         read = task.source.read(task.column_map)
-        result = _judged(task, read.traces)
+        result = _judge_traces(task, read.traces)
     except (ValueError, OSError) as error:
         result = MachineResult(machine=task.source.machine, failure=sentence(error))
     return replace(result, unread=read.unread, cpu_s=time.process_time() - begin, peak_mb=peak_megabytes())
 
 
-def not_done(task: FleetTask, reason: str) -> MachineResult:
+def failed_result(task: FleetTask, reason: str) -> MachineResult:
     """The result of a task that no worker could do."""
     return MachineResult(machine=task.source.machine, failure=reason)
 
 
-def _judged(task: FleetTask, read: Sequence[Trace]) -> MachineResult:
+def _judge_traces(task: FleetTask, read: Sequence[Trace]) -> MachineResult:
     name, model = task.source.machine, task.model
-    traces = [replace(encoded(trace, model.alphabet), machine=name) for trace in read]
+    traces = [replace(encode_trace(trace, model.alphabet), machine=name) for trace in read]
     check_traces(model, traces, f"machine {name}")
-    first, last = parted(traces, model.alphabet)
+    first, last = split_traces(traces, model.alphabet)
     fit = own_targets(model, first)
-    machines = {name: believed(fit.correction.offset, fit.offset_error, task.between)} if task.between > 0 else {}
+    machines = {name: shrink_offset(fit.correction.offset, fit.offset_error, task.between)} if task.between > 0 else {}
     corrected = of_machine(replace(model, machines=machines), name) if machines else model
     candidates, own = {"type": model, "corrected": corrected}, None
     if task.own:
@@ -96,7 +96,7 @@ def _judged(task: FleetTask, read: Sequence[Trace]) -> MachineResult:
         candidates["own"] = own
     found: dict[str, Any] = {}
     if task.diagnosis:
-        diagnosis = diagnose(corrected, traces, seed=task.seed, roles=roles_of(task.column_map)).diagnosis
+        diagnosis = diagnose(corrected, traces, seed=task.seed, roles=signal_roles(task.column_map)).diagnosis
         found = {"verdict": diagnosis.verdict, "effects": tuple(effect.name for effect in diagnosis.effects)}
     return MachineResult(
         machine=name,
@@ -111,21 +111,21 @@ def _judged(task: FleetTask, read: Sequence[Trace]) -> MachineResult:
     )
 
 
-def parted(traces: Sequence[Trace], alphabet: Alphabet) -> tuple[list[Trace], list[Trace]]:
+def split_traces(traces: Sequence[Trace], alphabet: Alphabet) -> tuple[list[Trace], list[Trace]]:
     """What is learned from, and the last quarter: of the traces in their order, of each one's rows where they are few.
 
     Raises LearningError where nothing would be left.
     """
-    if len(traces) >= LAST:
-        count = len(traces) // LAST
+    if len(traces) >= HELD_OUT_DIVISOR:
+        count = len(traces) // HELD_OUT_DIVISOR
         return list(traces[:-count]), list(traces[-count:])
-    if any(trace.times.size < LAST for trace in traces):
+    if any(trace.times.size < HELD_OUT_DIVISOR for trace in traces):
         raise LearningError(f"trace {traces[0].name!r} has too few rows to hold a part of them out")
     halves = []
     for trace in traces:
-        cut = float(trace.times[trace.times.size * (LAST - 1) // LAST])
+        cut = float(trace.times[trace.times.size * (HELD_OUT_DIVISOR - 1) // HELD_OUT_DIVISOR])
         pieces = (trace.between(-np.inf, cut), trace.between(cut, np.inf))
-        halves.append([encoded(piece, alphabet) for piece in pieces])
+        halves.append([encode_trace(piece, alphabet) for piece in pieces])
     return [first for first, _ in halves], [last for _, last in halves]
 
 

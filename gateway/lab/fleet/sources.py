@@ -14,7 +14,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from drivers.tag import Quality
-from gateway.extras import missing
+from gateway.extras import missing_sentence
 from sim.lab.recordings import ColumnMap, files_by_machine, load_traces
 from sim.sha import Trace
 
@@ -88,7 +88,7 @@ class SamplesFile:
                 )
         values = table["value"].to_numpy(zero_copy_only=False).astype(float)
         rows = zip(table["tag"].to_pylist(), stamps.to_numpy() / 1e6, values, table["quality"].to_pylist(), strict=True)
-        return MachineTraces([trace_of(self.machine, rows, str(self.file))])
+        return MachineTraces([build_trace(self.machine, rows, str(self.file))])
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,10 +109,10 @@ class SamplesTable:
     def read(self, column_map: ColumnMap) -> MachineTraces:
         query = "SELECT tag, extract(epoch FROM time)::float8, value, quality FROM {} WHERE machine = %s"
         rows = _answers(self.url, self.schema, query, (self.machine,))
-        return MachineTraces([trace_of(self.machine, rows, f"{_without_secret(self.url)}, {self.schema}.samples")])
+        return MachineTraces([build_trace(self.machine, rows, f"{_without_secret(self.url)}, {self.schema}.samples")])
 
 
-def trace_of(machine: str, rows: Any, origin: str) -> Trace:
+def build_trace(machine: str, rows: Any, origin: str) -> Trace:
     """One trace of rows (tag, time in s UTC, value or None, name of its quality), in any order.
 
     What was read stands until its tag is heard of again, as the historian leaves out what did not change. A reading
@@ -143,7 +143,7 @@ def trace_of(machine: str, rows: Any, origin: str) -> Trace:
     return Trace(machine, times, signals, bad=bad, origin=origin, machine=machine)
 
 
-def sources_in(place: str, column_map: ColumnMap, schema: str) -> list[MachineSource]:
+def find_sources(place: str, column_map: ColumnMap, schema: str) -> list[MachineSource]:
     """The machines of a fleet, by name: of a database's address, of a Parquet file, else of what the map's files say.
 
     Raises ValueError where nothing is found.
@@ -230,14 +230,14 @@ def _arrow() -> Any:
         import_module("pyarrow.parquet")
         return import_module("pyarrow")
     except ImportError as error:
-        raise ValueError(f"Parquet {missing('parquet', error)}") from None
+        raise ValueError(f"Parquet {missing_sentence('parquet', error)}") from None
 
 
 def _answers(url: str, schema: str, query: str, values: tuple[object, ...]) -> list[tuple[Any, ...]]:
     try:
         psycopg = import_module("psycopg")
     except ImportError as error:
-        raise ValueError(f"PostgreSQL {missing('postgres', error)}") from None
+        raise ValueError(f"PostgreSQL {missing_sentence('postgres', error)}") from None
     sql = psycopg.sql
     try:
         with psycopg.connect(url, connect_timeout=5, options="-c default_transaction_read_only=on") as connection:

@@ -18,16 +18,24 @@ from urllib.parse import quote
 import numpy as np
 
 from gateway.entry import sentence as error_sentence
-from gateway.lab.fleet.kept import KeptType, keep_result, keep_type, kept_rows, result_of
-from gateway.lab.fleet.machine_task import FleetTask, MachineResult, judged, not_done
+from gateway.lab.fleet.kept import KeptType, keep_result, keep_type, kept_rows, parse_result
+from gateway.lab.fleet.machine_task import FleetTask, MachineResult, failed_result, judge_machine
 from gateway.lab.fleet.sources import MachineSource
 from sim.artefacts import model_hash, read_model
 from sim.lab.formats import write_model_directory
-from sim.lab.learning import MachineSpread, StandsOut, believed, check_data, outstanding, spread_of, target_groups
+from sim.lab.learning import (
+    MachineSpread,
+    StandsOut,
+    check_data,
+    find_outliers,
+    offset_spread,
+    shrink_offset,
+    target_groups,
+)
 from sim.lab.learning.bins import learn_bins
 from sim.lab.recordings import ColumnMap, with_thresholds
 from sim.lab.workers import Workers
-from sim.sha import Model, Trace, encode, shown_unit
+from sim.sha import Model, Trace, display_unit, encode
 
 Progress = Callable[[str, float], None]
 
@@ -52,7 +60,7 @@ class FleetRequest:
 class FleetFindings:
     """The `model` of the type with each machine's own, all `results` by machine, the `spread` of the targets.
 
-    `outstanding`: the machines whose targets stand out, and in which groups of locations, the least likely first.
+    `find_outliers`: the machines whose targets stand out, and in which groups of locations, the least likely first.
     `left_out`: the machines that were drawn to teach the type and could not, with the reason.
     """
 
@@ -89,7 +97,9 @@ def study(request: FleetRequest, workers: Workers, tell: Callable[[str], None], 
     }
     groups = target_groups(model.alphabet)
     done = {
-        row.machine: result_of(place, row, groups) for place, row in kept.machines if row.key == keys.get(row.machine)
+        row.machine: parse_result(place, row, groups)
+        for place, row in kept.machines
+        if row.key == keys.get(row.machine)
     }
     left = [source for source in request.sources if source.machine not in done]
     if done:
@@ -106,7 +116,7 @@ def study(request: FleetRequest, workers: Workers, tell: Callable[[str], None], 
         )
         for source in left
     ]
-    for result in workers(judged, tasks, not_done, ordered=False):
+    for result in workers(judge_machine, tasks, failed_result, ordered=False):
         if result.own is not None:
             write_model_directory(request.out / MACHINES / quote(result.machine, safe=""), result.own)
         result = replace(result, own=None)
@@ -114,7 +124,7 @@ def study(request: FleetRequest, workers: Workers, tell: Callable[[str], None], 
         if not result.failure:
             keep_result(file, keys[result.machine], result)
         done[result.machine] = result
-        tell(sentence(result, shown_unit(model.unit)))
+        tell(sentence(result, display_unit(model.unit)))
         progress(result.machine, len(done) / len(keys))
     return conclusions(request, taught, dict(sorted(done.items())))
 
@@ -155,7 +165,7 @@ def _sample(
             break
         progress(f"the type, from {count} machines", 0.0)
         try:
-            usable[source.machine] = _teaching(source, request)
+            usable[source.machine] = _teaching_traces(source, request)
         except (ValueError, OSError) as error:
             left_out[source.machine] = error_sentence(error)
     if not usable:
@@ -164,7 +174,7 @@ def _sample(
     return [trace for name in sorted(usable) for trace in usable[name]], left_out
 
 
-def _teaching(source: MachineSource, request: FleetRequest) -> list[Trace]:
+def _teaching_traces(source: MachineSource, request: FleetRequest) -> list[Trace]:
     """The traces of a machine. Raises ValueError or OSError where they cannot be read or teach nothing."""
     traces = [replace(trace, machine=source.machine) for trace in source.read(request.column_map).traces]
     alphabet = with_thresholds(request.column_map.alphabet, traces)
@@ -188,18 +198,18 @@ def conclusions(request: FleetRequest, taught: TypeModel, results: Mapping[str, 
         name, first = next(iter(results.items()))
         raise ValueError(f"none of {len(results)} machines could be judged; {name}: {first.failure}")
     offsets = {name: float(result.offset or 0.0) for name, result in known.items()}
-    spread = spread_of(offsets, {name: float(result.error or 0.0) for name, result in known.items()})
+    spread = offset_spread(offsets, {name: float(result.error or 0.0) for name, result in known.items()})
     others = [effect for effect in model.sha.effects if effect.kind != "machine-offset"]
     machines = {}
     if spread.between > 0:
         machines = {
-            name: believed(offset, spread.errors[name], spread.between) for name, offset in spread.offsets.items()
+            name: shrink_offset(offset, spread.errors[name], spread.between) for name, offset in spread.offsets.items()
         }
     sha = replace(model.sha, effects=(*others, *spread.effects))
     whole = replace(model, sha=sha, machines=machines)
     write_model_directory(request.out / MODEL, whole)
     grouped = {name: result.grouped for name, result in known.items()}
-    return FleetFindings(whole, results, spread, outstanding(grouped), taught.left_out)
+    return FleetFindings(whole, results, spread, find_outliers(grouped), taught.left_out)
 
 
 def sentence(result: MachineResult, unit: str) -> str:

@@ -20,11 +20,11 @@ from gateway.console import (
     map_option,
     progress,
     seed_option,
-    shipped,
+    shipped_file,
 )
 from gateway.entry import sentences
 from gateway.lab.models.adopt import adopt
-from gateway.lab.models.propose import propose, recorded_drift, store_of
+from gateway.lab.models.propose import propose, recorded_drift, require_store
 from gateway.lab.options import optional_traces_option
 from gateway.lab.traces.load import load
 from gateway.store import reading, recent
@@ -34,22 +34,22 @@ from sim.lab.discrepancy import (
     Diagnosis,
     DiagnosisOutcome,
     ProposedExperiment,
-    augmented,
+    advice_lines,
+    augment_model,
     experiment_lines,
     held_out_sentence,
     law_sentence,
-    look_at,
     overlap_sentence,
     propose_experiment,
     span,
 )
 from sim.lab.discrepancy import diagnose as diagnose_model
-from sim.lab.discrepancy.fitting import overlapping, patiently
-from sim.lab.discrepancy.output import MISSING_HEAT, MODEL, Occasion, check_folder, document, write_diagnosis
+from sim.lab.discrepancy.fitting import find_overlap, patiently
+from sim.lab.discrepancy.output import MISSING_HEAT_FILE, MODEL, Occasion, check_folder, document, write_diagnosis
 from sim.lab.formats import find_model
 from sim.lab.recordings import ColumnMap, load_map, write_trace
 from sim.proof import verify
-from sim.sha import EffectLine, Model, Trace, joint_hash, shown_unit
+from sim.sha import EffectLine, Model, Trace, display_unit, joint_hash
 
 Progress = Callable[[str, float], None]
 
@@ -85,7 +85,7 @@ class DiagnosisResult:
     verification: tuple[str, ...] | None
 
 
-def model_of(request: DiagnosisRequest, column_map: ColumnMap) -> Model:
+def require_model(request: DiagnosisRequest, column_map: ColumnMap) -> Model:
     """The model to be diagnosed. Raises ValueError where there is none, or `request.out` cannot take the result."""
     check_folder(request.out, Path(request.where))
     temperature = request.temperature or column_map.temperature
@@ -98,7 +98,7 @@ def model_of(request: DiagnosisRequest, column_map: ColumnMap) -> Model:
     return model
 
 
-def roles_of(column_map: ColumnMap | None) -> Mapping[str, str]:
+def signal_roles(column_map: ColumnMap | None) -> Mapping[str, str]:
     """role -> signal: the map's own table, else the plant's names."""
     return ROLES if column_map is None or column_map.effects is None else column_map.effects.roles
 
@@ -182,7 +182,7 @@ def new_model(
     if outcome.fitted is None or not outcome.diagnosis.effects:
         return None
     names = tuple(trace.name for trace in traces)
-    new = augmented(outcome.fitted, data_hash=joint_hash(traces), traces=names, readings=traces)
+    new = augment_model(outcome.fitted, data_hash=joint_hash(traces), traces=names, readings=traces)
     held_out = outcome.diagnosis.held_out
     scores = (
         {} if held_out is None else {"held_out_rmse": held_out.rmse_after, "held_out_noise_floor": held_out.noise_floor}
@@ -301,8 +301,8 @@ def diagnose(
         )
         report("reading", 0.0)
         # The model before the traces: it is refused in a moment, and a historian of weeks takes its time.
-        store = store_of(where) if proposes else None
-        model = model_of(request, load_map(shipped("traces", map_name)))
+        store = require_store(where) if proposes else None
+        model = require_model(request, load_map(shipped_file("traces", map_name)))
         if historian is not None and if_drifting:
             with reading(historian) as connection:
                 drift = recorded_drift(connection, historian, machine=machine, temperature=model.temperature)
@@ -318,10 +318,10 @@ def diagnose(
             traces, column_map = load(sources, map_name)
         else:
             traces = [recent(historian, since or RECENT, machine=machine)]
-        if overlap := overlapping(traces):
+        if overlap := find_overlap(traces):
             click.echo(f"{overlap}: the traces are taken one after the other, as given (a folder by names)", err=True)
         experiments = load(made, map_name)[0] if made else ()
-        result = run(request, model, traces, roles_of(column_map), report, experiments=experiments)
+        result = run(request, model, traces, signal_roles(column_map), report, experiments=experiments)
         proposed = result.diagnosis.experiment
         if schedule is not None and proposed is not None:
             write_trace(proposed.trace, schedule)
@@ -335,7 +335,7 @@ def diagnose(
     if proposes:
         data |= {"proposed": None if candidate is None else candidate[0], "new": candidate is not None and candidate[1]}
 
-    def shown() -> Iterator[Part]:
+    def result_parts() -> Iterator[Part]:
         yield from show(result, out)
         if request.experiment:
             yield from show_experiment(proposed)
@@ -344,17 +344,17 @@ def diagnose(
             yield f"{'proposed' if fresh else 'waits already for the same finding'}: {where}@{name}"
             yield f"to run it once it is confirmed: decanter model promote {where} {name}"
 
-    conclude(CommandResult(document(result.diagnosis) | data), lambda _: shown(), as_json=as_json)
+    conclude(CommandResult(document(result.diagnosis) | data), lambda _: result_parts(), as_json=as_json)
 
 
 def show(result: DiagnosisResult, out: Path) -> Iterator[Part]:
     """Print the verdict with its evidence."""
     diagnosis = result.diagnosis
-    unit = shown_unit(diagnosis.unit)
+    unit = display_unit(diagnosis.unit)
     yield f"{diagnosis.verdict}: {diagnosis.sentence}"
     for reason in diagnosis.reasons:
         yield f"  {reason}"
-    for look in look_at(diagnosis):
+    for look in advice_lines(diagnosis):
         yield f"look at {look}"
     if diagnosis.places:
         rows = [
@@ -391,7 +391,7 @@ def show(result: DiagnosisResult, out: Path) -> Iterator[Part]:
                 s.parameter,
                 s.before,
                 s.after,
-                shown_unit(s.unit),
+                display_unit(s.unit),
                 "–" if s.change is None else s.change,
                 s.sigma,
             ]
@@ -405,7 +405,7 @@ def show(result: DiagnosisResult, out: Path) -> Iterator[Part]:
     if diagnosis.untested:
         yield f"not tested: {', '.join(diagnosis.untested)} (the report says why)"
     if diagnosis.missing_heat is not None:
-        yield f"missing heat over time: {out / MISSING_HEAT}"
+        yield f"missing heat over time: {out / MISSING_HEAT_FILE}"
     if (out / "report.html").exists():
         yield f"report: {out / 'report.html'}"
     if diagnosis.model_after is not None:

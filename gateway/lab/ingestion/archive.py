@@ -21,10 +21,10 @@ from pathlib import Path
 from signal import SIGURG
 from typing import Any, Literal
 
-from drivers.named_files import regular, writing
+from drivers.named_files import name_write_errors, regular
 from gateway.lab.ingestion.recognising import BESIDE_SQLITE, PLACES, FileStamps, IngestUnit, RecognisedUnit
-from gateway.lab.json_rows import RowKeys, append_row, checked_row, read_rows
-from sim.files import ArtefactError, at, held_alone, sync_directory
+from gateway.lab.json_rows import RowKeys, append_row, check_row, read_rows
+from sim.files import ArtefactError, file_error, held_alone, sync_directory
 from sim.lab.formats.foreign import FLOW_FILE
 from sim.lab.recordings import TraceError, unread_hash
 from sim.lab.suffixes import SUFFIXES
@@ -32,7 +32,7 @@ from sim.lab.suffixes import SUFFIXES
 MANIFEST, LOCK, PART = "manifest.jsonl", ".lock", ".part"
 NAMING = (SUFFIXES["source"], SUFFIXES["histogram"])
 """The files that a set is known by."""
-COPIED = 1 << 20
+COPY_BYTES = 1 << 20
 """Bytes that are copied at a time."""
 NOT_OURS = (EACCES, EPERM, EROFS)
 """What a system says of a source that this user may read and not remove."""
@@ -78,7 +78,7 @@ class IngestOutcome:
 
 
 class IngestArchive:
-    """The archive in `folder`; see `opened_archive`."""
+    """The archive in `folder`; see `open_archive`."""
 
     def __init__(self, folder: Path, *, dry: bool = False) -> None:
         """Read the manifest. Raises ArtefactError for one that is none; nothing is written where `dry`."""
@@ -87,7 +87,7 @@ class IngestArchive:
         # By content, by a trace's readings, by where it came from, and by name whatever the case of its letters.
         self._names: dict[tuple[str, str], list[str]] = {}
         for number, row in enumerate(read_rows(folder / MANIFEST), 1):
-            checked_row(folder / MANIFEST, number, row, ManifestRow)
+            check_row(folder / MANIFEST, number, row, ManifestRow)
             self._keep(row)
 
     def _keep(self, row: Mapping[str, Any]) -> None:
@@ -96,7 +96,7 @@ class IngestArchive:
             if key in ("sha256", "readings", "source", "folded") and value:
                 self._names.setdefault((key, value), []).append(row["name"])
 
-    def _named(self, key: str, value: str) -> list[str]:
+    def _find_names(self, key: str, value: str) -> list[str]:
         """The names of what is in the archive with this key, the newest first."""
         names = dict.fromkeys(reversed(self._names.get((key, value), [])))
         # What somebody has taken out of the archive may come again.
@@ -116,12 +116,12 @@ class IngestArchive:
         former = self._rows.get(name)
         # What a set lacked may come later, and a part of one that is there whole is nothing new.
         files = {**(former["files"] if former is not None else {}), **hashes} if unit.base else {}
-        content = _of_set(files) if unit.base else hashes[source.name]
+        content = _set_hash(files) if unit.base else hashes[source.name]
         lacking = [path for path in unit.files if not (place / path.name).is_file()]
         for path in unit.files:
             if path not in lacking and file_hash(place / path.name) != hashes[path.name]:
                 said = f"{name} in {self.folder} has this name and another content; rename this one"
-                raise at(path, None, said)
+                raise file_error(path, None, said)
         if former is not None and former["sha256"] == content and not lacking:
             verdict: Verdict = "there already"
         else:
@@ -173,11 +173,11 @@ class IngestArchive:
                 said = f"{each} is a {'folder' if is_file else 'file'}, where this one needs a " + (
                     "file" if is_file else "folder"
                 )
-                raise at(unit.source, None, f"{said}; rename one of them")
-        other = next((other for other in self._named("folded", name.casefold()) if other != name), None)
+                raise file_error(unit.source, None, f"{said}; rename one of them")
+        other = next((other for other in self._find_names("folded", name.casefold()) if other != name), None)
         if other is not None:
             said = f"{other} in {self.folder} has this name but for capitals, which not every system tells apart"
-            raise at(unit.source, None, f"{said}; rename this one")
+            raise file_error(unit.source, None, f"{said}; rename this one")
 
     def _remove(self, unit: IngestUnit, stamp: FileStamps) -> str:
         """Remove the sources, which were as `stamp` says when they were hashed; the system's word where it does not.
@@ -188,7 +188,9 @@ class IngestArchive:
             return ""
         refuse_open(unit)
         if unit.stamp() != stamp:
-            raise at(unit.source, None, "was written after it was copied, so it stays; ingest it again when at rest")
+            raise file_error(
+                unit.source, None, "was written after it was copied, so it stays; ingest it again when at rest"
+            )
         folder = unit.source.parent
         others = [path for path in folder.glob(f"*{SUFFIXES['source']}") if path not in unit.files]
         # By what is left after a kill the set must still be known: its report goes first, its automaton last. A flow
@@ -206,18 +208,20 @@ class IngestArchive:
 
     def _refuse_double(self, source: Path, name: str, content: str, known: RecognisedUnit) -> None:
         """Raises ArtefactError for what is in the archive under another name, as it is or in another form."""
-        same = dict.fromkeys(self._named("sha256", content), "is")
-        for other in self._named("readings", known.readings):
+        same = dict.fromkeys(self._find_names("sha256", content), "is")
+        for other in self._find_names("readings", known.readings):
             held = self.folder / other
-            if other not in same and self._alike(source, held if held.exists() else self._rows[other]["source"], known):
+            if other not in same and self._same_cells(
+                source, held if held.exists() else self._rows[other]["source"], known
+            ):
                 same[other] = "has readings that are, in another form,"
         for other, what in same.items():
             if other != name:
                 said = f"{what} in {self.folder} already as {other} (from {self._rows[other]['source']})"
-                raise at(source, None, f"{said}; nothing was taken")
+                raise file_error(source, None, f"{said}; nothing was taken")
 
     @staticmethod
-    def _alike(source: Path, held: str | Path, known: RecognisedUnit) -> bool:
+    def _same_cells(source: Path, held: str | Path, known: RecognisedUnit) -> bool:
         """Whether two traces with the same readings are the same in what their map does not read, too."""
         if known.column_map is None:
             return True
@@ -257,7 +261,7 @@ def refuse_open(unit: IngestUnit) -> None:
             os.close(handle)
 
 
-def _of_set(hashes: Mapping[str, str]) -> str:
+def _set_hash(hashes: Mapping[str, str]) -> str:
     return sha256("".join(f"{name} {digest}\n" for name, digest in sorted(hashes.items())).encode()).hexdigest()
 
 
@@ -269,14 +273,16 @@ def _copy(source: Path, target: Path, expected: str, archive: Path) -> None:
     part = target.with_name(f".{target.name}{PART}")
     digest = sha256()
     try:
-        with writing(target), source.open("rb") as stream, part.open("wb") as out:
-            while piece := stream.read(COPIED):
+        with name_write_errors(target), source.open("rb") as stream, part.open("wb") as out:
+            while piece := stream.read(COPY_BYTES):
                 digest.update(piece)
                 out.write(piece)
             out.flush()
             os.fsync(out.fileno())
         if digest.hexdigest() != expected:
-            raise at(source, None, "changed while it was copied; ingest it again when nobody writes it any more")
+            raise file_error(
+                source, None, "changed while it was copied; ingest it again when nobody writes it any more"
+            )
         part.replace(target)
     finally:
         part.unlink(missing_ok=True)
@@ -285,16 +291,16 @@ def _copy(source: Path, target: Path, expected: str, archive: Path) -> None:
 
 
 @contextmanager
-def opened_archive(folder: Path, *, dry: bool = False) -> Iterator[IngestArchive]:
+def open_archive(folder: Path, *, dry: bool = False) -> Iterator[IngestArchive]:
     """The archive in `folder`, held by this process alone and made where there is none; as it is now where `dry`.
 
     Raises PassingError where another process holds it, ArtefactError where it holds something else, OSError where it
     cannot be written.
     """
     if folder.exists() and not folder.is_dir():
-        raise at(folder, None, "is a file; give a folder for the archive")
+        raise file_error(folder, None, "is a file; give a folder for the archive")
     if folder.is_dir() and not (folder / LOCK).exists() and any(folder.iterdir()):
-        raise at(folder, None, "holds other things and is no archive; give a new folder, or an archive")
+        raise file_error(folder, None, "holds other things and is no archive; give a new folder, or an archive")
     if dry:
         yield IngestArchive(folder, dry=True)
         return

@@ -16,25 +16,25 @@ from typing import Any
 import click
 
 from drivers.errors import DriverError
-from gateway.console import CommandResult, Line, Part, conclude, config_dir, json_option, progress, shipped
+from gateway.console import CommandResult, Line, Part, conclude, config_dir, json_option, progress, shipped_file
 from gateway.entry import interruptible, sentence, sentences
 from gateway.lab.ingestion.archive import (
     VERDICTS,
     IngestArchive,
     IngestOutcome,
     PassingError,
-    opened_archive,
+    open_archive,
     refuse_open,
 )
-from gateway.lab.ingestion.recognising import FileStamps, IngestUnit, RecognisedUnit, recognised, units_in
-from sim.files import at, check_utf8, resolved
+from gateway.lab.ingestion.recognising import FileStamps, IngestUnit, RecognisedUnit, list_units, recognise
+from sim.files import check_utf8, file_error, resolve_links
 from sim.lab.recordings import ColumnMap, load_map
 
-MOST_TOLD = 10_000
+MAX_KEPT_OUTCOMES = 10_000
 """Outcomes that a watch keeps for its summary: it may run for months."""
 TURN_SECONDS = 10.0
 """How long those behind it wait for the reading of a unit."""
-MOST_BESIDE = 2
+MAX_CONCURRENT_UNITS = 2
 """Units that are read beside the others: each takes memory, and its share of the processor."""
 NO_ARCHIVE = (ENOSPC, EDQUOT, EROFS)
 """What a system says of a disk that takes no file at all; anything else is about the one file."""
@@ -42,7 +42,7 @@ NO_ARCHIVE = (ENOSPC, EDQUOT, EROFS)
 
 @dataclass(frozen=True, slots=True)
 class ReadingUnit:
-    """A unit that a thread of its own reads: `known` gives what it is once that is done, or raises as `recognised`.
+    """A unit that a thread of its own reads: `known` gives what it is once that is done, or raises as `recognise`.
 
     It was as `stamp` says when that was begun.
     """
@@ -62,7 +62,7 @@ def _begin_reading(unit: IngestUnit, maps: dict[str, ColumnMap]) -> ReadingUnit:
 
     def read() -> None:
         try:
-            known.set_result(recognised(unit, maps))
+            known.set_result(recognise(unit, maps))
         except BaseException as error:  # noqa: BLE001 - it is raised where the result is asked for
             known.set_exception(error)
 
@@ -72,7 +72,7 @@ def _begin_reading(unit: IngestUnit, maps: dict[str, ColumnMap]) -> ReadingUnit:
     return reading
 
 
-def ingested(
+def ingest_units(
     units: Sequence[IngestUnit],
     archive: IngestArchive,
     maps: dict[str, ColumnMap],
@@ -88,7 +88,7 @@ def ingested(
     """
     waiting = {} if beside is None else beside
 
-    def outcome_of(unit: IngestUnit, reading: ReadingUnit | None) -> IngestOutcome | None:
+    def process(unit: IngestUnit, reading: ReadingUnit | None) -> IngestOutcome | None:
         """What becomes of a unit, or of one that was read; None where it is read beside the others from now on."""
         try:
             if reading is None:
@@ -112,7 +112,7 @@ def ingested(
             said = f"{unit.source}: has gone meanwhile; nothing is to be done" if gone else sentence(error)
             return IngestOutcome(unit.source, "refused", said, passes=gone or isinstance(error, PassingError))
 
-    def finished(most: int) -> Iterator[IngestOutcome]:
+    def collect(most: int) -> Iterator[IngestOutcome]:
         """What becomes of those beside that are done, and of more, until so many at most are left."""
         while waiting:
             patience = None if len(waiting) > most else 0.0
@@ -122,16 +122,16 @@ def ingested(
             for source, reading in list(waiting.items()):
                 if reading.known in done:
                     del waiting[source]
-                    if (outcome := outcome_of(reading.unit, reading)) is not None:
+                    if (outcome := process(reading.unit, reading)) is not None:
                         yield outcome
 
     for unit in units:
         if unit.source in waiting:
             continue
-        if (outcome := outcome_of(unit, None)) is not None:
+        if (outcome := process(unit, None)) is not None:
             yield outcome
-        yield from finished(MOST_BESIDE)
-    yield from finished(0 if beside is None else MOST_BESIDE)
+        yield from collect(MAX_CONCURRENT_UNITS)
+    yield from collect(0 if beside is None else MAX_CONCURRENT_UNITS)
 
 
 @dataclass(slots=True)
@@ -201,11 +201,11 @@ def watch_folder(
         while True:
             units, due, passing = list[IngestUnit](), list[IngestUnit](), list[IngestOutcome]()
             try:
-                units = units_in(folder, archive)
+                units = list_units(folder, archive)
                 due = seen.due(units, time.monotonic())
                 if due or any(reading.known.done() for reading in beside.values()):
-                    with opened_archive(archive) as opened:
-                        for outcome in ingested(due, opened, maps, move=move, clock=time.time, beside=beside):
+                    with open_archive(archive) as opened:
+                        for outcome in ingest_units(due, opened, maps, move=move, clock=time.time, beside=beside):
                             if outcome.passes:
                                 passing.append(outcome)
                             else:
@@ -286,7 +286,7 @@ def ingest(
     if seconds is not None and not watch:
         raise click.UsageError("--for ends a watch; give --watch with it")
     counts: Counter[str] = Counter()
-    told: deque[IngestOutcome] = deque(maxlen=MOST_TOLD)
+    told: deque[IngestOutcome] = deque(maxlen=MAX_KEPT_OUTCOMES)
 
     def keep(outcome: IngestOutcome) -> None:
         counts[outcome.verdict] += 1
@@ -301,11 +301,11 @@ def ingest(
         for path in (folder, archive):
             check_utf8(path)
         if not folder.is_dir():
-            raise at(folder, None, "is no folder; give the one that the files lie in")
-        if resolved(archive) in (resolved(folder), *resolved(folder).parents):
-            raise at(folder, None, f"lies in the archive {archive}; give a folder outside of it")
+            raise file_error(folder, None, "is no folder; give the one that the files lie in")
+        if resolve_links(archive) in (resolve_links(folder), *resolve_links(folder).parents):
+            raise file_error(folder, None, f"lies in the archive {archive}; give a folder outside of it")
         chosen = map_names or sorted(path.stem for path in (config_dir() / "traces").glob("*.toml"))
-        maps = {name: load_map(shipped("traces", name)) for name in chosen}
+        maps = {name: load_map(shipped_file("traces", name)) for name in chosen}
         if watch:
             watch_folder(
                 folder,
@@ -319,13 +319,13 @@ def ingest(
                 keep=keep,
             )
         else:
-            units = units_in(folder, archive)
+            units = list_units(folder, archive)
             with (
-                opened_archive(archive, dry=dry_run) as opened,
+                open_archive(archive, dry=dry_run) as opened,
                 progress("ingesting") as bar,
                 interruptible(bar) as report,
             ):
-                for number, outcome in enumerate(ingested(units, opened, maps, move=move, clock=time.time)):
+                for number, outcome in enumerate(ingest_units(units, opened, maps, move=move, clock=time.time)):
                     report(outcome.source.name, number / len(units))
                     show(outcome)
                     keep(outcome)

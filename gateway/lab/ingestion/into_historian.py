@@ -15,22 +15,22 @@ from numpy.typing import NDArray
 from drivers.tag import DType, Quality, Sample, Tag
 from gateway.console import CommandResult, Part, conclude, json_option, map_option, progress
 from gateway.entry import sentences
-from gateway.lab.traces.load import load_reported
+from gateway.lab.traces.load import load_with_report
 from gateway.machine import Keeper
-from gateway.machine.model import held_news
+from gateway.machine.model import new_readings
 from gateway.machine.reading import Scan
 from gateway.settings import HistorianSection
 from gateway.store import Historian, HistorianError, machines, newest_scan, open_historian, reading, to_trace
 from sim.lab.recordings import since_1970
 from sim.sha import Alphabet, Mask, Trace
 
-TOGETHER = 5_000
+SCANS_PER_WAIT = 5_000
 """Scans that are put before the disk is waited for: the queues are never full."""
 PATIENCE_S = 120.0
 """How long the disk may take for them."""
 STEPS_STORED = 5
 """Usual steps between rows after which a value that has not changed is stored again."""
-SAME = 1e-6
+SAME_TIME_S = 1e-6
 """s between two times that are one."""
 _Seen = dict[str, tuple[NDArray[np.intp], Mask]]
 """Of each signal, in each row, where its newest reading stands and whether it still holds."""
@@ -63,9 +63,9 @@ def import_command(paths: Sequence[str], map_name: str, path: Path, machine: str
     those before the machine's newest ones.
     """
     with sentences(), progress("importing") as report:
-        traces, column_map, account = load_reported(paths, map_name)
+        traces, column_map, account = load_with_report(paths, map_name)
         named = [replace(trace, machine=machine or trace.machine) for trace in traces]
-        done = imported(path, named, column_map.temperature, column_map.alphabet, report)
+        done = import_traces(path, named, column_map.temperature, column_map.alphabet, report)
     data: dict[str, Any] = {"historian": str(path), "account": account.account()}
     data |= {"machines": [{"machine": each.machine, "rows": each.rows, "already there": each.there,
              "stored": each.stored, "samples": each.samples} for each in done]}  # fmt: skip
@@ -82,7 +82,7 @@ def import_command(paths: Sequence[str], map_name: str, path: Path, machine: str
     conclude(CommandResult(data), lambda _: show(), as_json=as_json)
 
 
-def imported(
+def import_traces(
     path: Path,
     traces: Sequence[Trace],
     temperature: str,
@@ -99,14 +99,14 @@ def imported(
     by_machine: dict[str, list[Trace]] = {}
     for trace in traces:
         by_machine.setdefault(trace.machine, []).append(trace)
-    recordings = {name: _one_after_another(own) for name, own in by_machine.items()}
-    seen = {name: held_news(own, alphabet, np.arange(own.times.size), own.times) for name, own in recordings.items()}
+    recordings = {name: _concatenate(own) for name, own in by_machine.items()}
+    seen = {name: new_readings(own, alphabet, np.arange(own.times.size), own.times) for name, own in recordings.items()}
     there = {name: _there(path, recording, seen[name]) for name, recording in recordings.items()}
     historian = open_historian(path)
     try:
         done = []
         for name, recording in recordings.items():
-            samples = _put(historian, recording, seen[name], there[name], temperature, report=report)
+            samples = _put_rows(historian, recording, seen[name], there[name], temperature, report=report)
             rows = int(recording.times.size)
             stored = rows - there[name]
             done.append(ImportedRows(machine=name, rows=rows, there=there[name], stored=stored, samples=samples))
@@ -117,7 +117,7 @@ def imported(
     return done
 
 
-def _one_after_another(traces: Sequence[Trace]) -> Trace:
+def _concatenate(traces: Sequence[Trace]) -> Trace:
     """A machine's traces as one.
 
     Raises ValueError where they overlap, have two rows of one time, or count from their own beginning.
@@ -162,12 +162,12 @@ def _there(path: Path, recording: Trace, seen: _Seen) -> int:
         newest = newest_scan(connection, machine=machine)
     if newest is None:
         return 0
-    first, count = float(recording.times[0]), int(np.searchsorted(recording.times, newest + SAME, side="right"))
+    first, count = float(recording.times[0]), int(np.searchsorted(recording.times, newest + SAME_TIME_S, side="right"))
     if not count:
         return 0
     own = recording.times[:count]
-    stored = to_trace(path, start=first - SAME, end=float(own[-1]) + SAME, machine=machine)
-    if stored.times.size != count or np.any(np.abs(stored.times - own) > SAME):
+    stored = to_trace(path, start=first - SAME_TIME_S, end=float(own[-1]) + SAME_TIME_S, machine=machine)
+    if stored.times.size != count or np.any(np.abs(stored.times - own) > SAME_TIME_S):
         raise ValueError(
             f"{recording.origin}: from {_utc(first)} to {_utc(float(own[-1]))} the historian has {stored.times.size} "
             f"other rows of {machine!r}, and the recording {count}; import recordings in the order of their times, or "
@@ -186,7 +186,7 @@ def _there(path: Path, recording: Trace, seen: _Seen) -> int:
     return count
 
 
-def _put(
+def _put_rows(
     historian: Historian,
     recording: Trace,
     seen: _Seen,
@@ -200,19 +200,19 @@ def _put(
     if not times:
         return 0
     tags = {name: Tag(name, "", DType.FLOAT64, unit=recording.units.get(name, "")) for name in recording.signals}
-    view = historian.of(recording.machine, tags.values())
+    view = historian.view(recording.machine, tags.values())
     usual = float(np.median(np.diff(recording.times))) if recording.times.size > 1 else 1.0
     # A gateway's interval is some of its scans: so many of the recording's are as long as its rows want it.
     interval = max(HistorianSection().max_interval, STEPS_STORED * usual)
-    followed = historian.of(recording.machine, temperature=temperature)
+    followed = historian.view(recording.machine, temperature=temperature)
     followed.put("runs", [(times[0], temperature, "", usual, interval)])
     keeper, samples = Keeper(tags, interval), 0
     columns = []
     for name, (news, held) in seen.items():
         new = news == np.arange(news.size)
         columns.append((name, *(each[first:].tolist() for each in (recording.signals[name], new, held))))
-    for begin in range(0, len(times), TOGETHER):
-        for number in range(begin, min(begin + TOGETHER, len(times))):
+    for begin in range(0, len(times), SCANS_PER_WAIT):
+        for number in range(begin, min(begin + SCANS_PER_WAIT, len(times))):
             time = times[number]
             read = {}
             for name, values, new, held in columns:
@@ -226,7 +226,7 @@ def _put(
             view.put("samples", rows)
         if not historian.flush(PATIENCE_S):
             raise HistorianError(f"{historian.path}: the disk takes no more rows ({historian.stuck}); make room")
-        report(recording.machine, min(begin + TOGETHER, len(times)) / len(times))
+        report(recording.machine, min(begin + SCANS_PER_WAIT, len(times)) / len(times))
     return samples
 
 

@@ -10,11 +10,11 @@ from typing import Any, Literal
 
 from drivers.driver import open_recording
 from drivers.errors import RecordingError
-from drivers.json_lines import NoObject, parsed
+from drivers.json_lines import NoObject, parse_object
 from drivers.named_files import regular
 from gateway.store import SQLITE_HEADER, machines, newest_scan, oldest_scan, reading
 from sim.artefacts import MODEL_FILE, STORE_FILE
-from sim.files import ArtefactError, at, check_utf8
+from sim.files import ArtefactError, check_utf8, file_error
 from sim.lab.formats.foreign import FLOW_FILE, file_names, read_artefacts, read_flow_file, read_report
 from sim.lab.recordings import ColumnMap, TraceError, load_traces
 from sim.lab.suffixes import SUFFIXES
@@ -41,7 +41,7 @@ PICTURES = {
 }
 """By suffix what such a picture begins with, and what stands at its end."""
 CAN_LOGS = (".log", ".asc", ".blf", ".trc", ".mf4")
-HEAD = 1 << 16
+HEAD_BYTES = 1 << 16
 """Bytes by whose content a file is told: the first row of a PLC recording names all its tags."""
 LINK = "is a link; ingest the folder with the file itself"
 FOLDER_LINK = "is a link to a folder; ingest that folder itself"
@@ -94,36 +94,36 @@ class RecognisedUnit:
     column_map: ColumnMap | None = None
 
 
-def units_in(folder: Path, besides: Path) -> list[IngestUnit]:
+def list_units(folder: Path, besides: Path) -> list[IngestUnit]:
     """What is in a folder and those below, in the order of names, but for what lies in `besides` or begins with a dot.
 
     Raises OSError where the folder cannot be listed.
     """
     units: list[IngestUnit] = []
 
-    def unlisted(error: OSError) -> None:
+    def report_folder(error: OSError) -> None:
         if Path(error.filename) == folder:
             raise error
         path = Path(error.filename)
-        units.append(_refused(path, folder, f"cannot be listed ({error.strerror}); let this user read it"))
+        units.append(_refused_unit(path, folder, f"cannot be listed ({error.strerror}); let this user read it"))
 
-    for parent, names, files in os.walk(folder, onerror=unlisted):
+    for parent, names, files in os.walk(folder, onerror=report_folder):
         here = Path(parent)
         names[:] = sorted(name for name in names if name[:1] != "." and (here / name).resolve() != besides.resolve())
         # They are not followed, as one may lead back to a folder above.
-        units += [_refused(here / name, folder, FOLDER_LINK) for name in names if (here / name).is_symlink()]
+        units += [_refused_unit(here / name, folder, FOLDER_LINK) for name in names if (here / name).is_symlink()]
         if any(name in files for name in (MODEL_FILE, STORE_FILE)):
             names.clear()
             said = (
                 "is a model of this program, not a file from elsewhere; `decanter model promote STORE --add` takes it"
             )
-            units.append(_refused(here, folder, said))
+            units.append(_refused_unit(here, folder, said))
             continue
-        units += _units_of(here, sorted(name for name in files if name[:1] != "."), folder)
+        units += _group_units(here, sorted(name for name in files if name[:1] != "."), folder)
     return units
 
 
-def _units_of(here: Path, names: Sequence[str], folder: Path) -> list[IngestUnit]:
+def _group_units(here: Path, names: Sequence[str], folder: Path) -> list[IngestUnit]:
     units: list[IngestUnit] = []
     place = here.relative_to(folder)
     endings = (SUFFIXES["source"], SUFFIXES["histogram"])
@@ -134,7 +134,7 @@ def _units_of(here: Path, names: Sequence[str], folder: Path) -> list[IngestUnit
             own = [name for name in file_names(base).values() if name in names]
         except ArtefactError as error:
             own = [name for name in names if name.startswith(base)]
-            units.append(_refused(here / own[0], folder, str(error)))
+            units.append(_refused_unit(here / own[0], folder, str(error)))
         else:
             said = next((f"{here / name}: {LINK}" for name in own if (here / name).is_symlink()), "")
             units.append(IngestUnit(files=tuple(here / name for name in own), place=place, base=base, refusal=said))
@@ -145,13 +145,13 @@ def _units_of(here: Path, names: Sequence[str], folder: Path) -> list[IngestUnit
         if name in in_sets or main in names:
             continue
         if path.is_symlink():
-            units.append(_refused(path, folder, LINK))
+            units.append(_refused_unit(path, folder, LINK))
         else:
             units.append(IngestUnit(files=(path,), place=place))
     return units
 
 
-def _refused(path: Path, folder: Path, sentence: str) -> IngestUnit:
+def _refused_unit(path: Path, folder: Path, sentence: str) -> IngestUnit:
     place = path.parent.relative_to(folder) if path != folder else Path()
     return IngestUnit(files=(path,), place=place, refusal=f"{path}: {sentence}")
 
@@ -162,16 +162,16 @@ def check_names(unit: IngestUnit) -> None:
         for name in (*unit.place.parts, path.name):
             if not re.fullmatch(r"\w[\w .+()\-]*", name) or name.endswith((" ", ".")):
                 said = f"{name!r} is no name for an archive; use letters, digits, blanks and _-+.(), a letter first"
-                raise at(path, None, said)
+                raise file_error(path, None, said)
             if name.partition(".")[0].rstrip().upper() in RESERVED:
-                raise at(path, None, f"{name!r} is the name of a device on Windows; rename it")
+                raise file_error(path, None, f"{name!r} is the name of a device on Windows; rename it")
             if len(name.encode()) > LONGEST_NAME:
-                raise at(
+                raise file_error(
                     path, None, f"its name has {len(name.encode())} bytes, {LONGEST_NAME} are the most; shorten it"
                 )
 
 
-def recognised(unit: IngestUnit, maps: Mapping[str, ColumnMap]) -> RecognisedUnit:
+def recognise(unit: IngestUnit, maps: Mapping[str, ColumnMap]) -> RecognisedUnit:
     """What the unit is; a trace is read by the first of the column `maps` that can.
 
     Raises ValueError (a sentence of the room that would read it) for what is none of `PLACES`, OSError where it cannot
@@ -186,11 +186,11 @@ def recognised(unit: IngestUnit, maps: Mapping[str, ColumnMap]) -> RecognisedUni
     if unit.base:
         return _artefact_set(path.parent, unit.base)
     with regular(path).open("rb") as stream:
-        head = stream.read(HEAD)
-        stream.seek(max(path.stat().st_size - HEAD, 0))
-        tail = stream.read(HEAD)
+        head = stream.read(HEAD_BYTES)
+        stream.seek(max(path.stat().st_size - HEAD_BYTES, 0))
+        tail = stream.read(HEAD_BYTES)
     if not head:
-        raise at(path, None, "is empty; there is nothing to keep")
+        raise file_error(path, None, "is empty; there is nothing to keep")
     suffix = path.suffix.lower()
     if path.name == FLOW_FILE:
         return RecognisedUnit(kind="flow file", facts={"flows": len(read_flow_file(path).equations)})
@@ -200,12 +200,12 @@ def recognised(unit: IngestUnit, maps: Mapping[str, ColumnMap]) -> RecognisedUni
         begins, ends = PICTURES[suffix]
         # SVG may begin with a declaration and comments.
         if not (begins in head if suffix == ".svg" else head.startswith(begins)):
-            raise at(path, None, f"is called {suffix}, but its content is no such picture; correct its name")
+            raise file_error(path, None, f"is called {suffix}, but its content is no such picture; correct its name")
         if ends not in tail:
-            raise at(path, None, "is a picture without its end; copy it again")
+            raise file_error(path, None, "is a picture without its end; copy it again")
         return RecognisedUnit(kind="plot")
     if head.startswith(b"PK") and suffix == ".xlsx":
-        raise at(path, None, "is a workbook, and traces are read as CSV; save its sheet as .csv")
+        raise file_error(path, None, "is a workbook, and traces are read as CSV; save its sheet as .csv")
     if suffix == ".csv":
         return _trace(path, maps)
     if _begins_a_run(head):
@@ -217,7 +217,7 @@ def recognised(unit: IngestUnit, maps: Mapping[str, ColumnMap]) -> RecognisedUni
     said = (
         f"is none of {', '.join(PLACES)} by name and content; leave it out, or name it as files of its kind are named"
     )
-    raise at(path, None, said)
+    raise file_error(path, None, said)
 
 
 def _artefact_set(folder: Path, base: str) -> RecognisedUnit:
@@ -242,7 +242,7 @@ def _historian(path: Path) -> RecognisedUnit:
     log = path.with_name(path.name + BESIDE_SQLITE[0])
     if log.exists() and log.stat().st_size:
         said = f"a gateway may be writing it ({log.name} is beside it); ingest a copy that `decanter backup` made"
-        raise at(path, None, said)
+        raise file_error(path, None, said)
     with reading(path, immutable=True) as connection:
         known = machines(connection)
         spans = {
@@ -270,7 +270,7 @@ def _trace(path: Path, maps: Mapping[str, ColumnMap]) -> RecognisedUnit:
     if len(reasons) == 1:
         raise ArtefactError(reasons.pop())
     said = f"no column map reads it (tried {', '.join(maps)}); draft one with `decanter trace map`, give it with --map"
-    raise at(path, None, said)
+    raise file_error(path, None, said)
 
 
 def _can_log(path: Path) -> RecognisedUnit:
@@ -288,7 +288,7 @@ def _can_log(path: Path) -> RecognisedUnit:
 def _begins_a_run(head: bytes) -> bool:
     """Whether a file begins as the software PLC's recorder begins one: with the row of a run."""
     try:
-        first = parsed(head.lstrip().partition(b"\n")[0])
+        first = parse_object(head.lstrip().partition(b"\n")[0])
     except NoObject:
         return False
     return first.get("k") == "run" and "n" in first and "t" in first

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from gateway.entry import sentence
-from gateway.machine.model import forecasts_along, recorded_scans
+from gateway.machine.model import forecast_trace, recorded_scans
 from gateway.settings import ForecastSection
 from sim.lab.judge import (
     NEW,
@@ -25,25 +25,25 @@ from sim.lab.judge import (
     forecast_skill,
     means,
     persist,
-    trained,
+    train_rival,
 )
 from sim.lab.learning import PERSISTENCE
-from sim.sha import DEGREES, Alphabet, Array, Model, Trace
+from sim.sha import DEFAULT_UNIT, Alphabet, Array, Model, Trace
 
-SCAN = 1.0
+SCAN_PERIOD_S = 1.0
 """s: the scan period of a gateway along a trace."""
-LEAST_PERIOD, MOST_FORECASTS = 60.0, 200
+MIN_FORECAST_PERIOD_S, MOST_FORECASTS = 60.0, 200
 """s between two forecasts, and how many of them a trace gets at most: a forecast takes about 40 ms."""
-MOST_QUESTIONS = 40
+MAX_RIVAL_FORECASTS = 40
 """Forecasts of a rival along a trace at most: some are fitted anew for each."""
 HORIZONS = ForecastSection().horizons
 LONGEST_HORIZON = max(HORIZONS)
 """s: the outcome of a cycle's last forecast comes so long after it."""
-MOST_OF_CYCLE = 40
+MAX_FORECASTS_PER_CYCLE = 40
 """How many forecasts a cycle gets at most where two versions are compared."""
 
 
-def scanned(trace: Trace, temperature: str, alphabet: Alphabet, period: float) -> Past:
+def scan_trace(trace: Trace, temperature: str, alphabet: Alphabet, period: float) -> Past:
     """The whole trace as the gateway's scans show it; of the temperature what is new, of the others what is held."""
     columns: dict[str, list[float]] = {name: [] for name in trace.signals}
     times, read_at = [], float("nan")
@@ -81,10 +81,10 @@ def skill_rows(
     trace.
     """
 
-    def made() -> Iterator[tuple[str, float, Array]]:
+    def method_forecasts() -> Iterator[tuple[str, float, Array]]:
         origins: list[float] = []
         for method, members in models.items():
-            own = forecasts_along(
+            own = forecast_trace(
                 members,
                 trace,
                 forecasts,
@@ -96,7 +96,7 @@ def skill_rows(
             origins = origins or [forecast.time for forecast in own]
         if not trace.times.size:
             return
-        past = scanned(trace, temperature, alphabet, scan_period)
+        past = scan_trace(trace, temperature, alphabet, scan_period)
         if not models:
             due = np.arange(max(past.times[0], since), past.times[-1], forecasts.period)
             origins = past.times[np.unique(np.searchsorted(past.times, due))].tolist()
@@ -104,23 +104,23 @@ def skill_rows(
         for number, origin in enumerate(origins):
             if origin - asked < ask_period:
                 continue
-            asked, known = origin, past.until(origin)
+            asked, known = origin, past.truncate(origin)
             report(f"{trace.name}: {', '.join(others)}", number / len(origins))
             for method, forecaster in others.items():
                 if (fan := forecaster(known)) is not None:
                     yield method, origin, fan
 
-    return figures(trace, temperature, alphabet.gap, forecasts.horizons, made())
+    return figures(trace, temperature, alphabet.gap, forecasts.horizons, method_forecasts())
 
 
-def scores_along(
+def score_trace(
     trace: Trace,
     present: Model,
     new: Model | None,
     *,
     seed: int,
     report: Callable[[str, float], None],
-    most: int = MOST_OF_CYCLE,
+    most: int = MAX_FORECASTS_PER_CYCLE,
     until: float = inf,
 ) -> list[dict[str, Any]]:
     """A row for each horizon (s) and method along a trace: how many forecasts, CRPS and MAE (degC), coverage.
@@ -134,7 +134,7 @@ def scores_along(
     """
     begin = float(trace.times[0])
     lasts = min(float(trace.times[-1]), until) - begin
-    period = max(LEAST_PERIOD, lasts / most)
+    period = max(MIN_FORECAST_PERIOD_S, lasts / most)
     rows = common(
         skill_rows(
             trace,
@@ -180,16 +180,16 @@ def other_methods(
     methods: dict[str, PastForecaster] = {PERSISTENCE: partial(persist, horizons=horizons)}
     absent: dict[str, list[str]] = {}
     if training is not None:
-        past = [scanned(trace, temperature, alphabet, scan) for trace in training]
+        past = [scan_trace(trace, temperature, alphabet, scan) for trace in training]
         for rival in rivals_room().rivals(seed):
             try:
-                methods[rival.name] = trained(rival, past, horizons)
+                methods[rival.name] = train_rival(rival, past, horizons)
             except (ImportError, ValueError) as error:
                 absent.setdefault(sentence(error), []).append(rival.name)
     return methods, [f"without {', '.join(names)}: {reason}" for reason, names in absent.items()]
 
 
-def lacking(trace: Trace, rows: Sequence[SkillRow], horizons: Sequence[float]) -> list[str]:
+def missing_horizons(trace: Trace, rows: Sequence[SkillRow], horizons: Sequence[float]) -> list[str]:
     """A sentence for the horizons (s) that no forecast along the trace has come due for."""
     read = {row.horizon for row in rows if row.read}
     missing = [f"{horizon:g}" for horizon in horizons if horizon not in read]
@@ -207,7 +207,7 @@ class JudgedForecasts:
     rows: Sequence[SkillRow]
     notes: Sequence[str]
     methods: Mapping[str, Sequence[str]]
-    unit: str = DEGREES
+    unit: str = DEFAULT_UNIT
 
     def skill(self, label: str | None = None, *, seed: int = 0) -> ForecastSkill:
         """Of all models at the moments that all share; of the one of this `label` beside what is no model."""
@@ -243,11 +243,15 @@ def judged_forecasts(
     if not models:
         return JudgedForecasts([], ["no model can be run, so there are no forecasts"], methods)
     first = next(iter(models.values()))
-    others, notes = other_methods(training, first.temperature, first.alphabet, horizons=HORIZONS, scan=SCAN, seed=seed)
+    others, notes = other_methods(
+        training, first.temperature, first.alphabet, horizons=HORIZONS, scan=SCAN_PERIOD_S, seed=seed
+    )
     rows: list[SkillRow] = []
     for trace in traces:
         lasts = float(trace.times[-1] - trace.times[0]) if trace.times.size else 0.0
-        section = ForecastSection(horizons=HORIZONS, period=max(LEAST_PERIOD, lasts / MOST_FORECASTS), seed=seed)
+        section = ForecastSection(
+            horizons=HORIZONS, period=max(MIN_FORECAST_PERIOD_S, lasts / MOST_FORECASTS), seed=seed
+        )
         asked: Mapping[str, PastForecaster] = others
         own: list[SkillRow] = []
         followed = False
@@ -262,9 +266,9 @@ def judged_forecasts(
                     models={name: [model]},
                     others=asked,
                     forecasts=section,
-                    scan_period=SCAN,
+                    scan_period=SCAN_PERIOD_S,
                     report=report,
-                    ask_period=lasts / MOST_QUESTIONS if training is not None else 0.0,
+                    ask_period=lasts / MAX_RIVAL_FORECASTS if training is not None else 0.0,
                 )
             except ValueError as error:
                 notes.append(f"{name} has no forecast along {trace.name}: {sentence(error)}")
@@ -274,5 +278,5 @@ def judged_forecasts(
             own += made
             followed = True
         rows += own
-        notes += lacking(trace, own, HORIZONS) if followed else []
+        notes += missing_horizons(trace, own, HORIZONS) if followed else []
     return JudgedForecasts(rows, notes, methods, first.unit)

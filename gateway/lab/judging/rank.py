@@ -19,22 +19,22 @@ from sim.lab.judge import (
     TraceResult,
     Weights,
     as_plain,
+    distinct_labels,
     draw_ranking,
     entrants,
-    facts_of,
-    limits_of,
+    local_runner,
+    model_facts_by_semantics,
     outcomes_by_model,
+    parse_limits,
     read_results,
     recorded_facts,
-    relabelled,
-    run_here,
-    unread,
+    unread_traces,
     write_page,
 )
 from sim.lab.judge import rank as ranked
 from sim.lab.pictures import check_picture
 from sim.lab.recordings import load_map, load_traces
-from sim.sha import shown_unit
+from sim.sha import display_unit
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +46,7 @@ class RankingInput:
     skill: ForecastSkill | None = None
 
 
-def compared(request: JudgingRequest, folders: Sequence[Path], progress: Progress) -> RankingInput:
+def compare_models(request: JudgingRequest, folders: Sequence[Path], progress: Progress) -> RankingInput:
     """Runs every model along every trace, or reads what an earlier campaign found.
 
     Raises ValueError or OSError for what cannot be read, and for a model at hand that has no results in the folders.
@@ -55,25 +55,25 @@ def compared(request: JudgingRequest, folders: Sequence[Path], progress: Progres
     if not folders:
         traces, report = load_traces(list(request.paths), column_map)
         training = load_traces(list(request.training), column_map)[0] if request.training else None
-        prepared = relabelled([request.prepared(where, column_map, training) for where in request.models])
-        run, settings = run_here(request.workers), request.settings
+        prepared = distinct_labels([request.prepare_model(where, column_map, training) for where in request.models])
+        run, settings = local_runner(request.workers), request.settings
         by_model = outcomes_by_model(
-            prepared, traces, without=unread(report, traces), settings=settings, run=run, progress=progress
+            prepared, traces, without=unread_traces(report, traces), settings=settings, run=run, progress=progress
         )
         results = [outcome.result for _, outcomes in by_model for outcome in outcomes]
-        facts_at_hand = _by_entrant(results, {model.label: facts_of(model) for model in prepared})
+        facts_at_hand = _by_entrant(results, {model.label: model_facts_by_semantics(model) for model in prepared})
         made = request.forecasts(prepared, traces, training, progress)
         return RankingInput(results, facts_at_hand, made.skill(seed=settings.seed) if made else None)
     results = [result for folder in folders for result in read_results(folder)]
     labels = sorted({result.model for result in results})
     facts = {label: found for folder in folders for label, found in recorded_facts(folder).items()}
     # A model at hand is that of the results with its name: it is verified, which the records cannot say.
-    for at_hand in relabelled([request.prepared(where, column_map, None) for where in request.models]):
+    for at_hand in distinct_labels([request.prepare_model(where, column_map, None) for where in request.models]):
         if at_hand.label not in labels:
             raise ValueError(
                 f"{at_hand.where}: the results have no model {at_hand.label!r}; they have {', '.join(labels) or 'none'}"
             )
-        own = facts_of(at_hand)
+        own = model_facts_by_semantics(at_hand)
         unfit = own.pop("")
         # The gate's word on the model at hand is its word on the recorded semantics too.
         word = next(iter(own.values()), unfit)
@@ -177,8 +177,8 @@ def rank(
         with sentences(), progress("ranking") as bar, interruptible(bar) as report:
             if picture is not None:
                 check_picture(picture)
-            used, bounds = Weights(*weights), limits_of(limits, synthetic=allow_synthetic)
-            seen = compared(request, folders, report)
+            used, bounds = Weights(*weights), parse_limits(limits, synthetic=allow_synthetic)
+            seen = compare_models(request, folders, report)
             ranking = ranked(
                 seen.results,
                 seen.facts,
@@ -207,7 +207,7 @@ def _show(ranking: Ranking, page: Path | None, picture: Path | None) -> Iterator
         for row in ranking.standings
     ]
     yield Rows(
-        f"{formula} ({shown_unit(ranking.unit)}), means over {len(ranking.common)} common traces",
+        f"{formula} ({display_unit(ranking.unit)}), means over {len(ranking.common)} common traces",
         (*columns, "wins", "failed", ""),
         rows,
     )
@@ -226,7 +226,7 @@ def _show(ranking: Ranking, page: Path | None, picture: Path | None) -> Iterator
     ]
     if pairs:
         heads = ("first", "second", "traces", "first - second", "95 %", "p (Holm)", "wins", "what it tells")
-        yield Rows(f"differences of S on the same traces ({shown_unit(ranking.unit)})", heads, pairs)
+        yield Rows(f"differences of S on the same traces ({display_unit(ranking.unit)})", heads, pairs)
     if ranking.skill is not None:
         yield from show_skill(ranking.skill, ("by horizon", "by machine"))
     for row in ranking.standings:

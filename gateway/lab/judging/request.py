@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from gateway.console import map_option, seed_option, shipped
+from gateway.console import map_option, seed_option, shipped_file
 from gateway.lab.judging.figures import JudgedForecasts, judged_forecasts
 from gateway.lab.options import jobs_option
 from sim.lab.judge import Prepared, TraceRunSettings, Wanted, prepare
@@ -37,7 +37,7 @@ class JudgingRequest:
     @property
     def map_file(self) -> Path:
         """The column map. Raises ValueError where none has the name."""
-        return shipped("traces", self.map_name)
+        return shipped_file("traces", self.map_name)
 
     @property
     def workers(self) -> int:
@@ -49,7 +49,7 @@ class JudgingRequest:
         if self.rivals and not self.training:
             raise click.UsageError("--rivals are fitted to traces: name them with --training")
 
-    def prepared(self, where: str, column_map: ColumnMap, training: Sequence[Trace] | None) -> Prepared:
+    def prepare_model(self, where: str, column_map: ColumnMap, training: Sequence[Trace] | None) -> Prepared:
         """A model after its first four stages. Raises ArtefactError as `prepare`."""
         alphabet, temperature, seed = column_map.alphabet, column_map.temperature, self.settings.seed
         return prepare(where, alphabet, temperature, wanted=self.wanted, training=training, seed=seed)
@@ -76,7 +76,7 @@ def judging_options(*, semantics: str, training: str) -> Callable[[Callable[...,
 
     def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
         @wraps(command)
-        def requested(**given: Any) -> Any:
+        def call(**given: Any) -> Any:
             settings = TraceRunSettings(given.pop("runs"), given.pop("policy", "resync"), given.pop("seed"))
             names = ("models", "paths", "map_name", "wanted", "training", "jobs", "skill", "rivals")
             asked = {name: given.pop(name) for name in names}
@@ -99,7 +99,7 @@ def judging_options(*, semantics: str, training: str) -> Callable[[Callable[...,
             click.option("--semantics", "wanted", type=kinds, default="written", show_default=True, help=carried),
             map_option,
         ):
-            requested = option(requested)
-        return requested
+            call = option(call)
+        return call
 
     return decorate

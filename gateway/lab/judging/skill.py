@@ -7,18 +7,28 @@ from typing import Any
 
 import click
 
-from gateway.console import CommandResult, Part, Rows, conclude, json_option, map_option, progress, seed_option, shipped
+from gateway.console import (
+    CommandResult,
+    Part,
+    Rows,
+    conclude,
+    json_option,
+    map_option,
+    progress,
+    seed_option,
+    shipped_file,
+)
 from gateway.entry import sentences
-from gateway.lab.judging.figures import lacking, other_methods, skill_rows
+from gateway.lab.judging.figures import missing_horizons, other_methods, skill_rows
 from gateway.lab.options import traces_option
 from gateway.lab.traces.load import load
-from gateway.machine.model import machine_offset_along
+from gateway.machine.model import estimate_offset
 from gateway.settings import ForecastSection
 from sim.lab.formats import find_model
-from sim.lab.judge import ForecastSkill, SkillRow, common, draw_skill, forecast_skill, machine_of
+from sim.lab.judge import ForecastSkill, SkillRow, common, draw_skill, forecast_skill, trace_machine
 from sim.lab.pictures import check_picture
 from sim.lab.recordings import load_map, load_traces
-from sim.sha import Model, Trace, shown_unit
+from sim.sha import Model, Trace, display_unit
 
 OURS = "decanter"
 MOST_MOMENTS = 1000
@@ -34,12 +44,12 @@ class SkillAlong:
     offsets: Sequence[Mapping[str, Any]]
 
 
-def spaced(trace: Trace, period: float, moments: int) -> float:
+def spread_period(trace: Trace, period: float, moments: int) -> float:
     """The seconds between two forecasts of a trace: `period`, or more where there would be more than `moments`."""
     return max(period, float(trace.times[-1] - trace.times[0]) / moments) if trace.times.size else period
 
 
-def skill_along(
+def measure_skill(
     ours: Sequence[Model],
     traces: Sequence[Trace],
     *,
@@ -62,7 +72,7 @@ def skill_along(
     rows: list[SkillRow] = []
     offsets: list[dict[str, Any]] = []
     for number, trace in enumerate(traces):
-        period = spaced(trace, forecasts.period, moments)
+        period = spread_period(trace, forecasts.period, moments)
         if period > forecasts.period:
             notes.append(
                 f"{trace.name}: a forecast each {period:.4g} s, for no more than {moments} moments; more of them say "
@@ -79,11 +89,11 @@ def skill_along(
             report=lambda what, share, number=number: report(what, (number + share) / len(traces)),  # type: ignore[misc]
         )
         rows += own
-        notes += lacking(trace, own, horizons)
-        learned_offset = machine_offset_along(first, trace, scan_period=scan)
+        notes += missing_horizons(trace, own, horizons)
+        learned_offset = estimate_offset(first, trace, scan_period=scan)
         if learned_offset is not None:
             mean, sigma = learned_offset
-            offsets.append({"machine": machine_of(trace), "trace": trace.name, "offset": mean, "sigma": sigma})
+            offsets.append({"machine": trace_machine(trace), "trace": trace.name, "offset": mean, "sigma": sigma})
     if not any(row.read for row in rows):
         raise ValueError(f"no forecast came due: {'; '.join(notes)}; give longer traces or shorter horizons")
     return SkillAlong(
@@ -153,8 +163,8 @@ def skill(
         ours = [
             find_model(name, alphabet=alphabet, temperature=temperature).runnable() for name in (directory, *members)
         ]
-        learned = load_traces(list(training), load_map(shipped("traces", map_name)))[0] if training else []
-        along = skill_along(
+        learned = load_traces(list(training), load_map(shipped_file("traces", map_name)))[0] if training else []
+        along = measure_skill(
             ours,
             traces,
             training=learned if rivals else None,
@@ -175,7 +185,9 @@ def show(found: ForecastSkill, offsets: Sequence[Mapping[str, Any]], picture: Pa
     """The tables as text, and what was learned of each machine along its trace."""
     yield from show_skill(found)
     if offsets:
-        title = f"what this machine's targets lie above the model's, at the end of its trace ({shown_unit(found.unit)})"
+        title = (
+            f"what this machine's targets lie above the model's, at the end of its trace ({display_unit(found.unit)})"
+        )
         yield Rows(title, list(offsets[0]), [list(row.values()) for row in offsets])
     if picture is not None:
         yield f"picture: {picture}"
@@ -183,7 +195,7 @@ def show(found: ForecastSkill, offsets: Sequence[Mapping[str, Any]], picture: Pa
 
 def show_skill(found: ForecastSkill, wanted: Sequence[str] = ("by horizon", "by time", "by machine")) -> Iterator[Part]:
     """The `wanted` tables, the differences, what the forecasts are worth, and the notes, as text."""
-    unit = shown_unit(found.unit)
+    unit = display_unit(found.unit)
     titles = {
         "by horizon": f"forecasts by horizon ({unit}; coverage of the 90 % band)",
         "by time": "the same by the time since the trace's start",

@@ -14,10 +14,10 @@ from gateway.console import CommandResult, Part, Rows, conclude, json_option, pr
 from gateway.entry import Exit, fail, interruptible, sentences
 from gateway.lab.judging.request import JudgingRequest, judging_options
 from gateway.lab.options import cluster_option, policy_option, traces_option
-from gateway.lab.traces.load import warned_of
+from gateway.lab.traces.load import channel_warnings
 from sim.lab.formats import write_model_directory
 from sim.lab.judge import (
-    LEARNED,
+    LEARNED_FOLDER,
     CampaignPlan,
     CampaignSummary,
     Facts,
@@ -27,24 +27,24 @@ from sim.lab.judge import (
     TraceResult,
     check_folder,
     claim_folder,
+    cluster_runner,
     conduct,
-    facts_of,
-    findings_of,
-    fitness_of,
+    distinct_labels,
+    fitness_verdict,
     gain,
-    held,
+    hold_folder,
+    judge_semantics,
     load_stage,
+    local_runner,
+    model_facts_by_semantics,
     natural,
-    relabelled,
-    run_here,
-    run_there,
     summaries,
-    unread,
+    unread_traces,
     verdict,
 )
 from sim.lab.recordings import ColumnMap, load_map, load_traces, units
 from sim.lab.tuning import METHODS, Task
-from sim.sha import Trace, shown_unit
+from sim.sha import Trace, display_unit
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,8 +60,10 @@ class CampaignFindings:
         """The answer to "may I use this model" with its reason and the next step, by label and semantics."""
         sentences = {}
         for name in dict.fromkeys(result.model for result in self.results):
-            found = findings_of([result for result in self.results if result.model == name], self.facts.get(name, {}))
-            sentences[name] = {semantics: fitness_of(each).sentence for semantics, each in found.items()}
+            found = judge_semantics(
+                [result for result in self.results if result.model == name], self.facts.get(name, {})
+            )
+            sentences[name] = {semantics: fitness_verdict(each).sentence for semantics, each in found.items()}
         return sentences
 
 
@@ -83,7 +85,7 @@ def campaign(
     """
     check_folder(out, overwrite=overwrite)
     column_map = load_map(request.map_file)
-    with nullcontext(run_here(request.workers)) if address is None else run_there(address) as run:
+    with nullcontext(local_runner(request.workers)) if address is None else cluster_runner(address) as run:
         # The models come before the traces and the learning after both: what can be refused at once is refused first.
         unlearned = to_learn(request.models)
         if unlearned and not request.training:
@@ -95,11 +97,11 @@ def campaign(
             training, learned_from = load_traces(list(request.training), column_map)
             column_map = column_map.model_copy(update={"alphabet": learned_from.alphabet})
             if unlearned:
-                warned_of(training, column_map.alphabet)
+                channel_warnings(training, column_map.alphabet)
         ready: list[tuple[str, Prepared | None]] = []
         for number, where in enumerate(request.models):
             progress(where, number / len(request.models))
-            ready.append((where, None if where in unlearned else request.prepared(where, column_map, training)))
+            ready.append((where, None if where in unlearned else request.prepare_model(where, column_map, training)))
         progress("reading traces", 0.0)
         begin = perf_counter()
         traces, report = load_traces(list(request.paths), column_map)
@@ -121,24 +123,24 @@ def campaign(
             units=units(column_map),
             campaign=CampaignSummary(created, facts),
         )
-        with held(out):
+        with hold_folder(out):
             stale = check_folder(out, overwrite=overwrite)  # again: nobody else can write there now
             folder = claim_folder(out, stale, (), {"created": created, **facts})
             known = training or ()
             models = [
-                model or _learned(where, request, column_map, known, out=out, progress=progress)
+                model or _learn_model(where, request, column_map, known, out=out, progress=progress)
                 for where, model in ready
             ]
-            prepared = relabelled(models)
+            prepared = distinct_labels(models)
             folder.assign([model.label for model in prepared])
             made = request.forecasts(prepared, traces, training, progress)
             seed = request.settings.seed
             skill = {model.label: made.skill(model.label, seed=seed) for model in prepared} if made else {}
-            known_facts = {model.label: facts_of(model) for model in prepared}
+            known_facts = {model.label: model_facts_by_semantics(model) for model in prepared}
             results = conduct(
                 prepared,
                 traces,
-                unread(report, traces),
+                unread_traces(report, traces),
                 loading=loading,
                 plan=plan,
                 folder=folder,
@@ -155,7 +157,7 @@ def to_learn(models: Sequence[str]) -> list[str]:
     return [name for name in models if name in METHODS and not Path(name).exists()]
 
 
-def _learned(
+def _learn_model(
     name: str,
     request: JudgingRequest,
     column_map: ColumnMap,
@@ -170,9 +172,9 @@ def _learned(
     silent = [replace(trace, events=()) for trace in training]
     task = Task(silent, column_map.alphabet, column_map.temperature, request.settings.seed, name)
     learned = METHODS[name].learn(task, {})
-    place = out / LEARNED / name
+    place = out / LEARNED_FOLDER / name
     write_model_directory(place, learned.model, learned.values)
-    return request.prepared(str(place), column_map, training)
+    return request.prepare_model(str(place), column_map, training)
 
 
 MOST_REASONS = 5
@@ -262,7 +264,7 @@ def _show(out: Path, found: CampaignFindings) -> Iterator[Part]:
         + [getattr(summary, name) for name in names]
         for summary in summaries(results)
     ]
-    units = " and ".join(dict.fromkeys(shown_unit(result.unit) for result in results))
+    units = " and ".join(dict.fromkeys(display_unit(result.unit) for result in results))
     yield Rows(f"validation, means over traces ({units})", (*columns, *more), rows)
     for name, by_semantics in found.fitness.items():
         own = [result for result in results if result.model == name]

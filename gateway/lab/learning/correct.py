@@ -22,7 +22,7 @@ from sim.lab.learning import (
     learn_max_rate,
     with_max_rate,
 )
-from sim.sha import encoded, joint_hash, shown_unit, unit_of
+from sim.sha import display_unit, encode_trace, joint_hash, signal_unit
 
 
 @click.command(short_help="Learn T' = k T + b from traces and write the corrected model.")
@@ -54,8 +54,8 @@ def correct(
         model = found.runnable()
         parent = model_hash(model)
         # Artefacts of the public learner know no unit: then that of the traces is the model's.
-        model = replace(model, unit=unit_of(traces, model.temperature, model.unit))
-        traces = [encoded(trace, model.alphabet) for trace in traces]
+        model = replace(model, unit=signal_unit(traces, model.temperature, model.unit))
+        traces = [encode_trace(trace, model.alphabet) for trace in traces]
         wanted = [candidate for candidate in FORMS if form in ("best", candidate)]
         learned = learn_correction(model, traces, forms=wanted, progress=report)
         rate = bites = None
@@ -97,7 +97,7 @@ def correct(
 
 
 def _show(data: dict[str, Any]) -> Iterator[Part]:
-    unit = shown_unit(data["unit"])
+    unit = display_unit(data["unit"])
     columns = ("form", "gain", "gain_error", "offset", "offset_error", "before", "after", "improvement_error", "runs")
     yield Rows(
         f"T' = gain T + offset; mean absolute error of held-out runs ({unit})",

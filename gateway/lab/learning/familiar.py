@@ -10,7 +10,7 @@ from gateway.outside.texts import all_words, strange_sentence
 from sim.artefacts import FAMILIARITY_FILE, Familiarity
 from sim.engine import open_loop
 from sim.familiarity import (
-    LEAST_CYCLES,
+    MIN_CYCLES,
     CyclePoints,
     FamiliarityReference,
     PointSource,
@@ -19,11 +19,11 @@ from sim.familiarity import (
     error_curve,
     fit_reference,
 )
-from sim.forecast import Z90, factors_at
+from sim.forecast import Z90, widening_factors
 from sim.lab.recordings import split_cycles
 from sim.sha import Array, Model, Switch, Trace
 
-LEAST = 20
+MIN_CYCLE_READINGS = 20
 """Readings below which a cycle says nothing."""
 
 ErrorPair = tuple[float, float]
@@ -55,20 +55,20 @@ def free_run_error(model: Model, cycle: Trace) -> FreeRunError | None:
     places = np.searchsorted(run.times, times)
     # The reading that it begins from says nothing.
     inside = (places < run.times.size) & (times > run.times[0])
-    if np.count_nonzero(inside) < LEAST:
+    if np.count_nonzero(inside) < MIN_CYCLE_READINGS:
         return None
     places, readings, ages = places[inside], readings[inside], times[inside] - run.times[0]
-    factor = np.maximum(factors_at(model.calibration, ages), 1.0)
+    factor = np.maximum(widening_factors(model.calibration, ages), 1.0)
     allowed = Z90 * factor * np.sqrt(run.variance[places] + model.sensor_sigma**2)
     off, moved = readings - run.mean[places], readings - measured[known][0]
     error, beyond, move = (sqrt(float(np.mean(values**2))) for values in (off, off / allowed, moved))
     return FreeRunError(error, error / beyond if beyond else float(allowed[0]), move)
 
 
-def features_of(model: Model, trace: Trace, begin: float = -inf, end: float = inf) -> CyclePoints:
+def cycle_features(model: Model, trace: Trace, begin: float = -inf, end: float = inf) -> CyclePoints:
     """The features along an encoded trace, or along the part of it from `begin` to `end` (s UTC)."""
     first, last = float(trace.times[0]), float(trace.times[-1])
-    source = PointSource.of(model.alphabet, model.temperature)
+    source = PointSource.for_alphabet(model.alphabet, model.temperature)
     return cycle_points(trace, source, begin=max(begin, first), end=min(end, last))
 
 
@@ -77,9 +77,9 @@ def strange_words(strange: Strangeness) -> str:
     return strange_sentence(all_words()["en"], strange.thing)
 
 
-def reference_of(points: Sequence[Array], machines: Sequence[str] | None = None) -> FamiliarityReference | None:
+def make_reference(points: Sequence[Array], machines: Sequence[str] | None = None) -> FamiliarityReference | None:
     """The law of cycles with these points; None where too few of them say anything."""
-    if sum(bool(len(each)) for each in points) < LEAST_CYCLES:
+    if sum(bool(len(each)) for each in points) < MIN_CYCLES:
         return None
     return fit_reference(points, machines)
 
@@ -104,7 +104,7 @@ def cycles_with_points(model: Model, trace: Trace) -> list[tuple[Trace, Array]]:
     for piece in split_cycles(trace, model.alphabet, gap=model.alphabet.gap):
         if piece.times.size:
             begin, end = float(piece.times[0]), float(piece.times[-1])
-            found.append((piece, features_of(model, trace, begin, end).values))
+            found.append((piece, cycle_features(model, trace, begin, end).values))
     return found
 
 
@@ -117,7 +117,7 @@ def trained_familiarity(model: Model, traces: Sequence[Trace]) -> Familiarity | 
     if not any(isinstance(channel, Switch) for channel in model.alphabet.channels):
         return None
     cycles = [each for trace in traces for each in cycles_with_points(model, trace)]
-    reference = reference_of([points for _, points in cycles], [cycle.machine for cycle, _ in cycles])
+    reference = make_reference([points for _, points in cycles], [cycle.machine for cycle, _ in cycles])
     if reference is None:
         return None
     pairs = [pair for cycle, points in cycles if (pair := error_pair(reference, model, cycle, points)) is not None]

@@ -26,13 +26,13 @@ from gateway.entry import sentences
 from gateway.lab.learning.familiar import familiarity_files, trained_familiarity
 from gateway.lab.models.show import show_model, show_verdict, spread_sentence, summary
 from gateway.lab.options import method_option, traces_option
-from gateway.lab.traces.load import load_reported, warned_of
+from gateway.lab.traces.load import channel_warnings, load_with_report
 from sim.artefacts import VERDICT_FILE, ModelVerdict
 from sim.lab.formats import check_free, write_model_directory
-from sim.lab.learning import LearningError, check_data, drivers_of, machine_corrections
+from sim.lab.learning import LearningError, check_data, find_drivers, machine_corrections
 from sim.lab.learning.lsha import FLOW_KINDS, LshaSettings
-from sim.lab.recordings import driven_by
-from sim.sha import Bins, Model, Trace, encode, encoded, shown_unit
+from sim.lab.recordings import with_levels
+from sim.sha import Bins, Model, Trace, display_unit, encode, encode_trace
 from sim.strict_json import json_text
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from sim.lab.recordings import ColumnMap
 
 REPORT = "learning_report"
-MOST_OTHERS = 16
+MAX_DRIVER_CANDIDATES = 16
 """Signals beside the alphabet's of which it is told whether they drive the temperature."""
 
 
@@ -113,16 +113,16 @@ def learn(
         folders = {each: out / each.replace("/", "_") for each in temperatures} if several else {}
         for folder in folders.values() or (out,):
             check_free(folder, name)  # nobody waits for a model that cannot be written
-        traces, column_map, read = load_reported(paths, map_name)
-        warnings = warned_of(traces, column_map.alphabet)
+        traces, column_map, read = load_with_report(paths, map_name)
+        warnings = channel_warnings(traces, column_map.alphabet)
         wanted = list(dict.fromkeys(temperatures)) or [column_map.temperature]
         for temperature in wanted:
             check_data(traces, temperature)  # before one of several is learned in vain
         taught: dict[Path, TaughtModel] = {}
         for number, temperature in enumerate(wanted):
-            part = partial(_part_of, report, number, len(wanted), temperature)
+            part = partial(_report_part, report, number, len(wanted), temperature)
             lshas = LshaSettings(**settings) if method == "lsha" else None
-            taught[folders.get(temperature, out)] = taught_model(
+            taught[folders.get(temperature, out)] = teach_model(
                 traces,
                 column_map,
                 temperature=temperature,
@@ -139,7 +139,7 @@ def learn(
             "file": str(written[folder]),
             **summary(each.model),
             "diagnostics": each.shown,
-            "verdict": each.verdict.told(),
+            "verdict": each.verdict.as_command_json(),
             "familiar_cycles": each.cycles,
             "machines": asdict(each.spread),
             "drivers": [{**asdict(one), "sentence": one.sentence} for one in each.drivers],
@@ -156,7 +156,7 @@ def learn(
     def show() -> Iterator[Part]:
         yield read.account()
         for folder, each in taught.items():
-            yield from _shown(each, folder)
+            yield from _model_parts(each, folder)
         several = len(taught) > 1
         kept = [
             f"--keep {shlex.quote(f'{_model_key(each.model, several)}={folder}')}"
@@ -169,7 +169,7 @@ def learn(
     conclude(CommandResult(data), lambda _: show(), as_json=as_json)
 
 
-def _part_of(report: Progress, number: int, count: int, temperature: str, what: str, share: float) -> None:
+def _report_part(report: Progress, number: int, count: int, temperature: str, what: str, share: float) -> None:
     report(f"{temperature}: {what}" if count > 1 else what, (number + share) / count)
 
 
@@ -178,7 +178,7 @@ def _model_key(model: Model, several: bool) -> str:
     return f"temperature.{model.temperature}.model" if several else "model.path"
 
 
-def _shown(taught: TaughtModel, out: Path) -> Iterator[Part]:
+def _model_parts(taught: TaughtModel, out: Path) -> Iterator[Part]:
     yield from show_model(taught.model)
     for title, rows in taught.shown.items():
         if rows:
@@ -188,7 +188,7 @@ def _shown(taught: TaughtModel, out: Path) -> Iterator[Part]:
     for signal in taught.left_out:
         yield f"left out of the alphabet: {signal}, which follows"
     yield from taught.not_looked_at
-    yield spread_sentence(taught.spread, shown_unit(taught.model.unit))
+    yield spread_sentence(taught.spread, display_unit(taught.model.unit))
     cycles = taught.cycles
     yield f"familiarity: {f'{cycles} cycles' if cycles else 'unknown, too few cycles with an hour before them'}"
     yield f"model directory: {out}"
@@ -227,7 +227,7 @@ class TaughtModel:
         return write_model_directory(out, self.model, self.values, observations=self.observations, more=self.more)
 
 
-def taught_model(
+def teach_model(
     traces: Sequence[Trace],
     column_map: ColumnMap,
     *,
@@ -244,9 +244,9 @@ def taught_model(
     cannot teach one.
     """
     # The judge brings rooms that a command begins without.
-    from sim.lab.judge import judge_learned
+    from sim.lab.judge import judge_learning
 
-    column_map, traces, evidence, left_out, not_looked_at = _driven(traces, column_map, temperature, drivers)
+    column_map, traces, evidence, left_out, not_looked_at = _choose_drivers(traces, column_map, temperature, drivers)
     observations, acceptance, more = None, None, dict[str, str]()
     if lsha is not None:
         from sim.lab.learning.lsha import learn_lsha, report_document, report_text
@@ -263,13 +263,13 @@ def taught_model(
         observations, acceptance, shown = account.table, account.acceptance, lsha_diagnostics(words_learned)
         coverage = account.coverage
     else:
-        learned = learn_from(traces, column_map, name=name, seed=seed, report=report, temperature=temperature)
+        learned = learn_traces(traces, column_map, name=name, seed=seed, report=report, temperature=temperature)
         model, spread, values, shown = learned.model, learned.spread, learned.values, diagnostics(learned)
         coverage = learned.coverage
     # Of several machines it is a model of their type, and has what is each one's own.
     model = replace(model, machines=machine_corrections(model, traces, spread))
     familiar = trained_familiarity(model, traces)
-    verdict = judge_learned(model, [encoded(trace, model.alphabet) for trace in traces], coverage)
+    verdict = judge_learning(model, [encode_trace(trace, model.alphabet) for trace in traces], coverage)
     return TaughtModel(
         model=model,
         drivers=evidence,
@@ -286,7 +286,7 @@ def taught_model(
     )
 
 
-def _driven(
+def _choose_drivers(
     traces: Sequence[Trace], column_map: ColumnMap, temperature: str, drivers: Sequence[str]
 ) -> tuple[ColumnMap, Sequence[Trace], tuple[DriverEvidence, ...], tuple[str, ...], tuple[str, ...]]:
     """The map and traces by the alphabet that drives the temperature, the evidence, and which signals are left out.
@@ -301,7 +301,7 @@ def _driven(
         if name not in known or name == temperature:
             raise LearningError(f"{name!r} cannot drive {temperature!r}; the signals are {', '.join(known)}")
     if drivers:
-        alphabet = driven_by(alphabet, list(dict.fromkeys(drivers)), traces)
+        alphabet = with_levels(alphabet, list(dict.fromkeys(drivers)), traces)
     levels = [channel.signal for channel in alphabet.channels if isinstance(channel, Bins)]
     switches = [channel.signal for channel in alphabet.channels if not isinstance(channel, Bins)]
     shared = [name for name in known if all(name in trace.signals for trace in traces)]
@@ -309,11 +309,14 @@ def _driven(
     absent = [name for name in known if name not in (*shared, temperature, *switches)]
     reasons = {
         "not every trace has it": absent,
-        f"no more than {MOST_OTHERS} beside the alphabet's are": others[MOST_OTHERS:],
+        f"no more than {MAX_DRIVER_CANDIDATES} beside the alphabet's are": others[MAX_DRIVER_CANDIDATES:],
     }
     not_looked_at = tuple(f"not looked at: {', '.join(names)}: {why}" for why, names in reasons.items() if names)
-    evidence = drivers_of(
-        traces, temperature, [*(name for name in levels if name in shared), *others[:MOST_OTHERS]], gap=alphabet.gap
+    evidence = find_drivers(
+        traces,
+        temperature,
+        [*(name for name in levels if name in shared), *others[:MAX_DRIVER_CANDIDATES]],
+        gap=alphabet.gap,
     )
     follow = {one.signal for one in evidence if one.verdict == "follows"} & set(levels) - set(drivers)
     # A single one is what whoever wrote the map means: it is only said.
@@ -328,7 +331,7 @@ def _driven(
     return column_map, traces, evidence, left_out, not_looked_at
 
 
-def learn_from(
+def learn_traces(
     traces: Sequence[Trace],
     column_map: ColumnMap,
     *,

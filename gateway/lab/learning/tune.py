@@ -10,16 +10,16 @@ import click
 from gateway.console import CommandResult, Part, Rows, conclude, json_option, map_option, progress, seed_option
 from gateway.entry import Exit, interruptible, sentences
 from gateway.lab.options import method_option, traces_option
-from gateway.lab.traces.load import load, warned_of
+from gateway.lab.traces.load import channel_warnings, load
 from sim.artefacts import VERDICT_FILE
 from sim.lab.formats import write_model_directory
-from sim.lab.judge import judge_learned
+from sim.lab.judge import judge_learning
 from sim.lab.recordings import split_cycles
 from sim.lab.tuning import Objective, StudyPlan, Tuning, final_model
 from sim.lab.tuning import tune as searched
-from sim.sha import encoded, shown_unit, unit_of
+from sim.sha import display_unit, encode_trace, signal_unit
 
-SHOWN = 10
+MAX_LISTED_TRIALS = 10
 
 
 @click.command(short_help="Search a learning method's best settings by cross-validation over traces.")
@@ -72,10 +72,10 @@ def tune(
     """
     with sentences(), progress(f"tuning ({method})") as bar, interruptible(bar) as report:
         traces, column_map = load(paths, map_name)
-        warnings = warned_of(traces, column_map.alphabet)
+        warnings = channel_warnings(traces, column_map.alphabet)
         if cycles:
             traces = [piece for trace in traces for piece in split_cycles(trace, column_map.alphabet)]
-        unit = unit_of(traces, column_map.temperature)
+        unit = signal_unit(traces, column_map.temperature)
         plan = StudyPlan(method, objective, folds, seed)
         tuning = searched(
             traces,
@@ -95,8 +95,8 @@ def tune(
                 raise ValueError(f"{tuning.sentence}; nothing is written to {out}")
             alphabet, temperature = column_map.alphabet, column_map.temperature
             learned = final_model(traces, alphabet, temperature, plan=plan, trial=tuning.best, name=name)
-            verdict = judge_learned(
-                learned.model, [encoded(trace, learned.model.alphabet) for trace in traces], learned.coverage
+            verdict = judge_learning(
+                learned.model, [encode_trace(trace, learned.model.alphabet) for trace in traces], learned.coverage
             )
             write_model_directory(out, learned.model, learned.values, more={VERDICT_FILE: verdict.text()})
             written = out
@@ -111,14 +111,16 @@ def tune(
     }
     complaint = f"stopped after {len(tuning.trials)} trials; the same command goes on with {study}"
     found = CommandResult(data, complaint if tuning.stopped else "", Exit.INTERRUPTED)
-    conclude(found, lambda _: _show(tuning, plan, study, written, shown_unit(unit)), as_json=as_json)
+    conclude(found, lambda _: _show(tuning, plan, study, written, display_unit(unit)), as_json=as_json)
 
 
 def _show(tuning: Tuning, plan: StudyPlan, study: Path, written: Path | None, unit: str) -> Iterator[Part]:
     figure = f"CRPS ({unit})" if plan.objective == "crps" else "minus log-likelihood per reading"
     complete = sorted((trial for trial in tuning.trials if trial.state == "complete"), key=lambda trial: trial.value)
-    rows = [[trial.number, trial.value, trial.error, trial.settings or "defaults"] for trial in complete[:SHOWN]]
-    if tuning.default is not None and tuning.default not in complete[:SHOWN]:
+    rows = [
+        [trial.number, trial.value, trial.error, trial.settings or "defaults"] for trial in complete[:MAX_LISTED_TRIALS]
+    ]
+    if tuning.default is not None and tuning.default not in complete[:MAX_LISTED_TRIALS]:
         rows.append([tuning.default.number, tuning.default.value, tuning.default.error, "defaults"])
     others: dict[str, Any] = {}
     for trial in tuning.trials:

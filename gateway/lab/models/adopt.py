@@ -8,13 +8,13 @@ import click
 
 from gateway.console import CommandResult, conclude, json_option
 from gateway.entry import sentences
-from sim.artefacts import effect_line_in, effect_lines_text, read_effect_lines
+from sim.artefacts import effect_lines_text, read_effect_lines, read_embedded_line
 from sim.effects import LineError, own_kind
 from sim.files import replace_durably
 from sim.sha import EffectLine
 
 
-def law_of(folder: Path, number: int) -> EffectLine:
+def read_law(folder: Path, number: int) -> EffectLine:
     """The line of the `number`-th law (from 1) in a diagnosis' folder. Raises ValueError or OSError."""
     file = folder / "diagnosis.json"
     try:
@@ -34,7 +34,7 @@ def law_of(folder: Path, number: int) -> EffectLine:
             f"{file}: law {number} ({law.get('expression')}) cannot be a line: no engine has lags, rhythms or a "
             "calendar; record what lies behind it as a signal, and diagnose again"
         )
-    return effect_line_in(law["line"], file, f"laws[{number - 1}].line")
+    return read_embedded_line(law["line"], file, f"laws[{number - 1}].line")
 
 
 @click.command()
@@ -52,7 +52,7 @@ def adopt(folder: Path, number: int, name: str, meaning: str | None, look: str, 
     with an expression, and no more. `decanter diagnose --effects FILE` then tests it like those of the catalogue.
     """
     with sentences():
-        line = law_of(folder, number)
+        line = read_law(folder, number)
         line = replace(line, name=name, meaning=meaning or line.meaning, look=look)
         try:
             own_kind(line)

@@ -19,7 +19,7 @@ from sim.lab.formats.foreign import file_names, to_artefacts, write_artefacts
 from sim.lab.recordings import ColumnMap
 from sim.lab.uppaal import EngineError, base_name, compare, find_engine, native_runs, run_engine, write
 from sim.lab.uppaal import export as export_trace
-from sim.sha import Model, Trace, encoded
+from sim.sha import Model, Trace, encode_trace
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +64,7 @@ def export_uppaal(
     """
     found_model: FoundModel = find_model(where, alphabet=column_map.alphabet, temperature=column_map.temperature)
     model = found_model.runnable()
-    traces = [encoded(trace, model.alphabet) for trace in traces]
+    traces = [encode_trace(trace, model.alphabet) for trace in traces]
     # Looked at before anything is written. Two file names that differ by case alone are one on some systems.
     files: dict[str, str] = {}
     for trace in traces:
@@ -84,13 +84,15 @@ def export_uppaal(
     for index, trace in enumerate(traces):
         report(trace.name, index / len(traces))
         try:
-            rows.append(_exported(model, trace, order, engine, missing))
+            rows.append(_export_trace(model, trace, order, engine, missing))
         except ValueError as error:
             rows.append({"trace": trace.name, "error": sentence(error)})
     return rows
 
 
-def _exported(model: Model, trace: Trace, order: ExportOptions, engine: Path | None, missing: str) -> dict[str, Any]:
+def _export_trace(
+    model: Model, trace: Trace, order: ExportOptions, engine: Path | None, missing: str
+) -> dict[str, Any]:
     """The files of one trace, and where there is an engine its answers beside the native ones."""
     exported = export_trace(
         model, trace, policy=order.policy, start=order.start, tick=order.tick, formulas=order.queries

@@ -10,11 +10,11 @@ from gateway.console import CommandResult, Part, conclude, json_option
 from gateway.entry import sentences
 from sim.artefacts import (
     FAMILIARITY_FILE,
-    UNJUDGED,
+    NO_VERDICT_TEXT,
     VERDICT_FILE,
     Force,
     ModelVerdict,
-    forced,
+    find_force,
     ran,
     read_familiarity,
     read_verdict,
@@ -55,11 +55,11 @@ def promote(
             more |= {} if found.verdict is None else {VERDICT_FILE: found.verdict.text()}
             version = save(store, found.runnable(), created=now, more=more)
         chosen = str(version)
-        judged = {name: _judged(store, name) for name in (*ran(store)[-1:], chosen)}
+        judged = {name: _find_verdict(store, name) for name in (*ran(store)[-1:], chosen)}
         promote_version(store, chosen, Force(str(by), reason, now) if reason is not None else None)
-        force = forced(store)
+        force = find_force(store)
     sentence = f"{store}: {chosen} is current" + (f", forced by {force.by}: {force.reason}" if force else "")
-    verdicts = {name: own.told() if isinstance(own, ModelVerdict) else None for name, own in judged.items()}
+    verdicts = {name: own.as_command_json() if isinstance(own, ModelVerdict) else None for name, own in judged.items()}
     data = {"store": str(store), "current": chosen, "forced": force is not None, "verdicts": verdicts}
 
     def show() -> Iterator[Part]:
@@ -71,9 +71,9 @@ def promote(
     conclude(CommandResult(data), lambda _: show(), as_json=as_json)
 
 
-def _judged(store: Path, version: str) -> ModelVerdict | str:
+def _find_verdict(store: Path, version: str) -> ModelVerdict | str:
     """A version's verdict, or why there is none: what has befallen the one that ran before is no obstacle."""
     try:
-        return read_verdict(version_directory(store, version)) or UNJUDGED
+        return read_verdict(version_directory(store, version)) or NO_VERDICT_TEXT
     except ArtefactError as error:
         return f"its verdict cannot be read: {error}"

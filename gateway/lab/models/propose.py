@@ -57,7 +57,7 @@ def recorded_drift(
     return RecordedDrift(int(said.get("cycles", 0)), int(alarm))
 
 
-def store_of(where: str) -> Path:
+def require_store(where: str) -> Path:
     """The store at `where`, in which a candidate can be saved. Raises ValueError where it is none."""
     store = Path(where)
     if not is_store(store):
@@ -67,7 +67,7 @@ def store_of(where: str) -> Path:
     return store
 
 
-def finding_of(diagnosis: Diagnosis, diagnosed: str) -> DiagnosisFinding:
+def make_finding(diagnosis: Diagnosis, diagnosed: str) -> DiagnosisFinding:
     """What is kept beside the candidate of a diagnosis of the version `diagnosed`. Raises ValueError without a name."""
     held = diagnosis.held_out
     if held is None or not diagnosis.effects:
@@ -93,7 +93,7 @@ def propose(store: Path, new: Model, diagnosis: Diagnosis, *, created: float) ->
     else add one a night until somebody decides. Raises ArtefactError.
     """
     running = current(store)
-    finding = finding_of(diagnosis, running)
+    finding = make_finding(diagnosis, running)
     for name in versions(store):
         known = read_finding(version_directory(store, name))
         if known is not None and (known.diagnosed, _names(known)) == (running, _names(finding)):

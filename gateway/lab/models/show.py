@@ -11,10 +11,10 @@ import click
 
 from gateway.console import CommandResult, Line, Part, Rows, conclude, json_option
 from gateway.entry import sentences
-from sim.artefacts import UNJUDGED, ModelVerdict, model_hash
+from sim.artefacts import NO_VERDICT_TEXT, ModelVerdict, model_hash
 from sim.effects import effect_summary
 from sim.lab.formats import find_model
-from sim.sha import SHA, Model, Stay, distributions, shown_unit
+from sim.sha import SHA, Model, Stay, display_unit, distributions
 
 if TYPE_CHECKING:
     from sim.lab.formats import FoundModel
@@ -54,7 +54,7 @@ def show(name: str, as_json: bool) -> None:
             yield from show_model(shown)
             yield from show_verdict(verdict)
 
-        said = {"verdict": None if verdict is None else verdict.told()}
+        said = {"verdict": None if verdict is None else verdict.as_command_json()}
         conclude(CommandResult(summary(shown) | said), lambda _: show_both(), as_json=as_json)
 
 
@@ -133,7 +133,7 @@ def show_model(shown: Model) -> Iterator[Part]:
         columns,
         [list(row.values()) for row in rows],
     )
-    unit = shown_unit(shown.unit)
+    unit = display_unit(shown.unit)
     for effect in shown.sha.effects:
         match effect.kind:
             case "heat-disturbance":
@@ -171,7 +171,7 @@ def show_model(shown: Model) -> Iterator[Part]:
 
 def show_verdict(verdict: ModelVerdict | None) -> Iterator[Part]:
     """The verdict that lies beside a model, in one line, or that there is none."""
-    yield UNJUDGED if verdict is None else Line(verdict.sentence, _COLOURS[verdict.word])
+    yield NO_VERDICT_TEXT if verdict is None else Line(verdict.sentence, _COLOURS[verdict.word])
 
 
 _COLOURS = {"fit": "green", "limited": "yellow", "not known": "yellow", "unfit": "red"}

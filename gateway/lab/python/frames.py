@@ -15,18 +15,18 @@ from typing import TYPE_CHECKING, get_args, overload
 
 import pandas as pd
 
-from drivers.settings import checked
-from gateway.console import shipped
+from drivers.settings import validate_section
+from gateway.console import shipped_file
 from gateway.entry import sentence
 from gateway.lab.checking.simulate import simulate_traces
-from gateway.lab.gap.diagnose import DiagnosisRequest, roles_of, run
-from gateway.lab.judging.skill import MOST_MOMENTS, skill_along, spaced
-from gateway.lab.learning.learn import TaughtModel, taught_model
+from gateway.lab.gap.diagnose import DiagnosisRequest, run, signal_roles
+from gateway.lab.judging.skill import MOST_MOMENTS, measure_skill, spread_period
+from gateway.lab.learning.learn import TaughtModel, teach_model
 from gateway.lab.options import Method
-from gateway.machine.model import forecasts_along
+from gateway.machine.model import forecast_trace
 from gateway.settings import ForecastSection
 from sim.engine import Policy, Start
-from sim.forecast import LEVELS
+from sim.forecast import FAN_LEVELS
 from sim.lab.discrepancy import Diagnosis
 from sim.lab.formats import FoundModel, find_model, write_model_directory
 from sim.lab.judge import ForecastSkill
@@ -35,14 +35,14 @@ from sim.lab.recordings import (
     ColumnMap,
     TraceError,
     channel_uses,
-    listed,
+    list_names,
     load_map,
     load_traces,
     parse_map,
     since_1970,
 )
 from sim.lab.recordings.mapping import Answers, Undecided, draft_map
-from sim.sha import Array, Model, Trace, encoded
+from sim.sha import Array, Model, Trace, encode_trace
 
 if TYPE_CHECKING:
     from sim.lab.checking.smc import Answer
@@ -66,9 +66,9 @@ def _several(name: str, given: object) -> tuple[str, ...]:
     return tuple(filter(None, several))
 
 
-def _one_of(name: str, given: object, choices: Sequence[str]) -> None:
+def _check_choice(name: str, given: object, choices: Sequence[str]) -> None:
     if given not in choices:
-        raise ValueError(f"{name}={given!r}: is no answer; give {listed(map(repr, choices))}")
+        raise ValueError(f"{name}={given!r}: is no answer; give {list_names(map(repr, choices))}")
 
 
 def _whole(name: str, given: object, least: int = 0) -> None:
@@ -226,7 +226,7 @@ def read(
 
     Raises TraceError (a ValueError) with one sentence: nothing that can be used, or a question with its answers.
     """
-    with _said_in_python(""):
+    with _python_errors(""):
         answers = Answers(
             temperature=temperature,
             current=_several("current", current),
@@ -273,17 +273,17 @@ def _read(
     shown: str,
 ) -> Recording:
     """As `read`; `shown` is the path that stands for a data frame."""
-    with _said_in_python(shown):
+    with _python_errors(shown):
         said: list[str] = []
         if column_map is None:
             if not isinstance(source, str | Path):
                 raise TraceError("of several files somebody has to say how they are read; give column_map")
-            text, told = _drafted(Path(source), answers, guess=guess)
+            text, told = _draft(Path(source), answers, guess=guess)
             column_map, said = parse_map(text, str(source)), [_plain(each, shown) for each in told]
         elif isinstance(column_map, ColumnMap):
             text = ""
         else:
-            file = shipped("traces", str(column_map))
+            file = shipped_file("traces", str(column_map))
             column_map, text = load_map(file), file.read_text(encoding="utf-8")
         traces, report = load_traces(source, column_map)
     said += [
@@ -301,7 +301,7 @@ def _read(
     )
 
 
-def _drafted(path: Path, answers: Answers, *, guess: bool) -> tuple[str, list[str]]:
+def _draft(path: Path, answers: Answers, *, guess: bool) -> tuple[str, list[str]]:
     taken: list[str] = []
     while True:
         try:
@@ -339,7 +339,7 @@ def _write(frame: Frame, path: Path) -> None:
 
 
 @contextmanager
-def _said_in_python(shown: str) -> Iterator[None]:
+def _python_errors(shown: str) -> Iterator[None]:
     """Have what is wrong told in the words of these functions, where the command would name its options."""
     try:
         yield
@@ -406,7 +406,7 @@ def learn(
     cannot teach a model.
     """
     _recorded("recording", recording)
-    _one_of("method", method, get_args(Method))
+    _check_choice("method", method, get_args(Method))
     _whole("seed", seed)
     if settings is not None and method != "lsha":
         raise ValueError('settings belong to method="lsha"; leave them out, or choose that method')
@@ -416,7 +416,7 @@ def learn(
     )
 
     def one(signal: str) -> LearnedModel:
-        taught = taught_model(
+        taught = teach_model(
             recording.traces,
             recording.column_map,
             temperature=signal,
@@ -462,14 +462,14 @@ def forecast(
     probability that `limit` is reached by then. Nothing of what comes after a moment is known to its forecast. Raises
     ValueError for a trace without a signal that the model reads.
     """
-    asked = _asked(horizons, period, seed, moments=moments, scan=scan)
+    asked = _forecast_section(horizons, period, seed, moments=moments, scan=scan)
     _seconds("since", since)
     _seconds("limit", limit)
     chosen = _runnable(model, recording)
     rows = []
     for trace in recording.traces:
-        section = asked.model_copy(update={"period": spaced(trace, asked.period, moments)})
-        for made in forecasts_along([chosen], trace, section, scan_period=scan, since=since, limit=limit):
+        section = asked.model_copy(update={"period": spread_period(trace, asked.period, moments)})
+        for made in forecast_trace([chosen], trace, section, scan_period=scan, since=since, limit=limit):
             for column, horizon in enumerate(made.horizons.tolist()):
                 quantiles = dict(zip(made.levels, made.quantiles[:, column].tolist(), strict=True))
                 rows.append({
@@ -478,7 +478,7 @@ def forecast(
                     "time": made.time,
                     "horizon": horizon,
                     "due": made.time + horizon,
-                    **{f"q{round(100 * level):02d}": quantiles[level] for level in LEVELS},
+                    **{f"q{round(100 * level):02d}": quantiles[level] for level in FAN_LEVELS},
                     "p_limit": made.exceedance[column].probability,
                 })  # fmt: skip
     if not rows:
@@ -487,13 +487,15 @@ def forecast(
     return frame.assign(time=_moments(frame["time"].to_numpy()), due=_moments(frame["due"].to_numpy()))
 
 
-def _asked(horizons: Sequence[float], period: float, seed: int, *, moments: int, scan: float) -> ForecastSection:
+def _forecast_section(
+    horizons: Sequence[float], period: float, seed: int, *, moments: int, scan: float
+) -> ForecastSection:
     _whole("moments", moments, 1)
     _seconds("scan", scan)
     if not 0 < scan < inf:
         raise ValueError(f"scan={scan!r}: no scan is so long; give its seconds, above 0")
     wanted = {"horizons": horizons, "period": period, "seed": seed}
-    return checked(ForecastSection, wanted, "forecast")
+    return validate_section(ForecastSection, wanted, "forecast")
 
 
 def judge(
@@ -513,10 +515,10 @@ def judge(
     Beside persistence, and beside the statistical rivals fitted to `training` where that is given. Times as those of
     `forecast`. Raises ValueError where no forecast came due.
     """
-    asked = _asked(horizons, period, seed, moments=moments, scan=scan)
+    asked = _forecast_section(horizons, period, seed, moments=moments, scan=scan)
     if training is not None:
         _recorded("training", training)
-    along = skill_along(
+    along = measure_skill(
         [_runnable(model, recording)],
         recording.traces,
         training=None if training is None else training.traces,
@@ -565,7 +567,7 @@ def diagnose(
             created=now(),
             report=out is not None,
         )
-        result = run(request, chosen, recording.traces, roles_of(recording.column_map), progress)
+        result = run(request, chosen, recording.traces, signal_roles(recording.column_map), progress)
     diagnosis = result.diagnosis
     return DiagnosedGap(
         verdict=diagnosis.verdict,
@@ -593,12 +595,12 @@ def simulate(
     A row for each trace: errors in the temperature's unit, the 90 % band's coverage (0 to 1) over `runs` stochastic
     runs; a trace that the model cannot follow has the reason in `error`.
     """
-    _one_of("policy", policy, get_args(Policy))
-    _one_of("start", start, get_args(Start))
+    _check_choice("policy", policy, get_args(Policy))
+    _check_choice("start", start, get_args(Start))
     _whole("runs", runs, 2)
     _whole("seed", seed)
     chosen = _runnable(model, recording)
-    traces = [encoded(trace, chosen.alphabet) for trace in recording.traces]
+    traces = [encode_trace(trace, chosen.alphabet) for trace in recording.traces]
     rows = simulate_traces(
         chosen, traces, runs=runs, policy=policy, start=start, seed=seed, picture=None, report=progress
     )
@@ -623,7 +625,7 @@ def check(
     ValueError for a query that cannot be read.
     """
     # An installation may be without queries, which nothing else here needs.
-    from gateway.lab.checking.check import answered
+    from gateway.lab.checking.check import answer_query
     from sim.lab.checking.smc import QuerySettings
 
     if not isinstance(query, str):
@@ -640,11 +642,11 @@ def check(
         raise ValueError(f"the recording has {len(traces)} traces; a query takes one, whose events drive the runs")
     _modelled(model)
     if isinstance(model, str | Path):
-        found = _found(model, recording)
+        found = _find_model(model, recording)
     else:
         own = model.model if isinstance(model, LearnedModel) else model
         found = FoundModel(own.sha.name, own.sha, own)
-    return answered(
+    return answer_query(
         query,
         found,
         traces[0] if traces else None,
@@ -654,7 +656,7 @@ def check(
     )
 
 
-def _found(where: str | Path, recording: Recording | None) -> FoundModel:
+def _find_model(where: str | Path, recording: Recording | None) -> FoundModel:
     if recording is None:
         return find_model(where)
     return find_model(where, alphabet=recording.column_map.alphabet, temperature=recording.temperature)
@@ -671,7 +673,7 @@ def _runnable(model: ModelLike, recording: Recording) -> Model:
     _recorded("recording", recording)
     if isinstance(model, LearnedModel):
         return model.model
-    return model if isinstance(model, Model) else _found(model, recording).runnable()
+    return model if isinstance(model, Model) else _find_model(model, recording).runnable()
 
 
 def _moments(seconds: Array) -> pd.DatetimeIndex | Array:

@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import Any
 
 from gateway.entry import sentence
-from gateway.lab.json_rows import RowKeys, append_row, checked_row, read_rows
-from gateway.lab.judging.figures import scores_along
+from gateway.lab.json_rows import RowKeys, append_row, check_row, read_rows
+from gateway.lab.judging.figures import score_trace
 from gateway.lab.regression.standard import CodeVersion, StandardSet
 from sim.artefacts import model_hash
-from sim.files import at, held_alone
+from sim.files import file_error, held_alone
 from sim.lab.judge import PRESENT
 from sim.sha import Model, content_hash
 
@@ -70,7 +70,7 @@ ROWS: Mapping[str, type[RowKeys]] = {"result": ResultRow, "run": RunRow, "accept
 
 @dataclass(slots=True)
 class RegressionHistory:
-    """The file of all results and runs; see `opened_history`.
+    """The file of all results and runs; see `open_history`.
 
     A `result` is of a model along a trace by a program and a seed, so that none is computed twice; a `run` says which
     models there were under which names.
@@ -109,19 +109,21 @@ class RegressionHistory:
 
 
 @contextmanager
-def opened_history(path: Path) -> Iterator[RegressionHistory]:
+def open_history(path: Path) -> Iterator[RegressionHistory]:
     """The history in a file, held by this process alone; made where there is none.
 
     Raises ArtefactError where it is no such file or another process holds it, OSError where it cannot be written.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    busy = at(path, None, "another process is writing this history; wait for it")
+    busy = file_error(path, None, "another process is writing this history; wait for it")
     with held_alone(path.with_name(f".{path.name}.lock"), busy):
         rows = read_rows(path)
         for number, row in enumerate(rows, 1):
             if row.get("format") != FORMAT or row.get("kind") not in tuple(ROWS):
-                raise at(path, number, "is no row of a history of regressions; give another file, or a new name")
-            checked_row(path, number, row, ROWS[row["kind"]])
+                raise file_error(
+                    path, number, "is no row of a history of regressions; give another file, or a new name"
+                )
+            check_row(path, number, row, ROWS[row["kind"]])
         yield RegressionHistory(path, rows)
 
 
@@ -145,7 +147,7 @@ def run_standard(
 
     The models are all that there are under `places`, called as seen from the history.
     """
-    hashes = {subject: _hash_of(model) for subject, model in models.items()}
+    hashes = {subject: _subject_hash(model) for subject, model in models.items()}
     known = {(row["model"], row["trace"], row["code"], row["seed"]) for row in history.rows if row["kind"] == "result"}
     traces = {content_hash(trace): trace for trace in standard.traces}
     for number, (subject, model) in enumerate(models.items()):
@@ -159,7 +161,7 @@ def run_standard(
             failed = model if isinstance(model, str) else ""
             if not isinstance(model, str):
                 try:
-                    found = scores_along(trace, model, None, seed=seed, report=lambda what, share: None)
+                    found = score_trace(trace, model, None, seed=seed, report=lambda what, share: None)
                     if not all(isfinite(each["crps"]) for each in found):
                         raise ValueError("its forecasts are no finite numbers")
                     scores = [{name: each[name] for name in KEPT} for each in found]
@@ -172,6 +174,6 @@ def run_standard(
     history.add({**run, "models": hashes, "traces": sorted(traces), "places": list(places)})
 
 
-def _hash_of(model: Model | str) -> str:
+def _subject_hash(model: Model | str) -> str:
     # What cannot be run is known by the sentence why.
     return sha256(model.encode()).hexdigest() if isinstance(model, str) else model_hash(model)

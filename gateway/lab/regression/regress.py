@@ -11,13 +11,13 @@ import click
 
 from gateway.console import CommandResult, Line, Part, Rows, conclude, json_option, map_option, progress, seed_option
 from gateway.entry import interruptible, sentences
-from gateway.lab.regression.history import opened_history, run_standard
-from gateway.lab.regression.standard import StandardSet, code_version, models_in, read_standard
-from gateway.lab.regression.worse import gone_models, regressions_of, trace_notes
-from sim.files import ArtefactError, check_utf8, resolved
+from gateway.lab.regression.history import open_history, run_standard
+from gateway.lab.regression.standard import StandardSet, code_version, load_models, read_standard
+from gateway.lab.regression.worse import find_regressions, gone_models, trace_notes
+from sim.files import ArtefactError, check_utf8, resolve_links
 from sim.lab.judge import PRESENT
 from sim.lab.learning import PERSISTENCE
-from sim.sha import DEGREES, Model, shown_unit
+from sim.sha import DEFAULT_UNIT, Model, display_unit
 
 
 @click.command("regress", short_help="Run a standard set against all models; say what became worse since when.")
@@ -51,23 +51,23 @@ def regress(
         check_utf8(file)
         traces = read_standard(standard, map_name)
         models, broken = _models(places, file.parent, traces)
-        asked = [_seen_from(file.parent, place) for place in places]
+        asked = [_relative_place(file.parent, place) for place in places]
         code = code_version()
-        with opened_history(file) as history:
+        with open_history(file) as history:
             run_standard(models, traces, history, places=asked, code=code, seed=seed, clock=time.time, report=report)
-            worse = [each for subject in models for each in regressions_of(subject, history, seed=seed)]
+            worse = [each for subject in models for each in find_regressions(subject, history, seed=seed)]
             gone, notes = gone_models(history), trace_notes(history)
             last = history.rows[-1]
             results = {subject: history.results(last, subject) for subject in models}
             if reason is not None:
                 when = datetime.fromtimestamp(time.time(), UTC).isoformat(timespec="seconds")
                 history.add({"kind": "accepted", "when": when, "reason": reason, "models": list(models), "seed": seed})
-    unit = {subject: DEGREES if isinstance(model, str) else model.unit for subject, model in models.items()}
+    unit = {subject: DEFAULT_UNIT if isinstance(model, str) else model.unit for subject, model in models.items()}
     said = [each if isinstance(each, str) else each.sentence(unit[each.subject]) for each in worse]
     rows = [row for subject in models for row in _means(subject, results[subject])]
     data: dict[str, Any] = {"history": str(file), "code": code.content, "release": code.release, "commit": code.commit}
     data |= {"results": rows, "units": unit, "worse": said, "accepted": reason}
-    data |= {"failed": {subject: _failed(own) for subject, own in results.items() if _failed(own)}}
+    data |= {"failed": {subject: _failures(own) for subject, own in results.items() if _failures(own)}}
     data |= {"gone": gone, "trace_problems": traces.problems, "notes": notes}
     summary = {
         f"{len(said) or 'nothing'} became worse": True,
@@ -78,7 +78,7 @@ def regress(
 
     def show() -> Iterator[Part]:
         if rows:
-            units = ", ".join(sorted({shown_unit(each) for each in unit.values()}))
+            units = ", ".join(sorted({display_unit(each) for each in unit.values()}))
             title = f"standard set, {len(traces.traces)} traces, CRPS in {units}, program {code}"
             yield Rows(title, list(rows[0]), [list(row.values()) for row in rows])
         for subject, reasons in data["failed"].items():
@@ -105,20 +105,20 @@ def _models(places: Sequence[Path], folder: Path, traces: StandardSet) -> tuple[
     for place in places:
         found: Mapping[str, Model | str]
         try:
-            found = models_in(place, traces)
+            found = load_models(place, traces)
         except ArtefactError as error:
             broken.append(str(error))
             found = {str(place): str(error)}
-        models |= {_seen_from(folder, Path(name)): model for name, model in found.items()}
+        models |= {_relative_place(folder, Path(name)): model for name, model in found.items()}
     if len(broken) == len(places):
         raise ArtefactError(broken[0])
     return models, broken
 
 
-def _seen_from(folder: Path, path: Path) -> str:
+def _relative_place(folder: Path, path: Path) -> str:
     """The path as seen from the history: the same from wherever the command is called, and after a move of both."""
     check_utf8(path)
-    return os.path.relpath(resolved(path), resolved(folder))
+    return os.path.relpath(resolve_links(path), resolve_links(folder))
 
 
 def _means(subject: str, results: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]:
@@ -136,5 +136,5 @@ def _means(subject: str, results: Mapping[str, Mapping[str, Any]]) -> list[dict[
     return rows
 
 
-def _failed(results: Mapping[str, Mapping[str, Any]]) -> list[str]:
+def _failures(results: Mapping[str, Mapping[str, Any]]) -> list[str]:
     return sorted({row["failed"] for row in results.values() if row["failed"]})

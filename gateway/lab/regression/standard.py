@@ -14,9 +14,9 @@ import click
 from drivers import DISTRIBUTION
 from drivers.named_files import parse_toml
 from gateway.lab.retraining.training_record import code_hash
-from gateway.lab.traces.load import load_reported
+from gateway.lab.traces.load import load_with_report
 from sim.artefacts import MODEL_FILE, current, is_store, versions
-from sim.files import ArtefactError, at, check_utf8, read_text
+from sim.files import ArtefactError, check_utf8, file_error, read_text
 from sim.lab.formats import find_model
 from sim.lab.recordings import files_by_machine
 from sim.lab.suffixes import SUFFIXES
@@ -61,19 +61,21 @@ def read_standard(path: str, map_name: str) -> StandardSet:
         try:
             document = parse_toml(read_text(file))
         except ValueError as error:
-            raise at(file, None, f"cannot be read as a list of traces ({error})") from None
+            raise file_error(file, None, f"cannot be read as a list of traces ({error})") from None
         strange = next((key for key in document if key not in KEYS), None)
         listed = document.get("traces")
         if strange is not None:
-            raise at(file, None, f"{strange}: is no key of a standard set; it has traces, and map if it needs one")
+            raise file_error(
+                file, None, f"{strange}: is no key of a standard set; it has traces, and map if it needs one"
+            )
         if not (isinstance(listed, list) and listed and all(isinstance(each, str) and each for each in listed)):
-            raise at(file, None, 'traces: is no list of paths; write traces = ["cycles/*.csv"]')
+            raise file_error(file, None, 'traces: is no list of paths; write traces = ["cycles/*.csv"]')
         named = document.get("map", map_name)
         if not isinstance(named, str):
-            raise at(file, None, 'map: is no name; write map = "decanter", or the path of a column map')
+            raise file_error(file, None, 'map: is no name; write map = "decanter", or the path of a column map')
         paths = [str(file.parent / each) for each in listed]
         map_name = str(file.parent / named) if named.endswith(".toml") and "map" in document else named
-    traces, column_map, report = load_reported(paths, map_name)
+    traces, column_map, report = load_with_report(paths, map_name)
     files = {each: [*chain(*files_by_machine(each, column_map).values())] for each in paths}
     for found in chain(*files.values()):
         check_utf8(found)
@@ -81,21 +83,21 @@ def read_standard(path: str, map_name: str) -> StandardSet:
     return StandardSet(traces, column_map.alphabet, column_map.temperature, (*missing, *report.errors))
 
 
-def models_in(place: Path, standard: StandardSet) -> dict[str, Model | str]:
+def load_models(place: Path, standard: StandardSet) -> dict[str, Model | str]:
     """The models under a path by their subject's name, or the sentence why one cannot be run.
 
     A store's are its versions and, under the store's own name, the promoted one; a folder's those in it and in the
     folders below, artefact sets too. Raises ArtefactError where there is none.
     """
 
-    def model_at(where: str) -> Model | str:
+    def load(where: str) -> Model | str:
         try:
             return find_model(where, alphabet=standard.alphabet, temperature=standard.temperature).runnable()
         except ArtefactError as error:
             return str(error)
 
     if is_store(place):
-        found = {f"{place}@{each}": model_at(f"{place}@{each}") for each in versions(place)}
+        found = {f"{place}@{each}": load(f"{place}@{each}") for each in versions(place)}
         try:
             found[str(place)] = found[f"{place}@{current(place)}"]
         except ArtefactError as error:
@@ -110,26 +112,26 @@ def models_in(place: Path, standard: StandardSet) -> dict[str, Model | str]:
         here = Path(parent)
         if is_store(here):
             folders.clear()
-            found |= models_in(here, standard)
+            found |= load_models(here, standard)
         elif MODEL_FILE in files:
             folders.clear()
-            found[str(here)] = model_at(str(here))
+            found[str(here)] = load(str(here))
         else:
             folders[:] = sorted(name for name in folders if name[:1] != ".")
             bases = sorted(name.removesuffix(SUFFIXES["source"]) for name in files if name.endswith(SUFFIXES["source"]))
-            found |= {str(here / base): model_at(str(here / base)) for base in bases}
+            found |= {str(here / base): load(str(here / base)) for base in bases}
     if not found:
-        raise at(place, None, "has no model in it; give a store, a model, or a folder that has some")
+        raise file_error(place, None, "has no model in it; give a store, a model, or a folder that has some")
     return found
 
 
 def code_version() -> CodeVersion:
     """What forecasts now: the hash of all three floors' sources, the release, and the commit of a checkout."""
     content = sha256("".join(code_hash(floor) for floor in ("drivers", "sim", "gateway")).encode()).hexdigest()
-    return CodeVersion(content, version(DISTRIBUTION), commit_of(Path(__file__).parents[3]))
+    return CodeVersion(content, version(DISTRIBUTION), checkout_commit(Path(__file__).parents[3]))
 
 
-def commit_of(root: Path) -> str:
+def checkout_commit(root: Path) -> str:
     """The commit of the checkout whose top is `root`; "" where there is none, as for an installed program."""
     # Named, and not looked for: git would take the repository of somebody else that a folder above may be.
     command = ["git", f"--git-dir={root / '.git'}", f"--work-tree={root}", "describe", "--always", "--dirty"]

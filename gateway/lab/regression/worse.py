@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from gateway.lab.regression.history import RegressionHistory, own_scores
-from sim.lab.judge import NEW, PRESENT, HorizonComparison, compared
-from sim.sha import shown_unit
+from sim.lab.judge import NEW, PRESENT, HorizonComparison, compare_horizons
+from sim.sha import display_unit
 
-LEAST = 1.01
+MIN_CRPS_RATIO = 1.01
 """A CRPS that a test tells apart, but that is not so many times the former one's, is nothing to act on."""
 SET = "standard set"
 
@@ -42,12 +42,12 @@ class WorseForecast:
             changed.append(f"model {now[:8]}, before {before[:8]}")
         return (
             f"{self.subject}: worse at {c.horizon:g} s since {self.since['when']} ({'; '.join(changed)}): CRPS "
-            f"{c.crps[NEW]:.3g} {shown_unit(unit)}, before {c.crps[PRESENT]:.3g}, on {c.difference.n} traces "
+            f"{c.crps[NEW]:.3g} {display_unit(unit)}, before {c.crps[PRESENT]:.3g}, on {c.difference.n} traces "
             f"(p {c.p:.2g}), most of all on {self.worst_trace}"
         )
 
 
-def regressions_of(subject: str, history: RegressionHistory, *, seed: int) -> list[WorseForecast | str]:
+def find_regressions(subject: str, history: RegressionHistory, *, seed: int) -> list[WorseForecast | str]:
     """What is worse at the subject's last run than at its best one before; a sentence for a trace that failed since.
 
     The best run is looked for horizon by horizon. Two runs are held against each other on the traces of both.
@@ -93,8 +93,8 @@ def worse_by_horizon(before: Results, now: Results, seed: int) -> dict[float, Ho
             scores.append({**new[horizon], "trace": content, "method": NEW})
     return {
         comparison.horizon: comparison
-        for comparison in compared(SET, scores, seed=seed)
-        if comparison.refuses and comparison.crps[NEW] > LEAST * comparison.crps[PRESENT]
+        for comparison in compare_horizons(SET, scores, seed=seed)
+        if comparison.refuses and comparison.crps[NEW] > MIN_CRPS_RATIO * comparison.crps[PRESENT]
     }
 
 
@@ -115,11 +115,11 @@ def gone_models(history: RegressionHistory) -> list[str]:
     folder = history.path.parent.resolve()
     gone: dict[str, str] = {}
     for place in run["places"]:
-        before = next((each for each in reversed(former) if _asked_for(each, place, folder)), None)
+        before = next((each for each in reversed(former) if _covers_place(each, place, folder)), None)
         if before is None:
             continue
         for subject in sorted(before["models"].keys() - run["models"].keys()):
-            if _under(subject, place, folder):
+            if _is_part(subject, place, folder):
                 gone[subject] = f"{subject} was in the run of {before['when']} and is not there any more"
     return list(gone.values())
 
@@ -146,15 +146,15 @@ def _last_and_former(history: RegressionHistory) -> tuple[Run, list[Run]]:
     return last, [run for run in former if set(run["traces"]) & set(last["traces"])]
 
 
-def _asked_for(run: Run, place: str, folder: Path) -> bool:
+def _covers_place(run: Run, place: str, folder: Path) -> bool:
     # Rows of former versions do not say what was asked: a model that they have there shows it.
     asked = run.get("places")
     if asked is None:
-        return any(_under(subject, place, folder) for subject in run["models"])
-    return any(_under(place, each, folder) for each in asked)
+        return any(_is_part(subject, place, folder) for subject in run["models"])
+    return any(_is_part(place, each, folder) for each in asked)
 
 
-def _under(name: str, place: str, folder: Path) -> bool:
+def _is_part(name: str, place: str, folder: Path) -> bool:
     """Whether a subject or a place lies at or below another place; both are as seen from `folder`."""
     path, above = (os.path.normpath(folder / each) for each in (name, place))
     return Path(path).is_relative_to(above) or path.startswith(f"{above}@")

@@ -9,17 +9,17 @@ from pathlib import Path
 
 import numpy as np
 
-from gateway.lab.learning.familiar import LEAST, features_of, free_run_error, strange_words
+from gateway.lab.learning.familiar import MIN_CYCLE_READINGS, cycle_features, free_run_error, strange_words
 from gateway.lab.retraining.cycle_library import CycleLibrary, CycleRow, Rating
 from gateway.store import newest_scan, oldest_scan, reading, stored_rows, tag_names, to_trace
-from sim.familiarity import LONGEST, FamiliarityReference
+from sim.familiarity import MAX_CYCLE_S, FamiliarityReference
 from sim.lab.recordings import split_cycles
 from sim.sha import Array, Bins, Model, Switch, Trace, content_hash, encode
 
 Progress = Callable[[str, float], None]
-SPAN = 2 * 86_400.0
+READ_SPAN_S = 2 * 86_400.0
 """Seconds of the historian that are in memory at a time."""
-BEFORE = 3600.0
+LOOK_BACK_S = 3600.0
 """What is read before a piece: features look back as far."""
 SET_BACK = "the clock was set back during it: what came before and after lies in one another"
 """Why the program itself excludes a cycle."""
@@ -44,8 +44,8 @@ def cut_new(
 ) -> int:
     """Cut what the historian has beyond the library's cursor; how many cycles came. Those that teach are kept.
 
-    A cycle that is not over waits for the next time; one of more than LONGEST is cut there. Raises HistorianError, and
-    ValueError where the historian has not what the model is made of.
+    A cycle that is not over waits for the next time; one of more than MAX_CYCLE_S is cut there. Raises HistorianError,
+    and ValueError where the historian has not what the model is made of.
     """
     with reading(source.historian) as connection:
         last = newest_scan(connection, machine=source.machine)
@@ -68,10 +68,10 @@ def cut_new(
         cursor, within = max(earlier, default=first), False
     cursor = max(source.since if cursor is None else float(cursor), first)
     begin, count = cursor, 0
-    difficult = [row.points for row in library.cycles() if row.rating == "badly predicted" and not row.excluded]
+    difficult = [row.points for row in library.cycles() if row.rating == "badly predicted" and not row.is_excluded]
     while cursor < last:
         report("cutting the historian into cycles", (cursor - begin) / max(last - begin, 1.0))
-        until = min(cursor + SPAN, nextafter(last, inf))
+        until = min(cursor + READ_SPAN_S, nextafter(last, inf))
         pieces, chunk = _pieces(source, cursor, until, within=within)
         at_end = until > last
         after, within = until, False
@@ -80,9 +80,9 @@ def cut_new(
             after, within = float(pieces.pop().times[0]), True
         twice = _twice(source, cursor, until)
         rows: list[CycleRow] = []
-        closed = {piece.name: _closed(piece, chunk, source.model.alphabet.gap) for piece in pieces}
+        closed = {piece.name: _close_cycle(piece, chunk, source.model.alphabet.gap) for piece in pieces}
         for piece in pieces:
-            row = _rated(
+            row = _rate_cycle(
                 source, piece, closed=closed[piece.name], chunk=chunk, reference=reference, difficult=difficult
             )
             if row is None:
@@ -90,13 +90,13 @@ def cut_new(
             if any(row.begin <= high and low <= row.until for low, high in twice):
                 row = replace(row, excluded_by="the program", reason=SET_BACK)
             rows.append(row)
-            if row.rating == "badly predicted" and not row.excluded:
+            if row.rating == "badly predicted" and not row.is_excluded:
                 difficult.append(row.points)
         count += len(rows)
         library.add(rows, after, within=within)
         # After their rows: a kill between the two leaves a row without readings, which the historian still has.
         for row in rows:
-            if row.rating != "ordinary" and not row.excluded:
+            if row.rating != "ordinary" and not row.is_excluded:
                 library.keep(row.name, closed[row.name])
         if at_end:
             break
@@ -110,14 +110,14 @@ def _pieces(source: CycleSource, start: float, end: float, *, within: bool) -> t
     `within`: one begins at `start`, whatever the machine does then. A piece in which a tag has no reading yet has none.
     """
     machine, alphabet = source.machine, source.model.alphabet
-    chunk = to_trace(source.historian, start=start - BEFORE, end=end, machine=machine)
+    chunk = to_trace(source.historian, start=start - LOOK_BACK_S, end=end, machine=machine)
     if chunk.times.size < 2:
         return [], chunk
     chunk = replace(chunk, machine=machine or "")
     if any(channel.signal not in chunk.signals for channel in alphabet.channels):
         return [], chunk
     chunk = replace(chunk, events=encode(chunk, alphabet))
-    found = split_cycles(chunk, alphabet, alphabet.gap, at=[start] if within else [], longest=LONGEST)
+    found = split_cycles(chunk, alphabet, alphabet.gap, at=[start] if within else [], longest=MAX_CYCLE_S)
     named = [replace(piece, name=_name(machine, piece)) for piece in found if piece.times.size]
     return [piece for piece in named if piece.times[0] >= start], chunk
 
@@ -125,7 +125,7 @@ def _pieces(source: CycleSource, start: float, end: float, *, within: bool) -> t
 def _twice(source: CycleSource, start: float, end: float) -> list[tuple[float, float]]:
     """The stretches from `start` to `end` that the historian has twice, since the clock was set back (s UTC)."""
     with reading(source.historian) as connection:
-        rows = stored_rows(connection, "scans", ("time",), start - BEFORE, end, machine=source.machine)
+        rows = stored_rows(connection, "scans", ("time",), start - LOOK_BACK_S, end, machine=source.machine)
     arrived = np.array([row[0] for row in rows], dtype=float)
     back = (np.flatnonzero(np.diff(arrived) < 0) + 1).tolist()
     found: list[tuple[float, float]] = []
@@ -138,7 +138,7 @@ def _twice(source: CycleSource, start: float, end: float) -> list[tuple[float, f
     return found
 
 
-def _closed(cycle: Trace, chunk: Trace, gap: float) -> Trace:
+def _close_cycle(cycle: Trace, chunk: Trace, gap: float) -> Trace:
     """The cycle with the row that ended it, the first of the next one, without events; itself where a gap ended it.
 
     Without that row no rest would ever be seen to end where the next cycle is not learned from too.
@@ -158,7 +158,7 @@ def _name(machine: str | None, cycle: Trace) -> str:
     return f"{machine}-{moment}" if machine else moment
 
 
-def cycle_of(source: CycleSource, row: CycleRow, library: CycleLibrary) -> Trace | None:
+def read_cycle(source: CycleSource, row: CycleRow, library: CycleLibrary) -> Trace | None:
     """The readings of a cycle, not encoded: those that were kept, else the historian's; None where neither has them.
 
     A kept file that is missing or damaged is made again from the historian; ValueError where that has it no more.
@@ -181,7 +181,7 @@ def cycle_of(source: CycleSource, row: CycleRow, library: CycleLibrary) -> Trace
     return None
 
 
-def and_after(source: CycleSource, cycle: Trace, seconds: float) -> Trace:
+def extend_cycle(source: CycleSource, cycle: Trace, seconds: float) -> Trace:
     """The readings of a cycle, with what the historian has of the `seconds` after it; itself where that has it no more.
 
     Whoever judges forecasts needs it: of those that were made before the end of a rest, the outcome of one that went on
@@ -195,7 +195,7 @@ def and_after(source: CycleSource, cycle: Trace, seconds: float) -> Trace:
     return replace(found, name=cycle.name, machine=cycle.machine)
 
 
-def _rated(
+def _rate_cycle(
     source: CycleSource,
     cycle: Trace,
     *,
@@ -207,10 +207,10 @@ def _rated(
     """The row of a cycle, whose readings are those of `closed`; None for one with too few readings."""
     model = source.model
     measured = cycle.signals.get(model.temperature)
-    if measured is None or np.count_nonzero(np.isfinite(measured)) < LEAST:
+    if measured is None or np.count_nonzero(np.isfinite(measured)) < MIN_CYCLE_READINGS:
         return None
     begin, until = float(cycle.times[0]), float(cycle.times[-1])
-    points = features_of(model, chunk, begin, until)
+    points = cycle_features(model, chunk, begin, until)
     off = free_run_error(model, cycle)
     strange = reference.strangeness(points.values, points.times) if reference is not None else None
     rating: Rating = "ordinary"
@@ -219,7 +219,7 @@ def _rated(
         rating, words = "badly predicted", f"off by {off.error:.2g} where {off.allowed:.2g} is usual"
     elif strange is not None and strange.value > 1.0:
         rating, words = "rare", strange_words(strange)
-    elif reference is not None and any(reference.alike(points.values, other) for other in difficult):
+    elif reference is not None and any(reference.are_similar(points.values, other) for other in difficult):
         rating, words = "near a difficult one", "it is like a cycle that was badly predicted"
     return CycleRow(
         name=cycle.name,

@@ -74,7 +74,7 @@ class CycleRow:
     reason: str = ""
 
     @property
-    def excluded(self) -> bool:
+    def is_excluded(self) -> bool:
         """Whether a person has taken it out of everything that is learned or judged."""
         return bool(self.excluded_by)
 
@@ -84,7 +84,7 @@ class CycleRow:
 
 
 class CycleLibrary:
-    """The library in `folder`, of one `machine` and `temperature`; see `opened_library`."""
+    """The library in `folder`, of one `machine` and `temperature`; see `open_library`."""
 
     def __init__(self, folder: Path, connection: sqlite3.Connection) -> None:
         self.folder = folder
@@ -153,7 +153,7 @@ class CycleLibrary:
             path.parent.mkdir(exist_ok=True)
             beside = path.with_name(f".{path.name}")
             with beside.open("wb") as stream:
-                stream.write(_packed(trace))
+                stream.write(_pack_trace(trace))
                 stream.flush()
                 os.fsync(stream.fileno())
             beside.replace(path)
@@ -166,7 +166,7 @@ class CycleLibrary:
         """The kept readings with that hash, not encoded. Raises ValueError where they are missing or damaged."""
         path = self._file(content)
         try:
-            trace = _unpacked(path)
+            trace = _unpack_trace(path)
         except (OSError, KeyError, ValueError, BadZipFile) as error:
             raise ValueError(f"{path}: cannot be read ({error}); the cycle is lost unless a backup has it") from None
         if content_hash(trace) != content:
@@ -221,9 +221,7 @@ class CycleLibrary:
 
 
 @contextmanager
-def opened_library(
-    folder: Path, *, machine: str | None = None, temperature: str | None = None
-) -> Iterator[CycleLibrary]:
+def open_library(folder: Path, *, machine: str | None = None, temperature: str | None = None) -> Iterator[CycleLibrary]:
     """The library in `folder`, held by this process alone; made where a machine and its temperature are given.
 
     Raises ValueError where there is none and neither is given, where another process holds it, and where it is of
@@ -234,7 +232,7 @@ def opened_library(
         raise ValueError(f"{folder}: {NO_LIBRARY}")
     folder.mkdir(parents=True, exist_ok=True)
     busy = ValueError(f"{folder}: another process is working on this library; wait for it")
-    with held_alone(folder / ".lock", busy), _connected(file) as (connection, layout):
+    with held_alone(folder / ".lock", busy), _connect(file) as (connection, layout):
         if layout == 0:
             # In one transaction: a kill in between leaves an empty file, which is a new one.
             connection.executescript(f"BEGIN;{SCHEMA}PRAGMA user_version = {LAYOUT};COMMIT;")
@@ -249,7 +247,7 @@ def opened_library(
 
 
 @contextmanager
-def listed_library(folder: Path) -> Iterator[CycleLibrary]:
+def list_library(folder: Path) -> Iterator[CycleLibrary]:
     """The library in `folder` to be read only: also while another process works on it, and on a disk that is read-only.
 
     Raises ValueError where there is none, or none that this program can read.
@@ -259,7 +257,7 @@ def listed_library(folder: Path) -> Iterator[CycleLibrary]:
         raise ValueError(f"{folder}: {NO_LIBRARY}")
     # Opened as a file that may be written, which SQLite takes for a read-only one where it is: what a kill has left
     # half written is rolled back by whoever opens it so, and by nobody else.
-    with _connected(file) as (connection, layout):
+    with _connect(file) as (connection, layout):
         if layout == 0:
             raise ValueError(f"{folder}: {NO_LIBRARY}")
         connection.execute("PRAGMA query_only = ON")
@@ -268,7 +266,7 @@ def listed_library(folder: Path) -> Iterator[CycleLibrary]:
 
 
 @contextmanager
-def _connected(file: Path) -> Iterator[tuple[sqlite3.Connection, int]]:
+def _connect(file: Path) -> Iterator[tuple[sqlite3.Connection, int]]:
     """A connection and the layout that the file has, 0 for a new one. Raises ValueError for whatever SQLite says."""
     try:
         connection = sqlite3.connect(file)
@@ -298,7 +296,7 @@ def _row(values: dict[str, Any]) -> CycleRow:
     return CycleRow(points=points, **{**values, "kept": bool(values["kept"])})
 
 
-def _packed(trace: Trace) -> bytes:
+def _pack_trace(trace: Trace) -> bytes:
     """The trace without its events as a compressed .npz of plain arrays."""
     facts = {"name": trace.name, "origin": trace.origin, "machine": trace.machine, "synthetic": trace.synthetic}
     head = {**facts, "signals": list(trace.signals), "bad": list(trace.bad), "units": dict(trace.units)}
@@ -311,8 +309,8 @@ def _packed(trace: Trace) -> bytes:
     return stream.getvalue()
 
 
-def _unpacked(path: Path) -> Trace:
-    """What `_packed` gave. Raises OSError, KeyError, ValueError or BadZipFile."""
+def _unpack_trace(path: Path) -> Trace:
+    """What `_pack_trace` gave. Raises OSError, KeyError, ValueError or BadZipFile."""
     with np.load(path, allow_pickle=False) as kept:
         head, times = json.loads(str(kept["head"])), kept["times"]
         signals = {name: kept[f"s{number}"] for number, name in enumerate(head["signals"])}

@@ -8,7 +8,7 @@ import click
 
 from gateway.console import CommandResult, Part, Rows, conclude, json_option
 from gateway.entry import sentences
-from gateway.lab.retraining.cycle_library import RATINGS, CycleRow, Rating, listed_library, opened_library
+from gateway.lab.retraining.cycle_library import RATINGS, CycleRow, Rating, list_library, open_library
 from gateway.lab.retraining.report import coverage_figure
 from sim.lab.pictures import check_picture, save_picture
 
@@ -44,12 +44,12 @@ def cycles_command(
         if picture is not None:
             check_picture(picture)
         if exclude is not None or include is not None:
-            with opened_library(folder) as library:
+            with open_library(folder) as library:
                 if exclude is not None:
                     library.exclude(exclude, str(by), str(reason))
                 if include is not None:
                     library.exclude(include, "", "")
-        with listed_library(folder) as library:
+        with list_library(folder) as library:
             every = library.cycles()
             kept = library.kept_bytes()
             trained = frozenset(library.newest_training())
@@ -71,7 +71,7 @@ def _show(rows: list[CycleRow], counts: Mapping[Rating, int], kept: int, picture
             row.words,
             "–" if row.error is None else f"{row.error:.3g}",
             "–" if row.strangeness is None else f"{row.strangeness:.2f}",
-            f"{row.reason} ({row.excluded_by})" if row.excluded else "",
+            f"{row.reason} ({row.excluded_by})" if row.is_excluded else "",
         ]
         for row in rows
     ]

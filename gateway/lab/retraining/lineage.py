@@ -10,9 +10,9 @@ import click
 
 from gateway.console import CommandResult, Part, conclude, json_option, map_option, progress
 from gateway.entry import sentences
-from gateway.lab.retraining.cycle_library import listed_library
+from gateway.lab.retraining.cycle_library import list_library
 from gateway.lab.retraining.study import learned_model
-from gateway.lab.retraining.training_record import code_hash, created_of, read_record, software
+from gateway.lab.retraining.training_record import code_hash, creation_time, read_record, software
 from gateway.lab.traces.load import load
 from sim.artefacts import current, model_hash, version_directory, versions
 from sim.artefacts import load as load_version
@@ -46,7 +46,7 @@ def lineage_command(
                 {
                     "version": name,
                     "parent": None if record is None else record.parent,
-                    "created": created_of(home),
+                    "created": creation_time(home),
                     "method": model.provenance.method,
                     "traces": len(model.provenance.contents or model.provenance.traces),
                     "record": record is not None,
@@ -56,10 +56,10 @@ def lineage_command(
         again: dict[str, Any] | None = None
         if version is not None:
             report("reading", 0.0)
-            again = _remade(store, version, folder, load(former, map_name)[0] if former else [])
+            again = _remake(store, version, folder, load(former, map_name)[0] if former else [])
 
     def show() -> Iterator[Part]:
-        drawn = _drawn(family, None, "")
+        drawn = _lineage_lines(family, None, "")
         yield from drawn
         # Each of these is learned beside one of them, so that none is the first.
         circle = [each["version"] for each in family if not any(each["version"] in line for line in drawn)]
@@ -72,7 +72,7 @@ def lineage_command(
     conclude(found, lambda _: show(), as_json=as_json)
 
 
-def _drawn(family: list[dict[str, Any]], parent: str | None, indent: str) -> list[str]:
+def _lineage_lines(family: list[dict[str, Any]], parent: str | None, indent: str) -> list[str]:
     """A line for each version that was learned beside `parent`, and under it those that were learned beside it."""
     known = {each["version"] for each in family}
     own = [each for each in family if (each["parent"] if each["parent"] in known else None) == parent]
@@ -84,11 +84,13 @@ def _drawn(family: list[dict[str, Any]], parent: str | None, indent: str) -> lis
         marks = "  RUNS" if each["current"] else ""
         marks += "" if each["record"] else "  (by hand: it has no record)"
         lines.append(f"{indent}{branch}{each['version']}  {date}  {each['method']}, {each['traces']} traces{marks}")
-        lines += _drawn(family, each["version"], indent + ("" if parent is None else ("   " if last else "│  ")))
+        lines += _lineage_lines(
+            family, each["version"], indent + ("" if parent is None else ("   " if last else "│  "))
+        )
     return lines
 
 
-def _remade(store: Path, version: str, folder: Path | None, former: list[Trace]) -> dict[str, Any]:
+def _remake(store: Path, version: str, folder: Path | None, former: list[Trace]) -> dict[str, Any]:
     """The version learned again, and whether it is the same. Raises ValueError where it cannot be."""
     home = version_directory(store, version)
     record = read_record(home)
@@ -102,7 +104,7 @@ def _remade(store: Path, version: str, folder: Path | None, former: list[Trace])
             raise ValueError(f"{missing[0]}: is in the record and not among --traces; give the --library that has it")
         traces = [given[content] for _, content in record.training]
     else:
-        with listed_library(folder) as library:
+        with list_library(folder) as library:
             traces = [
                 given[content] if content in given else library.readings(content) for _, content in record.training
             ]

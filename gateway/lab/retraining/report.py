@@ -14,7 +14,7 @@ from sim.lab.judge import NEW, PRESENT, HorizonComparison
 from sim.lab.learning import PERSISTENCE
 from sim.lab.pages import page_environment
 from sim.lab.pictures import blank_figure, svg_text
-from sim.sha import shown_unit
+from sim.sha import display_unit
 from sim.strict_json import json_text
 
 if TYPE_CHECKING:
@@ -62,7 +62,7 @@ class Retraining:
 
     def lines(self) -> list[str]:
         """The report as text."""
-        unit = shown_unit(self.unit)
+        unit = display_unit(self.unit)
         made = f"; saved as version {self.version}, promoted by nobody" if self.version else ""
         lines = [f"{self.sentence}{made}"]
         lines.append(
@@ -111,7 +111,7 @@ def coverage_figure(cycles: Sequence[CycleRow], trained: frozenset[str]) -> Figu
     names = list(FEATURES)
     across, up = names.index(ACROSS), names.index(UP)
     for rating in RATINGS:
-        own = [row for row in cycles if row.rating == rating and not row.excluded and len(row.points)]
+        own = [row for row in cycles if row.rating == rating and not row.is_excluded and len(row.points)]
         if own:
             x = [float(np.nanmax(row.points[:, across])) for row in own]
             y = [float(np.nanmax(row.points[:, up])) for row in own]
@@ -133,10 +133,10 @@ def coverage_figure(cycles: Sequence[CycleRow], trained: frozenset[str]) -> Figu
 def _page(found: Retraining, cycles: list[CycleRow], trained: frozenset[str]) -> str:
     """One HTML file that needs no other."""
     environment = page_environment("gateway.lab.retraining")
-    shown = [row for row in cycles if row.rating != "ordinary" or row.excluded]
+    shown = [row for row in cycles if row.rating != "ordinary" or row.is_excluded]
     return environment.get_template("retraining.html").render(
         found=found,
-        unit=shown_unit(found.unit),
+        unit=display_unit(found.unit),
         picture=svg_text(coverage_figure(cycles, trained)),
         cycles=shown,
         methods={"new": NEW, "present": PRESENT, "persistence": PERSISTENCE},

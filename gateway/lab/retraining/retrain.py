@@ -23,25 +23,25 @@ from gateway.entry import interruptible, sentences
 from gateway.lab.models.propose import recorded_drift
 from gateway.lab.options import historian_option, library_option
 from gateway.lab.resource_usage import peak_megabytes
-from gateway.lab.retraining.cycle_library import opened_library
+from gateway.lab.retraining.cycle_library import open_library
 from gateway.lab.retraining.report import Retraining
 from gateway.lab.retraining.study import (
-    ENOUGH,
+    MIN_NEW_CYCLES,
     REPORTS,
     RetrainingRequest,
     cut_and_rate,
     due,
+    make_source,
     new_cycles,
     retrain,
-    source_of,
 )
-from gateway.lab.retraining.training_record import created_of
+from gateway.lab.retraining.training_record import creation_time
 from gateway.lab.traces.load import load
 from gateway.store import machines, newest_scan, reading
 from sim.artefacts import load as load_version
 from sim.artefacts import version_directory
 from sim.familiarity import RED, YELLOW
-from sim.sha import shown_unit
+from sim.sha import display_unit
 
 NICE = 19
 
@@ -136,23 +136,23 @@ def retrain_command(
             yellow=yellow,
             red=red,
         )
-        source = source_of(request, last)
+        source = make_source(request, last)
         folder = folder or historian.parent / "cycles" / "-".join(filter(None, (name, temperature)))
-        with opened_library(folder, machine=name, temperature=temperature) as library:
+        with open_library(folder, machine=name, temperature=temperature) as library:
             cut = cut_and_rate(request, library, source, report)
             reason = ""
             if if_due:
                 # Before the first retraining the version that runs was the last thing learned.
-                learned = created_of(version_directory(store, source.version))
+                learned = creation_time(version_directory(store, source.version))
                 age = time.time() - max(learned, (library.fact("finished") or {"at": learned})["at"])
                 limit = float("inf") if every is None else every * 86_400.0
                 reason = due(library, source.model, after=after, drifting=drifting, age=age, every=limit)
                 fresh = len(new_cycles(library, source.model))
                 said = f"not due: {cut} cycles came, no drift, fewer than {after} that are not ordinary"
-                if reason and fresh < ENOUGH:
+                if reason and fresh < MIN_NEW_CYCLES:
                     # For a timer that is no mistake: it comes again.
-                    said = f"not yet: {reason}, but {fresh} new cycles are too few; it takes {ENOUGH}"
-                if not reason or fresh < ENOUGH:
+                    said = f"not yet: {reason}, but {fresh} new cycles are too few; it takes {MIN_NEW_CYCLES}"
+                if not reason or fresh < MIN_NEW_CYCLES:
                     conclude(CommandResult({"due": False, "cycles": cut}), lambda _: [said], as_json=as_json)
                     return
             found = retrain(request, library, source, report=report, clock=time.time)
@@ -167,7 +167,7 @@ def show(found: Retraining, store: Path, place: Path, cost: dict[str, float]) ->
     rows = [[each.subject, *each.cells()] for each in found.comparisons]
     if rows:
         columns = ("set", "horizon (s)", "cycles", "new", "present", "difference", "p", "told apart")
-        yield Rows(f"CRPS ({shown_unit(found.unit)}) of the new model and of version {found.present}", columns, rows)
+        yield Rows(f"CRPS ({display_unit(found.unit)}) of the new model and of version {found.present}", columns, rows)
     for line in found.lines():
         if not any(line.startswith(f"{each.subject}, ") for each in found.comparisons):
             yield line

@@ -24,20 +24,20 @@ from gateway.console import (
     seed_option,
 )
 from gateway.entry import interruptible, sentences
-from gateway.lab.judging.figures import LONGEST_HORIZON, MOST_OF_CYCLE, scores_along
+from gateway.lab.judging.figures import LONGEST_HORIZON, MAX_FORECASTS_PER_CYCLE, score_trace
 from gateway.lab.options import historian_option, library_option
-from gateway.lab.retraining.cutting import CycleSource, Progress, and_after, cut_new, cycle_of
-from gateway.lab.retraining.cycle_library import CycleLibrary, CycleRow, opened_library
-from gateway.lab.retraining.training_record import created_of, read_record
+from gateway.lab.retraining.cutting import CycleSource, Progress, cut_new, extend_cycle, read_cycle
+from gateway.lab.retraining.cycle_library import CycleLibrary, CycleRow, open_library
+from gateway.lab.retraining.training_record import creation_time, read_record
 from gateway.store import machines, newest_scan, reading
 from sim.artefacts import current, load, objection, promote, ran, read_familiarity, version_directory, versions
-from sim.lab.judge import HorizonComparison, compared
-from sim.sha import Trace, encoded, shown_unit
+from sim.lab.judge import HorizonComparison, compare_horizons
+from sim.sha import Trace, display_unit, encode_trace
 
 LIVE = "live cycles"
-LEAST, MOST = 8, 24
+MIN_TEST_CYCLES, MAX_TEST_CYCLES = 8, 24
 """Live cycles that a paired test needs, and how many of the newest it takes."""
-DAY = 86_400.0
+DAY_S = 86_400.0
 """s; cycles of one day share operator, product and weather, and are no independent witnesses."""
 TRIAL_DAYS, CYCLES_A_DAY = 7, 6
 """The days (UTC), the first since both versions were made, by whose live cycles a candidate is promoted or not, and how
@@ -74,7 +74,7 @@ def side_by_side(
     promotes: bool = False,
     seed: int,
     report: Progress,
-    most: int = MOST_OF_CYCLE,
+    most: int = MAX_FORECASTS_PER_CYCLE,
 ) -> SideBySide:
     """Both versions on the cycles since the younger of them was made, and what the stated policy makes of it.
 
@@ -86,14 +86,14 @@ def side_by_side(
     (record 0146). A cycle has `most` forecasts at most. Raises ValueError where there is no such version.
     """
     running = current(store)
-    other = version or ran_before(store)
+    other = version or former_version(store)
     if other == running or other not in versions(store):
         said = repr(other) if other else "the version before the current one, of which nothing is on record,"
         raise ValueError(
             f"{store}: {said} is no other version of this store; name "
             f"one of: {', '.join(name for name in versions(store) if name != running) or 'none yet'}"
         )
-    known = {*ran(store), ran_before(store)}
+    known = {*ran(store), former_version(store)}
     if roll_back and other not in known:
         raise ValueError(f"{store}: {other} has never run, and there is no way back to it; judge it with --promote")
     if promotes and other in known:
@@ -103,7 +103,7 @@ def side_by_side(
         )
     judged, stood = (other, running) if promotes else (running, other)
     new, old = load(store, judged), load(store, stood)
-    since = max(created_of(version_directory(store, name)) for name in (running, other))
+    since = max(creation_time(version_directory(store, name)) for name in (running, other))
     present = load(store, running)
     source = CycleSource(historian=historian, machine=machine, model=present, version=running, since=-inf)
     familiar = read_familiarity(version_directory(store, running))
@@ -112,34 +112,34 @@ def side_by_side(
     live = [
         row
         for row in library.cycles()
-        if row.begin >= since and not row.excluded and row.error is not None and row.content not in seen
+        if row.begin >= since and not row.is_excluded and row.error is not None and row.content not in seen
     ]
-    live = trial_of(live) if promotes else live[-MOST:]
+    live = trial_cycles(live) if promotes else live[-MAX_TEST_CYCLES:]
     scores: list[dict[str, Any]] = []
     traces = list[Trace]()
     for row in live:
-        trace = cycle_of(source, row, library)
+        trace = read_cycle(source, row, library)
         if trace is None:
             continue
         traces.append(trace)
         if promotes:
             # What judges a candidate outlives the historian's retention, or its verdict would change with that.
             library.keep(row.name, trace)
-    days = len({day_of(float(trace.times[0])) for trace in traces})
-    enough = days == TRIAL_DAYS and len(traces) == len(live) if promotes else len(traces) >= LEAST
+    days = len({utc_day(float(trace.times[0])) for trace in traces})
+    enough = days == TRIAL_DAYS and len(traces) == len(live) if promotes else len(traces) >= MIN_TEST_CYCLES
     for trace in traces if enough or not promotes else ():
-        followed = encoded(and_after(source, trace, LONGEST_HORIZON), present.alphabet)
+        followed = encode_trace(extend_cycle(source, trace, LONGEST_HORIZON), present.alphabet)
         until = float(trace.times[-1])
-        rows = scores_along(followed, old, new, seed=seed, report=report, most=most, until=until)
-        scores += [row | {"day": day_of(float(trace.times[0]))} for row in rows]
-    comparisons = compared(LIVE, scores, seed=seed, unit="day" if promotes else "trace")
-    worse = [each for each in comparisons if each.told_apart == "worse"]
-    better = [each for each in comparisons if each.told_apart == "better"]
+        rows = score_trace(followed, old, new, seed=seed, report=report, most=most, until=until)
+        scores += [row | {"day": utc_day(float(trace.times[0]))} for row in rows]
+    comparisons = compare_horizons(LIVE, scores, seed=seed, unit="day" if promotes else "trace")
+    worse = [each for each in comparisons if each.outcome == "worse"]
+    better = [each for each in comparisons if each.outcome == "better"]
     promoted = ""
     if not enough:
         on = f" on {days} of {TRIAL_DAYS} days" if promotes else ""
         sentence = f"{len(traces)} cycles{on} since both were made are too few to tell"
-        sentence += "" if promotes else f"; it takes {LEAST}"
+        sentence += "" if promotes else f"; it takes {MIN_TEST_CYCLES}"
         if len(traces) < len(live):
             sentence += f", and {len(live) - len(traces)} are neither kept nor in the historian any more"
     elif worse:
@@ -178,21 +178,21 @@ def side_by_side(
     )
 
 
-def day_of(time: float) -> int:
+def utc_day(time: float) -> int:
     """The day (UTC) of a time (s UTC)."""
-    return int(time // DAY)
+    return int(time // DAY_S)
 
 
-def trial_of(live: Sequence[CycleRow]) -> list[CycleRow]:
+def trial_cycles(live: Sequence[CycleRow]) -> list[CycleRow]:
     """The cycles, given in the order of time, by which a candidate is judged: of TRIAL_DAYS that are over.
 
     A day is over when a cycle of a later one is there; of its cycles CYCLES_A_DAY at most judge, evenly over it.
     """
-    days = [list(rows) for _, rows in groupby(live, lambda row: day_of(row.begin))][:-1]
+    days = [list(rows) for _, rows in groupby(live, lambda row: utc_day(row.begin))][:-1]
     return [row for rows in days[:TRIAL_DAYS] for row in rows[:: ceil(len(rows) / CYCLES_A_DAY)]]
 
 
-def ran_before(store: Path) -> str:
+def former_version(store: Path) -> str:
     """The version that ran before the current one, "" where nothing says which.
 
     Of a store of a former release it is the one beside which the current one was learned.
@@ -242,7 +242,7 @@ def shadow_command(
                 raise ValueError(f"{historian}: this historian has no scan yet; let the gateway run first")
             name = machine if machine is not None else next(iter(dict(machines(connection))))
         place = folder or historian.parent / "cycles" / "-".join(filter(None, (name, temperature)))
-        with opened_library(place, machine=name, temperature=temperature) as library:
+        with open_library(place, machine=name, temperature=temperature) as library:
             found = side_by_side(
                 store,
                 historian,
@@ -265,7 +265,7 @@ def shadow_command(
         columns = ("horizon (s)", unit_of_test, found.judged, found.stood, "difference", "p", "told apart")
         rows = [each.cells() for each in found.comparisons]
         if rows:
-            yield Rows(f"CRPS on live cycles ({shown_unit(unit)})", columns, rows)
+            yield Rows(f"CRPS on live cycles ({display_unit(unit)})", columns, rows)
         yield found.sentence
 
     conclude(CommandResult(data), lambda _: show(), as_json=as_json)

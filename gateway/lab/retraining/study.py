@@ -18,32 +18,32 @@ from typing import Any
 import numpy as np
 
 from gateway.entry import sentence as error_sentence
-from gateway.lab.judging.figures import LONGEST_HORIZON, MOST_OF_CYCLE, scores_along
+from gateway.lab.judging.figures import LONGEST_HORIZON, MAX_FORECASTS_PER_CYCLE, score_trace
 from gateway.lab.learning.familiar import (
     ErrorPair,
     cycles_with_points,
     error_pair,
     familiarity,
     familiarity_files,
-    reference_of,
+    make_reference,
     strange_words,
 )
-from gateway.lab.retraining.cutting import CycleSource, and_after, cut_new, cycle_of
+from gateway.lab.retraining.cutting import CycleSource, cut_new, extend_cycle, read_cycle
 from gateway.lab.retraining.cycle_library import RATINGS, CycleLibrary, CycleRow
 from gateway.lab.retraining.report import Retraining, report_files
 from gateway.lab.retraining.training_record import RECORD, TrainingRecord, code_hash, read_record, software
-from gateway.store import moment_of, oldest_scan, reading
+from gateway.store import oldest_scan, parse_moment, reading
 from sim.artefacts import (
     MANIFEST,
     MODEL_FILE,
     VERDICT_FILE,
     Familiarity,
     current,
-    listed,
     load,
     model_hash,
     objections,
     read_familiarity,
+    read_hashes,
     read_model,
     read_verdict,
     version_directory,
@@ -53,24 +53,24 @@ from sim.familiarity import ClassFigures, measured_classes
 from sim.files import replace_durably
 from sim.lab.discrepancy import diagnose
 from sim.lab.formats import save, write_model_directory
-from sim.lab.judge import compared, judge_learned, verdict_on
+from sim.lab.judge import compare_horizons, judge_learning, propose_verdict
 from sim.lab.tuning import METHODS, Settings, StudyPlan, Task, Taught, tune
 from sim.proof import verify
-from sim.sha import Alphabet, Model, Trace, content_hash, encoded, joint_hash
+from sim.sha import Alphabet, Model, Trace, content_hash, encode_trace, joint_hash
 
 Progress = Callable[[str, float], None]
 
-HELD_OUT, LEAST_HELD_OUT = 12, 8
+MAX_HELD_OUT, MIN_HELD_OUT = 12, 8
 """New cycles that are held out at most, and how many a paired test needs to say anything."""
-ENOUGH = 2 * LEAST_HELD_OUT
+MIN_NEW_CYCLES = 2 * MIN_HELD_OUT
 """New cycles below which a retraining is refused."""
-JUDGING = 4 * HELD_OUT
+MAX_JUDGED_CYCLES = 4 * MAX_HELD_OUT
 """The newest of the new cycles, a quarter of which is held out: a model is to forecast the plant as it is now."""
-RECENT = 2.0
+RECENT_ROOM_FACTOR = 2.0
 """Times the room of a training that the cycles have together that are learned from before any older one."""
 RETUNE_SHARE = 0.2
 """The share of new cycles badly predicted from which settings are searched anew; where a model is right it is 0.1."""
-SPARSE = 10.0
+DIAGNOSIS_PERIOD_S = 10.0
 """Seconds between the rows that a diagnosis is given."""
 FRESH, STANDARD = "new cycles", "standard set"
 STUDIES, REPORTS = "studies", "reports"
@@ -99,13 +99,13 @@ class RetrainingRequest:
     diagnosis: bool
     yellow: float
     red: float
-    forecasts: int = MOST_OF_CYCLE
+    forecasts: int = MAX_FORECASTS_PER_CYCLE
 
 
-def source_of(request: RetrainingRequest, last: float) -> CycleSource:
+def make_source(request: RetrainingRequest, last: float) -> CycleSource:
     """The historian as the current version's alphabet cuts it. Raises ArtefactError without a current version."""
     version = current(request.store)
-    since = -inf if request.since is None else moment_of(request.since, last)
+    since = -inf if request.since is None else parse_moment(request.since, last)
     return CycleSource(
         historian=request.historian,
         machine=request.machine,
@@ -124,15 +124,15 @@ def cut_and_rate(request: RetrainingRequest, library: CycleLibrary, source: Cycl
     if known is not None:
         return cut_new(library, source, known.reference, report)
     count = cut_new(library, source, None, report)
-    cycles = [row for row in library.cycles() if not row.excluded]
+    cycles = [row for row in library.cycles() if not row.is_excluded]
     half = len(cycles) // 2
-    reference = reference_of([row.points for row in cycles[:half]])
+    reference = make_reference([row.points for row in cycles[:half]])
     if reference is None:
         return count
     for row in cycles[half:]:
         strange = reference.strangeness(row.points, np.arange(len(row.points), dtype=float))
         if row.rating == "ordinary" and strange.value > 1.0:
-            trace = cycle_of(source, row, library)
+            trace = read_cycle(source, row, library)
             if trace is not None:
                 library.keep(row.name, trace)
             library.rate(row.name, "rare", strange_words(strange), strange.value)
@@ -146,7 +146,7 @@ def new_cycles(library: CycleLibrary, model: Model) -> list[CycleRow]:
     seen, rows = set(model.provenance.contents), library.cycles(as_cut=True)
     # One that was left out of that training is no news: it tells of the plant as it was then.
     last = max((place for place, row in enumerate(rows) if row.content in seen), default=-1)
-    return [row for row in rows[last + 1 :] if not row.excluded and row.error is not None]
+    return [row for row in rows[last + 1 :] if not row.is_excluded and row.error is not None]
 
 
 def due(library: CycleLibrary, model: Model, *, after: int, drifting: bool, age: float, every: float) -> str:
@@ -175,7 +175,7 @@ def retrain(
     Nothing is promoted. Raises ValueError in one sentence where the cycles are too few, or teach no model.
     """
     present = source.model
-    standard = [encoded(trace, present.alphabet) for trace in request.standard]
+    standard = [encode_trace(trace, present.alphabet) for trace in request.standard]
     method = request.method or (present.provenance.method if present.provenance.method in METHODS else "bins")
     settings = {
         "store": str(request.store.resolve()),
@@ -190,7 +190,7 @@ def retrain(
         "standard": joint_hash(request.standard),
         "former": joint_hash(request.former),
         # What somebody has taken out since the study began must not be in what it learns from.
-        "excluded": [row.name for row in library.cycles() if row.excluded],
+        "excluded": [row.name for row in library.cycles() if row.is_excluded],
         "code": code_hash(),
     }
     study = library.study(settings)
@@ -213,12 +213,12 @@ def retrain(
         tuned = ""
         if request.trials and fallen:
             report("searching settings", 0.15)
-            settings_found, tuned = _searched(request, present, method, training, folder)
+            settings_found, tuned = _search_settings(request, present, method, training, folder)
         report(f"learning ({method})", 0.25)
         record = _record(request, source, method, chosen, settings=settings_found)
         taught = learned_model(record, training, present.alphabet, present.temperature)
-        whole = [encoded(trace, taught.model.alphabet) for trace in joined(training, present.alphabet.gap)]
-        verdict = judge_learned(taught.model, whole, taught.coverage)
+        whole = [encode_trace(trace, taught.model.alphabet) for trace in join_traces(training, present.alphabet.gap)]
+        verdict = judge_learning(taught.model, whole, taught.coverage)
         write_model_directory(folder / "model", taught.model, taught.values, more={VERDICT_FILE: verdict.text()})
         rows_learned = sum(trace.times.size for trace in training)
         learned = {"settings": settings_found, "rows": rows_learned, "tuned": tuned}
@@ -238,13 +238,13 @@ def retrain(
             until = float(cycle.times[-1])
             trace = cycle
             if at_hand is None:
-                trace = encoded(and_after(source, cycle, LONGEST_HORIZON), present.alphabet)
+                trace = encode_trace(extend_cycle(source, cycle, LONGEST_HORIZON), present.alphabet)
 
             def tell(what: str, _share: float, share: float = share) -> None:
                 report(what, share)
 
             try:
-                rows = scores_along(
+                rows = score_trace(
                     trace, present, new, seed=request.seed, report=tell, most=request.forecasts, until=until
                 )
             except ValueError as error:
@@ -257,14 +257,16 @@ def retrain(
         if at_hand is not None and not rows:
             unjudged.append(f"{at_hand.name} of the {STANDARD}")
         scores[subject] += rows
-    comparisons = [each for subject, rows in scores.items() for each in compared(subject, rows, seed=request.seed)]
+    comparisons = [
+        each for subject, rows in scores.items() for each in compare_horizons(subject, rows, seed=request.seed)
+    ]
 
     report("verifying", 0.8)
     refusals = objections(verify(new).reasons, read_verdict(folder / "model"))
-    propose, sentence = verdict_on(comparisons, refusals, FRESH, unjudged)
+    propose, sentence = propose_verdict(comparisons, refusals, FRESH, unjudged)
     left = library.step(study, "diagnosed")
     if left is None:
-        left = "" if not request.diagnosis else _what_is_left(new, library, chosen, request.seed, report)
+        left = "" if not request.diagnosis else _describe_residue(new, library, chosen, request.seed, report)
         library.done(study, "diagnosed", left)
 
     rows_by_name = {row.name: row for row in library.cycles()}
@@ -288,7 +290,7 @@ def retrain(
         classes=tuple(classes),
         regions=_regions(library, chosen),
         ratings={
-            rating: sum(row.rating == rating and not row.excluded for row in rows_by_name.values())
+            rating: sum(row.rating == rating and not row.is_excluded for row in rows_by_name.values())
             for rating in RATINGS
         },
         training=len(record.training),
@@ -301,9 +303,11 @@ def retrain(
     files = report_files(found, rows_by_name.values(), frozenset(name for name, _ in chosen["training"]))
     if propose:
         # Known again by its study: a kill between the store and the library must not make a second version.
-        made = next((name for name in versions(request.store) if _study_of(request.store, name) == record.study), None)
+        made = next(
+            (name for name in versions(request.store) if _version_study(request.store, name) == record.study), None
+        )
         if made is None:
-            more = _written(folder / "model") | files | {RECORD: record.text()}
+            more = _directory_files(folder / "model") | files | {RECORD: record.text()}
             more |= familiarity_files(familiar)
             made = save(request.store, new, created=clock(), parent=source.version, more=more)
         found = replace(found, version=made)
@@ -331,25 +335,25 @@ def choose_cycles(request: RetrainingRequest, library: CycleLibrary, source: Cyc
     fresh = [
         row for row in new_cycles(library, source.model) if row.kept or (oldest is not None and row.begin >= oldest)
     ]
-    latest = fresh[-JUDGING:]
-    count = min(max(len(latest) // 4, LEAST_HELD_OUT), HELD_OUT, len(latest) // 2)
-    if count < LEAST_HELD_OUT:
+    latest = fresh[-MAX_JUDGED_CYCLES:]
+    count = min(max(len(latest) // 4, MIN_HELD_OUT), MAX_HELD_OUT, len(latest) // 2)
+    if count < MIN_HELD_OUT:
         raise ValueError(
             f"{library.folder}: {len(fresh)} new cycles are too few to learn from and to judge by; it takes "
-            f"{ENOUGH}, so let the gateway run on"
+            f"{MIN_NEW_CYCLES}, so let the gateway run on"
         )
     ordered = sorted(latest, key=lambda row: (RATINGS.index(row.rating), row.begin))
     # In the middle of each part, not at its ends: the one that is worst predicted would always be among the judges.
     places = ((np.arange(count) + 0.5) * len(ordered) / count).astype(int).tolist()
     held = {ordered[place].name for place in places}
     rows = library.cycles(as_cut=True)
-    rest = [row for row in rows if not row.excluded and row.error is not None and row.name not in held]
+    rest = [row for row in rows if not row.is_excluded and row.error is not None and row.name not in held]
     notes, sets = list[str](), {"training": list[tuple[str, str]](), "held_out": list[tuple[str, str]]()}
     former, left = list[str](), request.rows
     # No library has them, so that they are older than all that it has.
     earlier = sorted(request.former, key=lambda trace: float(trace.times[0]), reverse=True)
     candidates: list[CycleRow | Trace] = [row for row in ordered if row.name in held]
-    candidates += [*_in_turn(rest, request.rows), *earlier]
+    candidates += [*_training_order(rest, request.rows), *earlier]
     for row in candidates:
         if isinstance(row, Trace):
             begin, end = float(row.times[0]), float(row.times[-1])
@@ -365,7 +369,7 @@ def choose_cycles(request: RetrainingRequest, library: CycleLibrary, source: Cyc
         subject = "held_out" if row.name in held else "training"
         if subject == "training" and row.rows > left:
             continue
-        trace = cycle_of(source, row, library)
+        trace = read_cycle(source, row, library)
         if trace is None:
             notes.append(f"{row.name} is neither kept nor in the historian any more")
             continue
@@ -382,26 +386,26 @@ def _former(request: RetrainingRequest, chosen: dict[str, Any]) -> list[Trace]:
     return [trace for trace in request.former if content_hash(trace) in chosen["former"]]
 
 
-def _in_turn(cycles: Sequence[CycleRow], room: int) -> list[CycleRow]:
+def _training_order(cycles: Sequence[CycleRow], room: int) -> list[CycleRow]:
     """The cycles, given in the order of time, so that any number of first ones has all regions, and of each the newest.
 
-    One that is older than the newest RECENT times `room` rows (scans) comes after all of these, but for the newest of a
-    region that the plant has not been in since: a plant that was changed is learned as it is, and nothing that it once
-    did is forgotten (record 0145). How wrong the present model was is no reason to be learned from: a model of those
-    cycles alone is wrong the other way (record 0145).
+    One that is older than the newest RECENT_ROOM_FACTOR times `room` rows (scans) comes after all of these, but for the
+    newest of a region that the plant has not been in since: a plant that was changed is learned as it is, and nothing
+    that it once did is forgotten (record 0145). How wrong the present model was is no reason to be learned from: a
+    model of those cycles alone is wrong the other way (record 0145).
     """
     turn: dict[str, int] = {}
     placed: list[tuple[bool, int, CycleRow]] = []
     rows = 0
     for row in reversed(cycles):
         number = turn.setdefault(row.region, 0)
-        placed.append((number > 0 and rows >= RECENT * room, number, row))
+        placed.append((number > 0 and rows >= RECENT_ROOM_FACTOR * room, number, row))
         turn[row.region] += 1
         rows += row.rows
     return [row for *_, row in sorted(placed, key=lambda each: each[:2])]
 
 
-def _searched(
+def _search_settings(
     request: RetrainingRequest, present: Model, method: str, training: Sequence[Trace], folder: Path
 ) -> tuple[Settings, str]:
     """The settings of a search by cross-validation over the training, none where the defaults are as good; a sentence.
@@ -423,7 +427,7 @@ def learned_model(record: TrainingRecord, training: Sequence[Trace], alphabet: A
     # Traces that do not say their machine are of the historian's: named beside unnamed would be two machines.
     if any(not trace.machine for trace in training):
         training = [replace(trace, machine="") for trace in training]
-    task = Task(joined(training, alphabet.gap), alphabet, temperature, record.seed, record.name)
+    task = Task(join_traces(training, alphabet.gap), alphabet, temperature, record.seed, record.name)
     taught = METHODS[record.method].learn(task, record.settings)
     contents = tuple(sorted({content for _, content in record.training}))
     names = tuple(name for name, _ in record.training)
@@ -431,7 +435,7 @@ def learned_model(record: TrainingRecord, training: Sequence[Trace], alphabet: A
     return replace(taught, model=replace(taught.model, provenance=origin))
 
 
-def joined(traces: Sequence[Trace], gap: float) -> list[Trace]:
+def join_traces(traces: Sequence[Trace], gap: float) -> list[Trace]:
     """The traces in the order of time, those of the same signals that follow within `gap` s as one.
 
     The row that ended a cycle is the first of the next one: it comes once.
@@ -499,10 +503,13 @@ def sparse(trace: Trace, step: float) -> Trace:
     return replace(trace, times=trace.times[kept], signals=signals, bad=bad, held=held)
 
 
-def _what_is_left(new: Model, library: CycleLibrary, chosen: dict[str, Any], seed: int, report: Progress) -> str:
+def _describe_residue(new: Model, library: CycleLibrary, chosen: dict[str, Any], seed: int, report: Progress) -> str:
     """What a diagnosis says of the new model on the cycles held out: where it still disagrees, if it does."""
     # Heat is slow: at a row every ten seconds a diagnosis sees the same, in a tenth of the memory of 1 Hz.
-    traces = [sparse(encoded(library.readings(content), new.alphabet), SPARSE) for _, content in chosen["held_out"]]
+    traces = [
+        sparse(encode_trace(library.readings(content), new.alphabet), DIAGNOSIS_PERIOD_S)
+        for _, content in chosen["held_out"]
+    ]
     found = diagnose(new, traces, seed=seed, most=1, progress=lambda what, _: report(f"diagnosing: {what}", 0.85))
     return f"{found.diagnosis.verdict}: {found.diagnosis.sentence}"
 
@@ -519,15 +526,15 @@ def _familiarity(
     known = [
         points
         for trace in sorted(_former(request, chosen), key=lambda each: float(each.times[0]))
-        for _, points in cycles_with_points(new, encoded(trace, new.alphabet))
+        for _, points in cycles_with_points(new, encode_trace(trace, new.alphabet))
     ]
     known += [rows[name].points for name, _ in chosen["training"]]
-    reference = reference_of(known)
+    reference = make_reference(known)
     if reference is None:
         return None, []
     pairs: list[ErrorPair] = []
     for name, content in chosen["held_out"]:
-        pair = error_pair(reference, new, encoded(library.readings(content), new.alphabet), rows[name].points)
+        pair = error_pair(reference, new, encode_trace(library.readings(content), new.alphabet), rows[name].points)
         if pair is not None:
             pairs.append(pair)
     found = familiarity(reference, pairs, held_out=True)
@@ -539,7 +546,7 @@ def _regions(library: CycleLibrary, chosen: dict[str, Any]) -> tuple[dict[str, A
     trained = {name for name, _ in chosen["training"]}
     found: dict[str, dict[str, Any]] = {}
     for row in library.cycles():
-        if row.excluded:
+        if row.is_excluded:
             continue
         own = found.setdefault(row.region, {"region": row.region, "cycles": 0, "not ordinary": 0, "in training": 0})
         own["cycles"] += 1
@@ -548,12 +555,12 @@ def _regions(library: CycleLibrary, chosen: dict[str, Any]) -> tuple[dict[str, A
     return tuple(sorted(found.values(), key=lambda own: -own["cycles"]))
 
 
-def _written(directory: Path) -> dict[str, str]:
+def _directory_files(directory: Path) -> dict[str, str]:
     """The files of a model directory beside the model itself, by name."""
-    names = [name for name in listed(directory / MANIFEST) if name != MODEL_FILE]
+    names = [name for name in read_hashes(directory / MANIFEST) if name != MODEL_FILE]
     return {name: (directory / name).read_text(encoding="utf-8") for name in names}
 
 
-def _study_of(store: Path, version: str) -> str:
+def _version_study(store: Path, version: str) -> str:
     record = read_record(version_directory(store, version))
     return "" if record is None else record.study

@@ -13,7 +13,7 @@ from typing import Any
 from pydantic import TypeAdapter, ValidationError
 
 from sim.artefacts import MANIFEST
-from sim.files import at, read_text
+from sim.files import file_error, read_text
 from sim.strict_json import json_text
 
 RECORD, FORMAT = "record.json", "decanter-training-record"
@@ -58,12 +58,14 @@ def read_record(folder: Path) -> TrainingRecord | None:
     except ValidationError as error:
         first = error.errors()[0]
         what = f"{'.'.join(map(str, first['loc']))}: {first['msg']}"
-        raise at(file, None, f"cannot be used as a record ({what}); restore it from a backup") from None
+        raise file_error(file, None, f"cannot be used as a record ({what}); restore it from a backup") from None
     except (KeyError, RecursionError, TypeError, ValueError) as error:
-        raise at(file, None, f"cannot be used as a record ({str(error)[:80]}); restore it from a backup") from None
+        raise file_error(
+            file, None, f"cannot be used as a record ({str(error)[:80]}); restore it from a backup"
+        ) from None
 
 
-def created_of(folder: Path) -> float:
+def creation_time(folder: Path) -> float:
     """When the version in `folder` was made (s UTC). Raises ArtefactError."""
     manifest = folder / MANIFEST
     try:
@@ -71,7 +73,7 @@ def created_of(folder: Path) -> float:
         datetime.fromtimestamp(created, UTC)
         return created
     except (KeyError, OverflowError, OSError, TypeError, ValueError) as error:
-        raise at(manifest, None, f"does not say when the version was made ({error!r}); restore it") from None
+        raise file_error(manifest, None, f"does not say when the version was made ({error!r}); restore it") from None
 
 
 def code_hash(*folders: str) -> str:

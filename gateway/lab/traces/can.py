@@ -9,9 +9,9 @@ import click
 
 from drivers.csv_rows import write_rows
 from drivers.driver import open_recording
-from drivers.named_files import writing
+from drivers.named_files import name_write_errors
 from drivers.tag import Sample
-from gateway.console import CommandResult, Part, Rows, conclude, json_option, make_folder, progress, shipped
+from gateway.console import CommandResult, Part, Rows, conclude, json_option, make_folder, progress, shipped_file
 from gateway.entry import sentences
 from gateway.settings import load_device
 
@@ -39,10 +39,10 @@ def can_log(
     """
     options = {"format": format_, "bus": bus, "dbc": dbc and str(dbc)}
     with sentences(), progress(log.name) as report:
-        device_map = load_device(shipped("devices", device))
+        device_map = load_device(shipped_file("devices", device))
         settings = {**device_map.settings, **{key: value for key, value in options.items() if value is not None}}
         recorded = open_recording(device_map.driver, log, settings, device_map.tags)
-        with _written(out) as keep:
+        with _sample_writer(out) as keep:
             spans = _spans(keep(recorded.samples(report)))
     rows = []
     for tag in device_map.tags:
@@ -64,7 +64,7 @@ def can_log(
 
 
 @contextmanager
-def _written(out: Path | None) -> Iterator[Any]:
+def _sample_writer(out: Path | None) -> Iterator[Any]:
     """A filter that writes the samples on their way to `out`; a file is only there once it is whole."""
     if out is None:
         yield lambda samples: samples
@@ -72,7 +72,7 @@ def _written(out: Path | None) -> Iterator[Any]:
     make_folder(out.parent)
     unfinished = out.with_name(out.name + ".part")
     try:
-        with writing(out), unfinished.open("w", encoding="utf-8", newline="") as stream:
+        with name_write_errors(out), unfinished.open("w", encoding="utf-8", newline="") as stream:
             yield lambda samples: _rows(stream, samples)
         unfinished.replace(out)
     finally:

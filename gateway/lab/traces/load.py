@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import click
 
-from gateway.console import shipped
+from gateway.console import shipped_file
 from sim.lab.recordings import ColumnMap, LoadReport, channel_uses, load_map, load_traces
 from sim.sha import Alphabet, Trace
 
@@ -14,20 +14,20 @@ def load(paths: Sequence[str], map_name: str) -> tuple[list[Trace], ColumnMap]:
 
     What was refused of them, or understood otherwise than it stands there, goes to standard error.
     """
-    traces, column_map, _ = load_reported(paths, map_name)
+    traces, column_map, _ = load_with_report(paths, map_name)
     return traces, column_map
 
 
-def load_reported(paths: Sequence[str], map_name: str) -> tuple[list[Trace], ColumnMap, LoadReport]:
+def load_with_report(paths: Sequence[str], map_name: str) -> tuple[list[Trace], ColumnMap, LoadReport]:
     """As `load`, with what became of every file."""
-    column_map = load_map(shipped("traces", map_name))
+    column_map = load_map(shipped_file("traces", map_name))
     traces, report = load_traces(paths[0] if len(paths) == 1 else list(paths), column_map)
     for sentence in report.sentences() if report.refused or report.errors else report.warnings:
         click.secho(sentence, fg="yellow", err=True)
     return traces, column_map.model_copy(update={"alphabet": report.alphabet}), report
 
 
-def warned_of(traces: Sequence[Trace], alphabet: Alphabet) -> list[str]:
+def channel_warnings(traces: Sequence[Trace], alphabet: Alphabet) -> list[str]:
     """What of the alphabet these traces cannot teach, one sentence a channel, also said on standard error.
 
     Raises ValueError where they have none of its signals.

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import click
 
-from drivers.named_files import writing
+from drivers.named_files import name_write_errors
 from gateway.console import CommandResult, Line, Part, conclude, json_option
 from gateway.entry import sentences
-from sim.lab.recordings.mapping import BLANK, CHOICES, NONE, Answers, DraftedMap, Undecided, draft_map
+from sim.lab.recordings.mapping import BLANK_IS_GOOD, CHOICES, NO_COLUMN, Answers, DraftedMap, Undecided, draft_map
 
 MOST_QUESTIONS = 3
 """Of one export; what is open beyond them is taken as it most likely is, and said."""
@@ -24,20 +24,22 @@ MOST_QUESTIONS = 3
 @click.option(
     "--current",
     multiple=True,
-    help=f"The column of the motor's current, or of what else loads the machine; again for several; {NONE} for none.",
+    help=f"The column of the motor's current, or of what else loads the machine; again for several; {NO_COLUMN} for "
+    "none.",
 )
-@click.option("--running", default="", help=f"The column that says whether the machine runs; {NONE} for none.")
+@click.option("--running", default="", help=f"The column that says whether the machine runs; {NO_COLUMN} for none.")
 @click.option("--on", multiple=True, help="A word of that column that means running; may be given several times.")
 @click.option("--time", default="", help="The column of times.")
 @click.option("--dates", type=click.Choice(CHOICES["dates"]), help="What comes first in 03/04/2024.")
 @click.option("--timezone", default="", help="The zone of times that do not say theirs, such as Europe/Rome [UTC].")
 @click.option("--unit", multiple=True, help="The unit of a column that does not say it, as 'Bearing temperature=K'.")
-@click.option("--machine", default="", help=f"The column that says which machine a row is of; {NONE} for none.")
-@click.option("--session", default="", help=f"The column that says which session a row is of; {NONE} for none.")
+@click.option("--machine", default="", help=f"The column that says which machine a row is of; {NO_COLUMN} for none.")
+@click.option("--session", default="", help=f"The column that says which session a row is of; {NO_COLUMN} for none.")
 @click.option(
     "--good",
     multiple=True,
-    help=f"A word of the quality of good readings; {BLANK}: also where it is blank; {NONE}: it says nothing.",
+    help=f"A word of the quality of good readings; {BLANK_IS_GOOD}: also where it is blank; {NO_COLUMN}: it says "
+    "nothing.",
 )
 @click.option("--stored", type=click.Choice(CHOICES["stored"]), help="How values were stored.")
 @click.option("--duplicates", type=click.Choice(CHOICES["duplicates"]), help="What becomes of rows with the same time.")
@@ -68,9 +70,9 @@ def map_command(
         answers = Answers(
             current=current, on=on, unit=unit, good=good, **{name: given or "" for name, given in names.items()}
         )
-        drafted = asked_map(file, answers, yes=yes)
+        drafted = ask_map(file, answers, yes=yes)
         if out is not None:
-            with writing(out):
+            with name_write_errors(out):
                 out.write_text(drafted.text, encoding="utf-8")
     data = {"file": str(file), "map": out and str(out), **asdict(drafted)}
 
@@ -89,7 +91,7 @@ def map_command(
     conclude(CommandResult(data), lambda _: show(), as_json=as_json)
 
 
-def asked_map(file: Path, answers: Answers, names: Mapping[str, str] | None = None, *, yes: bool = False) -> DraftedMap:
+def ask_map(file: Path, answers: Answers, names: Mapping[str, str] | None = None, *, yes: bool = False) -> DraftedMap:
     """The map, a person asked for what the file leaves open, as long as one is there; `names` as `draft_map` has them.
 
     With `yes` what is most likely is taken, and said. Raises Undecided where nobody is there, TraceError where there is

@@ -6,10 +6,10 @@ from pathlib import Path
 import click
 import numpy as np
 
-from gateway.console import CommandResult, Part, conclude, json_option, map_option, shipped
+from gateway.console import CommandResult, Part, conclude, json_option, map_option, shipped_file
 from gateway.entry import sentences
 from gateway.lab.traces.picture import picture_option
-from gateway.lab.traces.summary import show_summaries, summary_of
+from gateway.lab.traces.summary import show_summaries, trace_summary
 from sim.lab.pictures import Curve, Picture, draw
 from sim.lab.recordings import load_map, load_traces
 
@@ -25,7 +25,7 @@ MOST_INPUTS = 3
 def show(paths: Sequence[str], map_name: str, picture: Path | None, as_json: bool) -> None:
     """Load traces (files, a folder or a glob) by a column map; say what was used, what was refused and why."""
     with sentences():
-        column_map = load_map(shipped("traces", map_name))
+        column_map = load_map(shipped_file("traces", map_name))
         traces, report = load_traces(paths[0] if len(paths) == 1 else list(paths), column_map)
         if picture is not None:
             first, temperature = traces[0], column_map.temperature
@@ -49,7 +49,7 @@ def show(paths: Sequence[str], map_name: str, picture: Path | None, as_json: boo
                 units={name: signal.unit for name, signal in column_map.signals.items()},
             )
             draw(drawn, picture)
-    rows = [summary_of(trace, None) for trace in traces]
+    rows = [trace_summary(trace, None) for trace in traces]
     data = {"traces": rows, "report": report.as_table(), "picture": picture and str(picture)}
 
     def show_all() -> Iterator[Part]:

@@ -10,7 +10,7 @@ from gateway.console import Part, Rows
 from sim.sha import Trace
 
 
-def summary_of(trace: Trace, file: Path | None) -> dict[str, Any]:
+def trace_summary(trace: Trace, file: Path | None) -> dict[str, Any]:
     """Name, size and the range of each signal, as JSON."""
     return {
         "name": trace.name,

@@ -8,7 +8,7 @@ import click
 
 from gateway.console import CommandResult, conclude, json_option, make_folder, progress, seed_option
 from gateway.entry import sentences
-from gateway.lab.traces.summary import show_summaries, summary_of
+from gateway.lab.traces.summary import show_summaries, trace_summary
 from sim.lab.recordings import write_trace
 from sim.plant import SCENARIOS, production, scenario
 from sim.sha import DECANTER, encode
@@ -53,7 +53,7 @@ def synth(
         for trace, file in zip(traces, files, strict=True):
             write_trace(trace, file)
     encoded = [replace(trace, events=encode(trace, DECANTER)) for trace in traces]
-    rows = [summary_of(trace, file) for trace, file in zip(encoded, files, strict=True)]
+    rows = [trace_summary(trace, file) for trace, file in zip(encoded, files, strict=True)]
     conclude(
         CommandResult({"synthetic": True, "traces": rows}),
         lambda _: show_summaries("SYNTHETIC traces", rows),

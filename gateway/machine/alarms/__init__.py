@@ -2,11 +2,11 @@
 
 from typing import TYPE_CHECKING
 
-from sim.doors import opened_at_use
+from sim.doors import lazy_getattr
 
 if TYPE_CHECKING:
     from gateway.machine.alarms.board import AlarmBoard, AlarmError
-    from gateway.machine.alarms.conditions import acknowledge_words, make_conditions, name_of, suppressing_tags
+    from gateway.machine.alarms.conditions import acknowledge_words, alarm_name, make_conditions, suppressing_tags
     from gateway.machine.alarms.journal import JournalRow, read_journal
     from gateway.machine.alarms.picture import diagram, state_table, transition_table
     from gateway.machine.alarms.rates import PRIORITIES, alarm_rates
@@ -25,4 +25,4 @@ if TYPE_CHECKING:
         possible,
     )
 else:
-    __getattr__ = opened_at_use(__name__)
+    __getattr__ = lazy_getattr(__name__)

@@ -19,8 +19,8 @@ from gateway.machine.alarms.states import (
     AlarmState,
     Change,
     acknowledge,
+    apply_change,
     from_plain,
-    moved,
     new_alarm,
     possible,
     step,
@@ -47,7 +47,7 @@ class AlarmError(OneLineError, ValueError):
 
 
 class AlarmBoard:
-    """All alarms of a machine, in two stages of a scan: `on_measured` before the model, `on_predictions` after it.
+    """All alarms of a machine, in two stages of a scan: `take_readings` before the model, `on_predictions` after it.
 
     What changes is on record and in the log at once: an alarm waits for nothing that comes later in the scan. The
     alarms go on as they were when the gateway last ran; what cannot be read begins as normal, and is logged, and what
@@ -98,8 +98,8 @@ class AlarmBoard:
             plain = saved[1].get(name)
             # What stood against a limit that is higher now may be over; against a lower one it stands all the more.
             if isinstance(plain, dict) and condition.limit > plain.get("limit", condition.limit):
-                self.alarms[name] = moved(self.alarms[name], Change.CLEAR, now, latching=condition.latches)
-        self._make_known(before, {}, now)
+                self.alarms[name] = apply_change(self.alarms[name], Change.CLEAR, now, latching=condition.latches)
+        self._publish_changes(before, {}, now)
         if gone:
             self._save_alarms(now)
         if sensors is not None and (state := saved_state(historian, "sensors", log)) is not None:
@@ -125,7 +125,7 @@ class AlarmBoard:
 
     # ---------------------------------------------------------------- the stages of a scan
 
-    def on_measured(self, scan: Scan) -> None:
+    def take_readings(self, scan: Scan) -> None:
         """The PLC's acknowledge bits, then the thresholds and the sensors: they need neither model nor forecast."""
         before = dict(self.alarms)
         self._take_acknowledgements(scan)
@@ -139,13 +139,13 @@ class AlarmBoard:
                 # Of a tag that cannot be read nobody knows that the alarm means nothing.
                 suppress = value is not None and bool(value) == bool(wanted)
                 change = Change.SUPPRESS if suppress else Change.UNSUPPRESS
-                alarm = moved(alarm, change, scan.time, GATEWAY, reason=tag, latching=condition.latches)
+                alarm = apply_change(alarm, change, scan.time, GATEWAY, reason=tag, latching=condition.latches)
             if alarm.until is not None and scan.time >= alarm.until:
                 change, reason = Change.UNSHELVE, "its time is over"
-                alarm = moved(alarm, change, scan.time, GATEWAY, reason=reason, latching=condition.latches)
+                alarm = apply_change(alarm, change, scan.time, GATEWAY, reason=reason, latching=condition.latches)
             self.alarms[name] = alarm
         # By itself: what is acknowledged and over in one scan went by two rows of the table, and is so on record.
-        self._make_known(before, {}, scan.time)
+        self._publish_changes(before, {}, scan.time)
         values = {on_tag(OVER_LIMIT, name): scan.good(name) for name in self.watched}
         if self._sensors is not None:
             values |= self._sensors.take(scan)
@@ -155,7 +155,7 @@ class AlarmBoard:
         """What the models find, and the machine of itself; None for what is not known."""
         self._step(findings, scan.time, dict(self.alarms))
 
-    def follow_past(self, scans: Iterable[Scan]) -> None:
+    def follow_history(self, scans: Iterable[Scan]) -> None:
         """Let the sensors have a past that was read before a start: no alarm changes by it.
 
         How the twins differed is kept over a start, and has been learned from these readings already.
@@ -203,7 +203,7 @@ class AlarmBoard:
             pressed = scan.good(tag_of_all)
             if pressed and self._pressed is False:
                 for name, alarm in self.alarms.items():
-                    self.alarms[name] = moved(alarm, Change.ACKNOWLEDGE, scan.time, "PLC")
+                    self.alarms[name] = apply_change(alarm, Change.ACKNOWLEDGE, scan.time, "PLC")
             self._pressed = None if pressed is None else bool(pressed)
 
     def _step(self, values: Mapping[str, float | None], now: float, before: Mapping[str, Alarm]) -> None:
@@ -224,7 +224,7 @@ class AlarmBoard:
         for of_plant in (False, True):
             if own := [row for row in raised if self._is_of_plant(row[1]) is of_plant]:
                 self._mark_first_up(own, of_plant=of_plant)
-        self._make_known(before, values, now)
+        self._publish_changes(before, values, now)
 
     def _is_of_plant(self, name: str) -> bool:
         return name in self.conditions and self.conditions[name].kind in OF_PLANT
@@ -241,7 +241,7 @@ class AlarmBoard:
         for name in fresh:
             self.alarms[name] = replace(self.alarms[name], first_up=name == first)
 
-    def _make_known(self, before: Mapping[str, Alarm], values: Mapping[str, float | None], now: float) -> None:
+    def _publish_changes(self, before: Mapping[str, Alarm], values: Mapping[str, float | None], now: float) -> None:
         """Keep, record, log and pass on what is another state than before."""
         changes = [
             (before[name], after)
@@ -293,11 +293,13 @@ class AlarmBoard:
         self.check(name, change)
         before = dict(self.alarms)
         latching = self.conditions[name].latches
-        self.alarms[name] = moved(self.alarms[name], change, now, by, reason=reason, latching=latching, until=until)
+        self.alarms[name] = apply_change(
+            self.alarms[name], change, now, by, reason=reason, latching=latching, until=until
+        )
         self._log.info(CHANGE_WORDS[change], alarm=name, by=by, reason=reason)
         if change is Change.RETURN and self._sensors is not None and self.conditions[name].kind == DRIFTING:
             self._sensors.compare_anew()
-        self._make_known(before, {}, now)
+        self._publish_changes(before, {}, now)
         return self.alarms[name]
 
     def save(self, now: float) -> None:

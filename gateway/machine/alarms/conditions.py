@@ -7,7 +7,7 @@ from typing import Any
 from drivers.device_file import ACKNOWLEDGE_BITS
 from gateway.machine.alarms.states import AlarmCondition
 from gateway.machine.reading import STALE_PERIODS
-from gateway.settings import ALARM_KINDS, PLANT, AlarmKind, AlarmPlace, Config, settings_of, suppressing
+from gateway.settings import ALARM_KINDS, PLANT, AlarmKind, AlarmPlace, Config, merge_settings, parse_suppression
 
 OVER_LIMIT, RISING, DRIFTING = "over limit", "rising", "sensor drifting"
 SENSOR_FAULTS = tuple(name for name, kind in ALARM_KINDS.items() if kind.namur)
@@ -16,7 +16,7 @@ SENSOR_FAULTS = tuple(name for name, kind in ALARM_KINDS.items() if kind.namur)
 
 def acknowledge_words(config: Config) -> dict[str, frozenset[str]]:
     """The tags of the PLC's acknowledge bits, each with the temperatures whose alarms are acknowledged by it."""
-    of = {one.model.temperature: one.block_layout for one in config.followed}
+    of = {one.model.temperature: one.block_layout for one in config.temperature_configs}
     tags = {name: layout.acknowledge_bits if layout else ACKNOWLEDGE_BITS for name, layout in of.items()}
     return {tag: frozenset(name for name in tags if tags[name] == tag) for tag in tags.values()}
 
@@ -26,7 +26,7 @@ def suppressing_tags(conditions: Mapping[str, AlarmCondition]) -> frozenset[str]
     return frozenset(c.suppressed_by[0] for c in conditions.values() if c.suppressed_by)
 
 
-def name_of(config: Config, name: str, temperature: str) -> str:
+def alarm_name(config: Config, name: str, temperature: str) -> str:
     """The name of a model's alarm: that of the first temperature is plain, others have their tag behind it."""
     return name if temperature == config.model.temperature else f"{name} {temperature}"
 
@@ -36,21 +36,21 @@ def on_tag(kind: str, tag: str) -> str:
     return f"{kind} {tag}"
 
 
-def _named(config: Config, name: str, kind: AlarmKind, tag: str) -> tuple[str, str]:
+def _alarm_place(config: Config, name: str, kind: AlarmKind, tag: str) -> tuple[str, str]:
     """The name of the alarm of a kind on a tag, and the temperature whose block alone it is in ("": all)."""
     if kind.subject == "predicted":
-        return name_of(config, name, tag), tag if len(config.temperatures) > 1 else ""
+        return alarm_name(config, name, tag), tag if len(config.temperatures) > 1 else ""
     return (on_tag(name, tag) if tag else name), ""
 
 
 def _of_kind(config: Config, name: str, kind: AlarmKind, at: AlarmPlace) -> list[AlarmCondition]:
     """The alarm of a kind at a place, with what the plant file says of it; none where it is switched off."""
-    own = settings_of(config.alarm, name, at.tag)
+    own = merge_settings(config.alarm, name, at.tag)
     if not kind.applies(at) or not own.pop("enabled", True):
         return []
     twins = [tag for tag in config.twins if tag != at.tag]
     unit = config.map.by_name[at.tag].unit if at.tag else ""
-    alarm, temperature = _named(config, name, kind, at.tag)
+    alarm, temperature = _alarm_place(config, name, kind, at.tag)
     usual: dict[str, Any] = {
         "name": alarm,
         "tag": at.tag or (PLANT if kind.subject == "plant" and config.several else config.machine),
@@ -60,7 +60,7 @@ def _of_kind(config: Config, name: str, kind: AlarmKind, at: AlarmPlace) -> list
         "off_delay": config.alarms.off_delay,
         "priority": kind.priority,
         "response": kind.response.format(
-            tag=at.tag, twin=" and ".join(twins), limit=f"{at.config.limit_of(at.tag):g}", unit=unit
+            tag=at.tag, twin=" and ".join(twins), limit=f"{at.config.find_limit(at.tag):g}", unit=unit
         ),
         "consequence": str(kind.consequence),
         "temperature": temperature,
@@ -69,7 +69,7 @@ def _of_kind(config: Config, name: str, kind: AlarmKind, at: AlarmPlace) -> list
     if "latch" in own:
         own["latches"] = own.pop("latch")
     if "suppressed_by" in own:
-        own["suppressed_by"] = suppressing(own["suppressed_by"])
+        own["suppressed_by"] = parse_suppression(own["suppressed_by"])
     more = kind.more(at)
     given = "response" in more or "response" in own
     return [AlarmCondition(own_response=given, **{**usual, **more, **own})]
@@ -84,8 +84,8 @@ def make_conditions(config: Config, inputs: tuple[str, ...], *, complains: bool 
     stale_after = STALE_PERIODS * config.scan.period
     machine = [AlarmPlace(config=config, inputs=inputs, complains=complains, stale_after=stale_after)]
     places = {
-        "watched": [AlarmPlace(config=config, tag=tag) for tag in config.watched],
-        "predicted": [AlarmPlace(config=one, tag=one.model.temperature) for one in config.followed],
+        "watched": [AlarmPlace(config=config, tag=tag) for tag in config.watched_temperatures],
+        "predicted": [AlarmPlace(config=one, tag=one.model.temperature) for one in config.temperature_configs],
         "machine": machine,
         "plant": machine if config.leads else [],
     }

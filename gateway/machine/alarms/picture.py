@@ -43,7 +43,7 @@ PAIR_GAP = 9.0
 """By how much the two arrows of a pair stand apart."""
 
 
-def condition_of(row: Transition) -> str:
+def row_condition(row: Transition) -> str:
     """When a row holds, in words; "" always."""
     words = {
         "latching": {True: "it latches", False: "it does not latch"},
@@ -62,7 +62,7 @@ def transition_table() -> str:
         if row.target in HIDDEN and row.source in SHOWN:
             continue
         source, target = (f"{LETTERS[state]} {state}" for state in (row.source, row.target))
-        lines.append(f"| {source} | {row.change} | {condition_of(row)} | {target} |")
+        lines.append(f"| {source} | {row.change} | {row_condition(row)} | {target} |")
     for hidden, (enter, _) in HIDDEN.items():
         lines.append(f"| {LETTERS[SHOWN[0]]} to {LETTERS[SHOWN[-1]]} | {enter} |  | {LETTERS[hidden]} {hidden} |")
     return "\n".join(lines)

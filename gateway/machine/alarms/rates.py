@@ -15,11 +15,11 @@ TEN_MINUTES = 600.0
 ACCEPTABLE, MANAGEABLE, OVERLOADED = 1.0, 2.0, 5.0
 """Alarms in ten minutes on average (EEMUA 191, edition 3): to 1 very likely acceptable, to 2 manageable, to 5 likely
 over-demanding, beyond that very likely unacceptable."""
-PEAK = 10
+MAX_ALARMS_IN_TEN_MINUTES = 10
 """The most alarms in any ten minutes that a person can deal with (ISA-18.2, table 7)."""
-FLOOD_BEGINS, FLOOD_ENDS = 10, 5
+FLOOD_BEGIN_COUNT, FLOOD_END_COUNT = 10, 5
 """A flood begins with more than 10 alarms within ten minutes and ends when they are fewer than 5."""
-CHATTERS, CHATTER_SECONDS = 3, 60.0
+MIN_CHATTER_COUNT, CHATTER_SECONDS = 3, 60.0
 """An alarm that is announced so often within a minute chatters."""
 STALE_SECONDS = 86_400.0
 """An alarm that stands for longer than a day is stale."""
@@ -27,7 +27,7 @@ PRIORITIES: Mapping[int, float] = {1: 0.05, 2: 0.15, 3: 0.80, 4: 0.0}
 """The share of each priority that is advised (EEMUA 191: 5 % high, 15 % medium, 80 % low; 4 is below these)."""
 SHARE_TOLERANCE = 2.0
 """The most urgent priority may have so many times its advised share before it is too many."""
-MOST_FREQUENT = 10
+MAX_LISTED_NAMES = 10
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -89,14 +89,14 @@ def alarm_rates(rows: Iterable[JournalRow], start: float, end: float) -> AlarmRa
         if row.time > start and row.state == AlarmState.UNACKNOWLEDGED
     ]
     times = [row.time for _, row in fresh]
-    peak, peak_at = most_within(times, TEN_MINUTES)
+    peak, peak_at = densest_window(times, TEN_MINUTES)
     floods = alarm_floods(times, end)
-    standing = _standing(zip(names, known, strict=True), end)
+    standing = _standing_ages(zip(names, known, strict=True), end)
     by_name = defaultdict(list)
     for name, row in fresh:
         by_name[name].append(row.time)
-    most = {name: most_within(own, CHATTER_SECONDS)[0] for name, own in by_name.items()}
-    chattering = {name: count for name, count in most.items() if count >= CHATTERS}
+    most = {name: densest_window(own, CHATTER_SECONDS)[0] for name, own in by_name.items()}
+    chattering = {name: count for name, count in most.items() if count >= MIN_CHATTER_COUNT}
     stale = {name: seconds for name, seconds in standing.items() if seconds > STALE_SECONDS}
     priorities = Counter(row.priority for _, row in fresh)
     average = len(fresh) * TEN_MINUTES / (end - start)
@@ -104,8 +104,8 @@ def alarm_rates(rows: Iterable[JournalRow], start: float, end: float) -> AlarmRa
     findings = []
     if average > ACCEPTABLE:
         findings.append(f"{average:.2g} alarms in ten minutes on average; more than {ACCEPTABLE:g} is too many")
-    if peak > PEAK:
-        findings.append(f"{peak} alarms within ten minutes; nobody can deal with more than {PEAK}")
+    if peak > MAX_ALARMS_IN_TEN_MINUTES:
+        findings.append(f"{peak} alarms within ten minutes; nobody can deal with more than {MAX_ALARMS_IN_TEN_MINUTES}")
     if floods:
         findings.append(f"{len(floods)} flood{'s' if len(floods) > 1 else ''} of alarms")
     if chattering:
@@ -129,14 +129,14 @@ def alarm_rates(rows: Iterable[JournalRow], start: float, end: float) -> AlarmRa
         chattering=chattering,
         standing=standing,
         stale=stale,
-        frequent=dict(Counter(name for name, _ in fresh).most_common(MOST_FREQUENT)),
+        frequent=dict(Counter(name for name, _ in fresh).most_common(MAX_LISTED_NAMES)),
         priorities=dict(sorted(priorities.items())),
         shares=shares,
         findings=findings,
     )
 
 
-def most_within(times: Sequence[float], seconds: float) -> tuple[int, float | None]:
+def densest_window(times: Sequence[float], seconds: float) -> tuple[int, float | None]:
     """The most of the ascending `times` (s) in any (t - seconds, t], and the first such t; 0 and None without any."""
     window: deque[float] = deque()
     most, at = 0, None
@@ -162,11 +162,11 @@ def alarm_floods(times: Sequence[float], end: float) -> list[AlarmFlood]:
         if comes:
             window.append(time)
             count += 1
-            if start is None and len(window) > FLOOD_BEGINS:
+            if start is None and len(window) > FLOOD_BEGIN_COUNT:
                 start, count = time, len(window)
             continue
         window.popleft()
-        if start is not None and len(window) < FLOOD_ENDS:
+        if start is not None and len(window) < FLOOD_END_COUNT:
             floods.append(AlarmFlood(start=start, end=time, alarms=count))
             start = None
     if start is not None:
@@ -174,7 +174,7 @@ def alarm_floods(times: Sequence[float], end: float) -> list[AlarmFlood]:
     return floods
 
 
-def _standing(rows: Iterable[tuple[str, JournalRow]], end: float) -> dict[str, float]:
+def _standing_ages(rows: Iterable[tuple[str, JournalRow]], end: float) -> dict[str, float]:
     """How long (s) each alarm that stands at the end has stood, the longest first."""
     since: dict[str, float] = {}
     for name, row in rows:

@@ -13,7 +13,7 @@ from typing import Any
 from drivers.tag import Quality, Sample
 from gateway.machine.alarms.conditions import RISING, SENSOR_FAULTS, on_tag
 from gateway.machine.reading import Scan
-from gateway.settings import FAULT
+from gateway.settings import FAULT_THRESHOLD
 
 GAP_SECONDS = 60.0
 """A reading that follows the one before by more than this says nothing of the way between them."""
@@ -22,13 +22,13 @@ FROZEN_SECONDS, FROZEN_MOVE, FROZEN_CHANGES = 120.0, 2.0, 100
 """A reading is frozen that has stood for so long (s) while its twin moved so far (degC) or so often."""
 FROZEN_ALONE_SECONDS, FROZEN_ALONE_TIMES = 1800.0, 20.0
 """Without a twin: it has stood for so long (s), and so many times longer than ever before."""
-JUMP_RATE, JUMP_SECONDS, JUMPS, JUMP_MEMORY = 5.0, (1.0, 5.0), 2, 600.0
+JUMP_RATE, JUMP_SECONDS, MIN_JUMPS, JUMP_MEMORY = 5.0, (1.0, 5.0), 2, 600.0
 """A step of more than this (degC/s, over these seconds at least and at most) is one that no bearing takes; so many of
 them within the memory (s) are a fault. A spike is two, there and back."""
-NOISE, NOISE_SECONDS, NOISE_STEP = 0.6, 120.0, 6.0
+MAX_NOISE_SD, NOISE_SECONDS, NOISE_STEP = 0.6, 120.0, 6.0
 """The standard deviation (degC) of a reading that is a fault, over how long (s) it is taken, and the step (degC) from
 which on it is a jump and no noise."""
-REFERENCE_SECONDS, DRIFT_SECONDS, DRIFT, DRIFT_SIGMAS = 3 * 86_400.0, 3600.0, 2.5, 6.0
+REFERENCE_SECONDS, DRIFT_SECONDS, MAX_DRIFT, DRIFT_SIGMAS = 3 * 86_400.0, 3600.0, 2.5, 6.0
 """Twins are compared for so long (s) before their difference is a reference; then its mean over an hour may differ from
 that by so much (degC), or so many of its standard deviations."""
 TREND_WINDOW, TREND_STEP, TREND_LEAST = 300.0, 5.0, 150.0
@@ -98,7 +98,7 @@ class TwinReference:
     def take(self, difference: float, seconds: float) -> float | None:
         """Take a difference that stood for some seconds; by how much it is off its reference, None before that.
 
-        FAULT is as much as may be.
+        FAULT_THRESHOLD is as much as may be.
         """
         weight = 1.0 - exp(-seconds / DRIFT_SECONDS)
         self.recent = difference if self.recent is None else self.recent + weight * (difference - self.recent)
@@ -109,7 +109,7 @@ class TwinReference:
             self.mean += share * off
             self.square = (1.0 - share) * (self.square + share * off * off)
             return None
-        return FAULT * abs(self.recent - self.mean) / max(DRIFT, DRIFT_SIGMAS * sqrt(self.square))
+        return FAULT_THRESHOLD * abs(self.recent - self.mean) / max(MAX_DRIFT, DRIFT_SIGMAS * sqrt(self.square))
 
 
 class SensorWatch:
@@ -149,9 +149,9 @@ class SensorWatch:
                     before=history.value,
                 )
             twin = _number(scan.samples.get(self._twin(name))) if name in self.twins else None
-            found[names["sensor jumping", name]] = _jumping(history, value, scan.time, elapsed[name])
+            found[names["sensor jumping", name]] = _count_jumps(history, value, scan.time, elapsed[name])
             found[names["sensor noisy", name]] = _noisy(history, value, elapsed[name])
-            found[names["sensor frozen", name]] = _frozen(history, value, scan.time, twin, alone=not self.twins)
+            found[names["sensor frozen", name]] = _frozen_time(history, value, scan.time, twin, alone=not self.twins)
             if self._trend is not None:
                 found[names[RISING, name]] = _ahead(history, scan.good(name), scan.time, self._trend)
             history.value, history.time = value, scan.time
@@ -208,13 +208,13 @@ def _number(sample: Sample | None) -> float | None:
     return value if isfinite(value) else None
 
 
-def _jumping(history: SensorHistory, value: float, now: float, seconds: float) -> float:
+def _count_jumps(history: SensorHistory, value: float, now: float, seconds: float) -> float:
     least, most = JUMP_SECONDS
     if history.value is not None and abs(value - history.value) > JUMP_RATE * min(max(seconds, least), most):
         history.jumps.append(now)
     while history.jumps and now - history.jumps[0] > JUMP_MEMORY:
         history.jumps.popleft()
-    return float(len(history.jumps) >= JUMPS)
+    return float(len(history.jumps) >= MIN_JUMPS)
 
 
 def _noisy(history: SensorHistory, value: float, seconds: float) -> float | None:
@@ -234,10 +234,10 @@ def _noisy(history: SensorHistory, value: float, seconds: float) -> float | None
     history.noise_seconds += seconds
     if history.noise_seconds < NOISE_SECONDS:
         return None
-    return FAULT * sqrt(history.variance) / NOISE
+    return FAULT_THRESHOLD * sqrt(history.variance) / MAX_NOISE_SD
 
 
-def _frozen(history: SensorHistory, value: float, now: float, twin: float | None, *, alone: bool) -> float | None:
+def _frozen_time(history: SensorHistory, value: float, now: float, twin: float | None, *, alone: bool) -> float | None:
     """Compared by the bit: a sensor that lives has noise, a frozen one has none.
 
     None: it shows after a gap what it showed before, by the bit. That is no reason to call a frozen one mended.

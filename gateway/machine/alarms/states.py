@@ -233,7 +233,7 @@ def possible(alarm: Alarm, *, latching: bool = False) -> tuple[Change, ...]:
     return tuple(change for change in Change if transition(alarm, change, latching=latching))
 
 
-def moved(
+def apply_change(
     alarm: Alarm,
     change: Change,
     now: float,
@@ -298,7 +298,7 @@ def step(condition: AlarmCondition, alarm: Alarm, value: float | None, now: floa
     delay = condition.on_delay if wanted is Change.RAISE else condition.off_delay
     if now - begun < delay:
         return alarm if alarm.pending is not None else replace(alarm, pending=begun)
-    return moved(alarm, wanted, now, latching=condition.latches)
+    return apply_change(alarm, wanted, now, latching=condition.latches)
 
 
 def acknowledge(
@@ -316,7 +316,7 @@ def acknowledge(
     """
     edges = 0 if before is None else bits & ~before
     return {
-        name: moved(alarm, Change.ACKNOWLEDGE, now, by)
+        name: apply_change(alarm, Change.ACKNOWLEDGE, now, by)
         if (bit := conditions[name].bit) is not None and edges >> bit & 1
         else alarm
         for name, alarm in alarms.items()

@@ -1,6 +1,6 @@
 """What the model makes of a scan: prediction, guards, forecast, and a newer model that takes over."""
 
-from gateway.machine.model.along import forecasts_along, held_news, machine_offset_along, recorded_scans
+from gateway.machine.model.along import estimate_offset, forecast_trace, new_readings, recorded_scans
 from gateway.machine.model.loading import (
     LoadedModel,
     LoadedModels,

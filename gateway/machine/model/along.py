@@ -18,11 +18,11 @@ from gateway.machine.model.predict import Predictor, ScanPrediction
 from gateway.machine.reading import Scan
 from gateway.settings import EnsembleSection, ForecastSection
 from sim.artefacts import model_hash
-from sim.forecast import DENSE, Forecast
+from sim.forecast import DENSE_LEVELS, Forecast
 from sim.sha import Alphabet, Array, Mask, Model, Trace
 
 
-def held_news(
+def new_readings(
     trace: Trace, alphabet: Alphabet, rows: NDArray[np.intp], moments: Array
 ) -> dict[str, tuple[NDArray[np.intp], Mask]]:
     """Of each signal, at `rows` (m,) of a trace that are shown at `moments` (m,) s: (m,) the row of its newest reading,
@@ -47,7 +47,7 @@ def held_news(
 def recorded_scans(trace: Trace, period: float, alphabet: Alphabet) -> Iterator[Scan]:
     """Scans every `period` seconds, as of a device that shows the trace: each signal's newest reading, held.
 
-    A tick without a new row brings no scan. What is held is by the law of `held_news`.
+    A tick without a new row brings no scan. What is held is by the law of `new_readings`.
     """
     if not trace.times.size:
         return
@@ -57,7 +57,7 @@ def recorded_scans(trace: Trace, period: float, alphabet: Alphabet) -> Iterator[
     rows = np.flatnonzero(np.diff(ticks, append=inf) > 0)
     moments = times[0] + period * ticks[rows]
     columns = []
-    for name, (news, held) in held_news(trace, alphabet, rows, moments).items():
+    for name, (news, held) in new_readings(trace, alphabet, rows, moments).items():
         values = trace.signals[name][news]
         good = held & np.isfinite(values)
         columns.append((name, times[news].tolist(), values.tolist(), good.tolist(), held.tolist()))
@@ -72,14 +72,14 @@ def recorded_scans(trace: Trace, period: float, alphabet: Alphabet) -> Iterator[
         yield Scan(number, moment, samples, 0, 0.0, early=True)
 
 
-def forecasts_along(
+def forecast_trace(
     models: Sequence[Model],
     trace: Trace,
     forecasts: ForecastSection,
     *,
     ensemble: EnsembleSection | None = None,
     scan_period: float = 1.0,
-    levels: tuple[float, ...] = DENSE,
+    levels: tuple[float, ...] = DENSE_LEVELS,
     limit: float = inf,
     since: float = -inf,
     progress: Callable[[float], None] | None = None,
@@ -93,7 +93,9 @@ def forecasts_along(
     """
     first = models[0]
     predictor = Predictor(first, first.temperature)
-    lacking = sorted({name for model in models for name in Predictor(model, first.temperature).missing(trace.signals)})
+    lacking = sorted(
+        {name for model in models for name in Predictor(model, first.temperature).missing_inputs(trace.signals)}
+    )
     if lacking:
         names = ", ".join(sorted(trace.signals))
         raise ValueError(f"trace {trace.name!r}: the model reads {', '.join(lacking)}; the trace has {names}")
@@ -124,7 +126,7 @@ def forecasts_along(
             known = prediction.known and prediction.inputs_good and scan.time >= since
             outlook.begin(scan.time, known=known, measured=prediction.measured)
             # The trace's clock stands still meanwhile: a forecast is done before the next scan, on any machine.
-            await outlook.finished()
+            await outlook.finish()
             if (finished := outlook.collect()) is not None:
                 made.append(finished.forecast)
                 if progress is not None:
@@ -134,7 +136,7 @@ def forecasts_along(
     return made
 
 
-def machine_offset_along(model: Model, trace: Trace, *, scan_period: float = 1.0) -> tuple[float, float] | None:
+def estimate_offset(model: Model, trace: Trace, *, scan_period: float = 1.0) -> tuple[float, float] | None:
     """What the gateway knows at the end of `trace` of its machine: (mean, standard deviation) in degC of its offset.
 
     None where the model has no offset of machines, and for a trace without rows.

@@ -16,7 +16,7 @@ from gateway.machine.model.predict import ScanPrediction
 from sim.forecast import Z90
 from sim.sha import Model, Switch
 
-LEAST = 20
+MIN_CYCLE_READINGS = 20
 """Readings below which a cycle says nothing."""
 
 
@@ -55,7 +55,7 @@ class CycleDrift:
     beyond: float = 0.0
 
 
-def rule_of(model: Model, limit: float | None) -> DriftRule | None:
+def make_drift_rule(model: Model, limit: float | None) -> DriftRule | None:
     """The rule for a model; None where its alphabet has no switch, so that nothing says when a cycle begins."""
     switch = next((channel for channel in model.alphabet.channels if isinstance(channel, Switch)), None)
     if switch is None:
@@ -80,7 +80,7 @@ def follow_cycle(rule: DriftRule, drift: CycleDrift, prediction: ScanPrediction)
             # The start ends the cycle before it. One with too few readings is forgotten and not judged, it neither
             # counts nor breaks a run: a cycle that was begun by mistake must not clear the alarm.
             running, error, limit = drift.running, drift.error, drift.limit
-            if drift.begun is not None and drift.readings >= LEAST:
+            if drift.begun is not None and drift.readings >= MIN_CYCLE_READINGS:
                 error, limit = sqrt(drift.missed / drift.readings), cycle_limit(drift.missed, drift.beyond)
                 running = drift.running + 1 if drift.beyond > drift.readings else 0
             drift = replace(

@@ -19,8 +19,8 @@ from gateway.machine.reading import Scan
 from gateway.settings import EnsembleSection, ForecastSection
 from sim.engine import Belief, Tracker
 from sim.forecast import (
-    DENSE,
-    LEVELS,
+    DENSE_LEVELS,
+    FAN_LEVELS,
     Calibration,
     Forecast,
     Losses,
@@ -33,13 +33,13 @@ from sim.forecast import (
     mixture,
     recent_coverage,
     settle_pool,
-    thinned,
+    thin_levels,
     weights_by_horizon,
 )
 from sim.forecast import issue as issue_bands
 from sim.forecast import settle as settle_bands
 from sim.sha import Array, Model, Switch, plain_model
-from sim.strict_json import uncopied
+from sim.strict_json import shallow_dict
 
 FAULTS = (ValueError, ArithmeticError, LookupError)
 """What following a model may raise that concerns this model alone; anything else is a defect of the program."""
@@ -128,7 +128,7 @@ def foresee(
     context: str,
     section: ForecastSection,
     limit: float,
-    levels: tuple[float, ...] = LEVELS,
+    levels: tuple[float, ...] = FAN_LEVELS,
 ) -> MixedForecast:
     """All forecasts one after another, and their mixture by `shares` (H, members), renewed where some are missing.
 
@@ -136,10 +136,10 @@ def foresee(
 
     Raises what the first model raises; what another one raises is its entry in the result.
     """
-    outcomes: list[Forecast | str | None] = [run_job(first, section, limit, DENSE)]
+    outcomes: list[Forecast | str | None] = [run_job(first, section, limit, DENSE_LEVELS)]
     for job in others:
         try:
-            outcomes.append(None if job is None else run_job(job, section, limit, DENSE))
+            outcomes.append(None if job is None else run_job(job, section, limit, DENSE_LEVELS))
         except FAULTS as error:
             outcomes.append(repr(error))
     forecasts = [forecast for forecast in outcomes if isinstance(forecast, Forecast)]
@@ -186,7 +186,7 @@ class Ensemble:
                 return Pool(count, fixed=(*section.weights, *(0.0,) * len(plain)))
             if section.weights == "equal":
                 return Pool(count, fixed=(1.0 / count,) * count)
-            odds = np.array([1.0] * self.given + [_at(member.odds, horizon) for member in plain])
+            odds = np.array([1.0] * self.given + [_interpolate_odds(member.odds, horizon) for member in plain])
             prior = tuple((odds / odds.sum()).tolist())
             return Pool(count, half_life=section.half_life, floor=section.floor, prior=prior)
 
@@ -242,7 +242,7 @@ class Ensemble:
             except FAULTS as error:
                 self._fail(member, scan.time, repr(error))
 
-    def widened(self, own: Mapping[float, float]) -> dict[float, float]:
+    def widen(self, own: Mapping[float, float]) -> dict[float, float]:
         """A member's factors times those of the mixture: its runs are widened by both, on the way to the limit too."""
         joint = factors(self.joint)
         return {horizon: factor * joint.get(horizon, 1.0) for horizon, factor in own.items()}
@@ -262,7 +262,7 @@ class Ensemble:
             # The place, counted from 1, is part of the seed, or its errors would be like the first model's. Not from 0:
             # numpy's SeedSequence takes a 0 at the end for nothing, and the draws would be the first model's again.
             seed = (self.forecasts.seed, int(belief.time * 1000.0), place)
-            widening, plain = self.widened(factors(member.calibration, integral=False)), place >= self.given
+            widening, plain = self.widen(factors(member.calibration, integral=False)), place >= self.given
             jobs.append(ForecastJob(member.predictor.tracker, belief, widening, seed, plain))
         return jobs
 
@@ -272,10 +272,10 @@ class Ensemble:
             if isinstance(outcome, str):
                 self._fail(member, now, outcome)
             elif outcome is not None:
-                member.calibration = issue_bands(member.calibration, thinned(outcome, LEVELS))
+                member.calibration = issue_bands(member.calibration, thin_levels(outcome, FAN_LEVELS))
         published = factors(self.joint)
         joint = np.array([published[horizon] for horizon in mixed.mixed.horizons.tolist()])
-        self.joint = issue_bands(self.joint, replace(thinned(mixed.mixed, LEVELS), factors=joint))
+        self.joint = issue_bands(self.joint, replace(thin_levels(mixed.mixed, FAN_LEVELS), factors=joint))
         forecasts = [entry if isinstance(entry, Forecast) else None for entry in mixed.members]
         for horizon, state in self.evidence.items():
             self.evidence[horizon] = issue_pool(state, horizon, mixed.context, forecasts)
@@ -297,7 +297,7 @@ class Ensemble:
         return {
             "hashes": self.hashes,
             "members": [member.predictor.snapshot() for member in self.members],
-            "losses": {f"{h:g}": uncopied(state.pool) for h, state in self.evidence.items()},
+            "losses": {f"{h:g}": shallow_dict(state.pool) for h, state in self.evidence.items()},
         }
 
     def restore(self, saved: Mapping[str, Any], now: float) -> bool:
@@ -320,7 +320,7 @@ class Ensemble:
         return True
 
 
-def _at(odds: Mapping[float, float], horizon: float) -> float:
+def _interpolate_odds(odds: Mapping[float, float], horizon: float) -> float:
     """The odds at a horizon (s): linear between those known, constant outside, 1 without any."""
     known = sorted(odds)
     return float(np.interp(horizon, known, [odds[each] for each in known])) if known else 1.0

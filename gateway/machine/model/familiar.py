@@ -5,7 +5,7 @@ from typing import Literal
 
 from gateway.machine.reading import Scan
 from sim.artefacts import Familiarity
-from sim.familiarity import ExcessSoFar, GrowingCycle, PointSource, StrangeThing, class_of
+from sim.familiarity import ExcessSoFar, GrowingCycle, PointSource, StrangeThing, classify_error
 from sim.sha import Event, Model
 
 FamiliarityZone = Literal["unknown", "green", "yellow", "red"]
@@ -37,12 +37,12 @@ class CycleFamiliarity:
 
     def __init__(self, known: Familiarity | None, model: Model, limit: float) -> None:
         self._known, self._limit = known, limit
-        self.cycle = GrowingCycle(PointSource.of(model.alphabet, model.temperature))
+        self.cycle = GrowingCycle(PointSource.for_alphabet(model.alphabet, model.temperature))
         self._excess = ExcessSoFar()
         self._begin: float | None = None
         self.rating = FamiliarityRating("unknown", limit)
 
-    def follow_on(self, former: "CycleFamiliarity") -> None:
+    def adopt_cycle(self, former: "CycleFamiliarity") -> None:
         """Take over the hour that another model's has read, where both look at the same signals."""
         if former.cycle.source == self.cycle.source:
             self.cycle = former.cycle
@@ -60,8 +60,8 @@ class CycleFamiliarity:
             else:
                 found, self._excess = self._known.reference.follow(point.values, point.time, self._excess)
                 curve = self._known.curve
-                error = None if curve is None else curve.expected(found.value)
-                zone: FamiliarityZone = "green" if error is None else class_of(error)
+                error = None if curve is None else curve.expected_error(found.value)
+                zone: FamiliarityZone = "green" if error is None else classify_error(error)
                 outside = found.value > self._limit
                 if outside and zone == "green":
                     zone = "yellow"

@@ -3,11 +3,11 @@
 from collections.abc import Mapping
 from typing import Any
 
-from gateway.machine.model.drift import CycleDrift, follow_cycle, rule_of
+from gateway.machine.model.drift import CycleDrift, follow_cycle, make_drift_rule
 from gateway.machine.model.predict import Predictor, ScanPrediction
 from sim.forecast import FORECASTS, ONE_STEP, Z90, Calibration, Forecast, Review, follow, follow_forecasts, share
 from sim.sha import Model
-from sim.strict_json import uncopied
+from sim.strict_json import shallow_dict
 
 INNOVATIONS, DRIFT = "one step", "drift"
 
@@ -25,7 +25,7 @@ class Guards:
         self.model = model
         self._drift_cycles = drift_cycles
         self.drift = CycleDrift()
-        self._rule = rule_of(model, limit)
+        self._rule = make_drift_rule(model, limit)
         self._horizons = {f"{horizon:g} s": horizon for horizon in horizons}
         self.reviews = {INNOVATIONS: Review()} | {name: Review() for name in self._horizons}
         self.forecast_clamps = 0
@@ -46,7 +46,7 @@ class Guards:
         for name, horizon in self._horizons.items():
             self.reviews[name] = follow_forecasts(self.reviews[name], calibration, horizon, p.time, p.measured)
 
-    def made(self, forecast: Forecast) -> None:
+    def count_forecast(self, forecast: Forecast) -> None:
         """Count the clamps of a finished forecast's runs."""
         self.forecast_clamps += forecast.clamps
         self.forecasts_clamped += forecast.clamps > 0
@@ -94,7 +94,7 @@ class Guards:
 
     def snapshot(self) -> dict[str, Any]:
         """The reviews and the drift as JSON can carry them."""
-        return {name: uncopied(review) for name, review in self.reviews.items()} | {DRIFT: uncopied(self.drift)}
+        return {name: shallow_dict(review) for name, review in self.reviews.items()} | {DRIFT: shallow_dict(self.drift)}
 
     def restore(self, saved: Mapping[str, Any]) -> None:
         """Go on from a snapshot, for what is still looked at. Raises TypeError for what `snapshot` did not write."""

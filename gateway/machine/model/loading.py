@@ -11,7 +11,7 @@ from sim.artefacts import (
     Familiarity,
     ModelVerdict,
     current,
-    forced,
+    find_force,
     is_store,
     load,
     model_hash,
@@ -75,7 +75,7 @@ LoadedModels = tuple[LoadedModel | None, tuple[LoadedModel, ...]]
 
 def load_models(config: Config) -> tuple[LoadedModels, ...]:
     """The models of each of a machine's temperatures, in their order. Raises ConfigError as `load_model` does."""
-    loaded = ((one, load_model(one)) for one in config.followed)
+    loaded = ((one, load_model(one)) for one in config.temperature_configs)
     return tuple((model, load_members(one, model)) for one, model in loaded)
 
 
@@ -89,7 +89,7 @@ def models_at_start(config: Config) -> ModelsAtStart:
     What has befallen a model's files keeps no machine from being watched: it runs without that model.
     """
     found, problems = list[LoadedModels](), list[str]()
-    for one in config.followed:
+    for one in config.temperature_configs:
         model, members = None, tuple[LoadedModel, ...]()
         try:
             model = load_model(one)
@@ -111,7 +111,7 @@ def _load(config: Config, path: Path, key: str) -> LoadedModel:
         familiarity = read_familiarity(home) if home.is_dir() else None
         verdict = read_verdict(home) if home.is_dir() else None
         predictor = Predictor(model, config.model.temperature)
-        problem, warning = _unverified(config, model, path, key, version)
+        problem, warning = _verify_model(config, model, path, key, version)
     except (OSError, ValueError) as error:
         raise ConfigError([f"{config.path}: {key}: {error}"]) from None
     # From here on all that is wrong is collected, so that one start tells of everything.
@@ -129,7 +129,7 @@ def _load(config: Config, path: Path, key: str) -> LoadedModel:
         )
     problems += [
         f"{key}: the model reads {name!r}, no tag of {config.map.path}; add the tag or give another model"
-        for name in predictor.missing(config.map.by_name)
+        for name in predictor.missing_inputs(config.map.by_name)
     ]
     if problems:
         raise ConfigError([f"{config.path}: {problem}" for problem in problems])
@@ -157,7 +157,7 @@ def _own(config: Config, model: Model) -> Model:
     return of_machine(model, name) if name in model.machines else model
 
 
-def _unverified(config: Config, model: Model, path: Path, key: str, version: str) -> tuple[str, str]:
+def _verify_model(config: Config, model: Model, path: Path, key: str, version: str) -> tuple[str, str]:
     """(why the model is not run, what to say when it is run all the same); both empty for a deployable one.
 
     One that was promoted by force is run, but nothing of it is written to a plant. Raises ArtefactError.
@@ -165,7 +165,7 @@ def _unverified(config: Config, model: Model, path: Path, key: str, version: str
     reason = "; ".join(verify(model).reasons)
     if not reason:
         return "", ""
-    force = forced(path, version) if version else None
+    force = find_force(path, version) if version else None
     if force is None:
         remedy = f"see `decanter model prove {path}`, give another model, or leave {key} out to run without it"
         return f"{key}: the model at {path} is not run, as it does not verify: {reason}; {remedy}", ""

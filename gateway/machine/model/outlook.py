@@ -15,17 +15,17 @@ from gateway.machine.model.predict import Predictor
 from gateway.machine.reading import Scan
 from gateway.settings import ForecastSection
 from sim.forecast import (
-    LEVELS,
+    FAN_LEVELS,
     Calibration,
     Forecast,
     Horizon,
     PendingForecast,
     factors,
-    factors_at,
     issue,
     recent_coverage,
     settle,
-    thinned,
+    thin_levels,
+    widening_factors,
 )
 
 COVERAGE_AFTER = 5.0
@@ -46,7 +46,7 @@ class Outlook:
     """The newest forecast of one predictor; at most one is being made at a time, and scans never wait for it.
 
     Runs are drawn from the clock and the configured seed, so that a replay of the same beliefs gives the same fans.
-    `levels` are those of its fans, LEVELS among them; whoever scores them wants more. `turns` are taken with the
+    `levels` are those of its fans, FAN_LEVELS among them; whoever scores them wants more. `turns` are taken with the
     forecasts of other machines, so that few are made at once.
     """
 
@@ -58,7 +58,7 @@ class Outlook:
         scan_period: float,
         ensemble: Ensemble | None = None,
         *,
-        levels: tuple[float, ...] = LEVELS,
+        levels: tuple[float, ...] = FAN_LEVELS,
         supervisor: Supervisor | None = None,
         turns: asyncio.Semaphore | None = None,
     ) -> None:
@@ -91,13 +91,13 @@ class Outlook:
         """A reading came (or did not): forecasts that were due are scored, and the bands learn."""
         self.calibration = settle(self.calibration, time, float("nan") if measured is None else measured)
 
-    def widening(self, ahead: float) -> float:
+    def band_factor(self, ahead: float) -> float:
         """By how much a band of the model itself is to be widened `ahead` s after a reading, 1 or more.
 
         As its forecasts' bands are, by what has come true of them; beyond the last horizon as at that.
         """
         own = factors(self.calibration, integral=self.ensemble is None)
-        return max(float(factors_at(own, np.array([ahead]))[0]), 1.0)
+        return max(float(widening_factors(own, np.array([ahead]))[0]), 1.0)
 
     def void(self) -> None:
         """What was believed is no longer known: forget the forecast, and the one being made."""
@@ -122,11 +122,11 @@ class Outlook:
             # learned from the mixture would take the others' errors for its own.
             own = made.members[0]
             if self.ensemble is not None and isinstance(own, Forecast):
-                self.calibration = issue(self.calibration, thinned(own, LEVELS))
+                self.calibration = issue(self.calibration, thin_levels(own, FAN_LEVELS))
                 self.ensemble.take(made, made.mixed.time)
             made = made.mixed
         else:
-            self.calibration = issue(self.calibration, thinned(made, LEVELS))
+            self.calibration = issue(self.calibration, thin_levels(made, FAN_LEVELS))
         self.latest, self.made = made, self.made + 1
         return FinishedForecast(made, self._measured)
 
@@ -144,7 +144,7 @@ class Outlook:
         self._due, self._measured = now + self.section.period, measured
         seed = (self.section.seed, int(belief.time * 1000.0))
         own = factors(self.calibration, integral=self.ensemble is None)
-        widening = own if self.ensemble is None else self.ensemble.widened(own)
+        widening = own if self.ensemble is None else self.ensemble.widen(own)
         job = ForecastJob(self.predictor.tracker, belief, widening, seed)
         # What the thread computes with is bound here, in the loop: beliefs and weights move on with the next scan.
         work: Callable[[], Forecast | MixedForecast]
@@ -163,7 +163,7 @@ class Outlook:
             )
         self._task = self._supervisor.job("forecast", work, self._turns)
 
-    async def finished(self) -> None:
+    async def finish(self) -> None:
         """Wait for the forecast being made, if any; the next `collect` gives it. For a clock that is not the wall's."""
         if self._task is not None:
             await asyncio.wait([self._task])

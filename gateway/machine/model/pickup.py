@@ -25,7 +25,7 @@ from sim.files import ArtefactError
 
 POLL_SECONDS = 2.0
 """Plant seconds between two looks at the store."""
-RECENT = 300
+RECENT_SCANS = 300
 """The newest scans, which a new model is followed over."""
 
 
@@ -51,7 +51,7 @@ LookResult = ReadyModel | RefusedPromotion | None
 class Pickup:
     """Looks for another current version in the configured store; at most one look goes on at a time.
 
-    `ready` is a model that waits until it is `taken`, `refused` why the newest promotion is not run ("": it is).
+    `ready` is a model that waits until it is `take`, `refused` why the newest promotion is not run ("": it is).
     """
 
     def __init__(self, config: Config, running: LoadedModel | None, supervisor: Supervisor | None = None) -> None:
@@ -61,7 +61,7 @@ class Pickup:
         self.ready: ReadyModel | None = None
         self.refused = ""
         self._seen: object = None
-        self._recent: deque[Scan] = deque(maxlen=RECENT)
+        self._recent: deque[Scan] = deque(maxlen=RECENT_SCANS)
         self._task: asyncio.Task[tuple[object, LookResult]] | None = None
         self._due = -inf
 
@@ -92,7 +92,7 @@ class Pickup:
         self.ready = result if isinstance(result, ReadyModel) else None
         return result.reason if isinstance(result, RefusedPromotion) else ""
 
-    def taken(self) -> ReadyModel | str | None:
+    def take(self) -> ReadyModel | str | None:
         """The model that waits, brought to the newest scan; the sentence why it is refused; None where none waits."""
         ready, self.ready = self.ready, None
         if ready is None:
@@ -101,7 +101,7 @@ class Pickup:
             # It was made ready beside the scans: those since then are still to be followed.
             _follow(ready.predictor, [scan for scan in self._recent if scan.time > ready.until])
         except FAULTS as error:
-            self.refused = _failed(ready.loaded, error)
+            self.refused = _failure_sentence(ready.loaded, error)
             return self.refused
         self.running = ready.loaded.version
         return ready
@@ -137,7 +137,7 @@ def _look(
     try:
         _follow(predictor, recent)
     except FAULTS as error:
-        return stamp, RefusedPromotion(_failed(loaded, error))
+        return stamp, RefusedPromotion(_failure_sentence(loaded, error))
     return stamp, ReadyModel(loaded, predictor, recent[-1].time if recent else -inf)
 
 
@@ -146,5 +146,5 @@ def _follow(predictor: Predictor, scans: Sequence[Scan]) -> None:
         predictor.step(scan)
 
 
-def _failed(loaded: LoadedModel, error: Exception) -> str:
+def _failure_sentence(loaded: LoadedModel, error: Exception) -> str:
     return f"version {loaded.version} fails on the plant's recent readings: {error!r}; see that it suits the plant"

@@ -13,25 +13,25 @@ from sim.engine import (
     Belief,
     advance,
     anomaly,
-    belief_of,
     compile_model,
     machine_offset,
     observe,
     on_event,
-    restarted,
+    restart,
+    restore_belief,
     start,
     with_inputs,
     with_machine_offset,
 )
 from sim.forecast import Z90
 from sim.sha import UNKNOWN, Encoder, EncoderState, Event, Model, Switch
-from sim.strict_json import uncopied
+from sim.strict_json import shallow_dict
 
 Zone = Literal["none", "green", "yellow", "red"]
 ZONES: tuple[Zone, ...] = ("none", "green", "yellow", "red")
 """The words of the block's field `zone` by their numbers."""
 
-YELLOW, RED, FEWEST = 2.0, 4.0, 10
+YELLOW_SCORE, RED_SCORE, MIN_ERRORS = 2.0, 4.0, 10
 """Confidence: the newest standardised errors, squared and summed, are chi-square when the model is right, and the
 anomaly score is -log10 of that test's p-value. Green below 2 (as bad once in 100 windows), yellow from 2, red from 4
 (once in 10,000), none before ten errors or while the inputs or the location are not known."""
@@ -119,7 +119,7 @@ class Predictor:
         """The tags that the model reads."""
         return self._inputs
 
-    def missing(self, tags: Mapping[str, object]) -> list[str]:
+    def missing_inputs(self, tags: Mapping[str, object]) -> list[str]:
         """The inputs that a register map lacks."""
         return [name for name in self._inputs if name not in tags]
 
@@ -128,11 +128,11 @@ class Predictor:
 
         Of the free run, which nothing looks at then, there is none.
         """
-        self._moved(scan)
+        self._advance(scan)
         samples = (scan.samples.get(name) for name in self._inputs)
         return self.encoder.known and all(sample is not None and sample.quality.is_good for sample in samples)
 
-    def _moved(self, scan: Scan) -> tuple[list[Event], dict[str, float], float | None, Belief]:
+    def _advance(self, scan: Scan) -> tuple[list[Event], dict[str, float], float | None, Belief]:
         """The events, inputs and reading of one scan, and what was expected of that reading; the belief has it by now.
 
         Only good readings count: anything else makes its channel unknown and corrects nothing.
@@ -166,7 +166,7 @@ class Predictor:
 
     def step(self, scan: Scan) -> ScanPrediction:
         """Take one scan in, and say what was expected of it."""
-        events, signals, measured, expected = self._moved(scan)
+        events, signals, measured, expected = self._advance(scan)
         belief = expected if self.belief is None else self.belief
         free_run = self._free_run(scan.time, events, signals, expected, measured)
         self.events += len(events)
@@ -186,10 +186,10 @@ class Predictor:
         known = self.encoder.known
         score = anomaly(belief) + 0.0  # -log10 of a p-value of 1 is -0.0, which nobody should read
         zone: Zone
-        if not known or worst > 0 or len(belief.recent) < FEWEST:
+        if not known or worst > 0 or len(belief.recent) < MIN_ERRORS:
             zone = "none"
         else:
-            zone = "green" if score < YELLOW else "yellow" if score < RED else "red"
+            zone = "green" if score < YELLOW_SCORE else "yellow" if score < RED_SCORE else "red"
         # The band is for a reading, not for the temperature itself: the sensor's own variance comes on top.
         sigma = sqrt(expected.xx + self.tracker.sensor)
         return ScanPrediction(
@@ -237,7 +237,7 @@ class Predictor:
             if measured is None or not self.encoder.known:
                 self.free = None
                 return None
-            self.free = restarted(self.tracker, expected, measured)
+            self.free = restart(self.tracker, expected, measured)
             self._restart = False
             # The reading that it was begun from says nothing of how right it is.
             return None
@@ -253,15 +253,15 @@ class Predictor:
         if self.belief is None:
             return None
         # One that waits to be begun anew is not kept: a restart of the gateway begins it anew as well.
-        free = None if self.free is None or self._restart else uncopied(self.free)
-        return {"encoder": uncopied(self.encoder.state), "belief": uncopied(self.belief), "free": free}
+        free = None if self.free is None or self._restart else shallow_dict(self.free)
+        return {"encoder": shallow_dict(self.encoder.state), "belief": shallow_dict(self.belief), "free": free}
 
     def restore(self, saved: Mapping[str, Any], now: float) -> bool:
         """Go on from a snapshot, if it is not older than the alphabet's gap and not of the future; says whether it did.
 
         Raises KeyError, TypeError or ValueError for a snapshot of another alphabet or model.
         """
-        belief = belief_of(saved["belief"])
+        belief = restore_belief(saved["belief"])
         # The plant may have changed while nobody looked, but it is still the same machine.
         if belief.location in self._index:
             self._machine = machine_offset(self.tracker, belief)
@@ -271,6 +271,6 @@ class Predictor:
         encoder: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in saved["encoder"].items()}
         self.encoder = Encoder(self.model.alphabet, state=EncoderState(**encoder))
         self.belief = belief
-        self.free = belief_of(saved["free"]) if saved["free"] else None
+        self.free = restore_belief(saved["free"]) if saved["free"] else None
         self._restart = self.free is None
         return True

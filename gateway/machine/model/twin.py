@@ -17,11 +17,11 @@ from gateway.machine.model.virtual_sensor import LOOK_BACK_SECONDS
 
 LAGS = (60.0, 300.0, 900.0, 1800.0, 3600.0, 7200.0)
 """s between the two readings of a change. Beyond the longest known one the variance grows as a random walk's."""
-EVERY = 60.0
+KEEP_PERIOD_S = 60.0
 """s between two readings that are kept."""
-LOOKS = 10.0
+MIN_CHANGES_PER_LAG = 10.0
 """Changes that do not overlap, from which on a lag is known."""
-MEMORY = 30 * 86_400.0
+MEMORY_S = 30 * 86_400.0
 """s of readings after which what was learned counts by a third: a bearing may be changed."""
 
 
@@ -40,7 +40,7 @@ class _Readings:
     twin: float
 
 
-def combined(mean: float, sigma: float, other: TwinEstimate) -> TwinEstimate:
+def combine(mean: float, sigma: float, other: TwinEstimate) -> TwinEstimate:
     """Two opinions on one temperature (degC), weighted by their inverse variances.
 
     Where they are further apart than they allow for, the variance is multiplied by as much (the Birge ratio): one of
@@ -72,28 +72,28 @@ class TwinBearing:
             kept.clear()  # the clock was set back: what was read cannot be dated any more
         if time < self._learned_until:
             self._learned_until = -inf
-        if own is None or twin is None or (kept and time - kept[-1].time < EVERY - 1e-3):
+        if own is None or twin is None or (kept and time - kept[-1].time < KEEP_PERIOD_S - 1e-3):
             return
         kept.append(_Readings(time, own, twin))
         self._learn(time - LOOK_BACK_SECONDS)
-        while kept[0].time < time - LOOK_BACK_SECONDS - LAGS[-1] - 2.0 * EVERY:
+        while kept[0].time < time - LOOK_BACK_SECONDS - LAGS[-1] - 2.0 * KEEP_PERIOD_S:
             kept.popleft()
 
     def _learn(self, until: float) -> None:
         """Learn from the changes that end at readings not yet learned from, up to a time."""
         for last in [each for each in self._kept if self._learned_until < each.time <= until]:
             self._learned_until = last.time
-            self._sums *= 1.0 - EVERY / MEMORY
+            self._sums *= 1.0 - KEEP_PERIOD_S / MEMORY_S
             for row, lag in enumerate(LAGS):
-                first = self._at(last.time - lag)
+                first = self._find_readings(last.time - lag)
                 if first is not None:
                     x, y = last.twin - first.twin, last.own - first.own
-                    self._sums[row] += (EVERY, x * x, x * y, y * y)
+                    self._sums[row] += (KEEP_PERIOD_S, x * x, x * y, y * y)
 
-    def _at(self, time: float) -> _Readings | None:
+    def _find_readings(self, time: float) -> _Readings | None:
         """The newest readings at or before a time, None where those are more than two turns older."""
-        found = next((each for each in reversed(self._kept) if each.time <= time + 0.5 * EVERY), None)
-        return found if found is not None and time - found.time <= 1.5 * EVERY else None
+        found = next((each for each in reversed(self._kept) if each.time <= time + 0.5 * KEEP_PERIOD_S), None)
+        return found if found is not None and time - found.time <= 1.5 * KEEP_PERIOD_S else None
 
     def forget_readings(self, since: float) -> None:
         """Forget what was read from a time on: it was a sensor's that has been found out."""
@@ -105,8 +105,8 @@ class TwinBearing:
 
         None where no readings of both are known from then, and where too little was learned.
         """
-        first = self._at(since)
-        known = [row for row, lag in enumerate(LAGS) if self._sums[row, 0] >= LOOKS * lag]
+        first = self._find_readings(since)
+        known = [row for row, lag in enumerate(LAGS) if self._sums[row, 0] >= MIN_CHANGES_PER_LAG * lag]
         if twin is None or first is None or not known:
             return None
         seconds, xx, xy, yy = self._sums[known].T
@@ -114,7 +114,7 @@ class TwinBearing:
         slopes = xy / np.maximum(xx, 1e-9)
         looks = seconds / lags
         # Changes that overlap tell no more than those that do not; by Student's t for so few of them.
-        variances = np.maximum(yy - slopes * xy, 0.0) / (seconds / EVERY) * looks / (looks - 2.0)
+        variances = np.maximum(yy - slopes * xy, 0.0) / (seconds / KEEP_PERIOD_S) * looks / (looks - 2.0)
         lag = now - first.time
         slope = float(np.interp(lag, lags, slopes))
         variance = float(np.interp(lag, lags, variances)) * max(lag / lags[-1], 1.0)

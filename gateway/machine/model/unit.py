@@ -17,7 +17,7 @@ from gateway.machine.model.loading import LoadedModel
 from gateway.machine.model.outlook import FinishedForecast, Outlook, limit_probability
 from gateway.machine.model.pickup import Pickup, ReadyModel
 from gateway.machine.model.predict import Predictor, ScanPrediction
-from gateway.machine.model.twin import TwinBearing, combined
+from gateway.machine.model.twin import TwinBearing, combine
 from gateway.machine.model.virtual_sensor import VirtualReading, VirtualSensor
 from gateway.machine.reading import Scan
 from gateway.settings import Config
@@ -33,10 +33,10 @@ if TYPE_CHECKING:
 class ModelUnit:
     """What a machine has that has a model: all of it is there, or (`ModelUnit | None`) none of it.
 
-    In a scan its methods are called in their order here: `pick_up` before anything is computed with the model, `follow`
-    for the prediction, `settle` for what its reading teaches, `foresee` once the block is on its way. `loaded` is the
-    model that runs, `members` those of an ensemble beside it, `prediction` what was said of the newest scan; `turns`
-    are those of the gateway's forecasts.
+    In a scan its methods are called in their order here: `adopt_promoted_model` before anything is computed with the
+    model, `follow` for the prediction, `settle` for what its reading teaches, `foresee` once the block is on its way.
+    `loaded` is the model that runs, `members` those of an ensemble beside it, `prediction` what was said of the newest
+    scan; `turns` are those of the gateway's forecasts.
     """
 
     def __init__(
@@ -100,7 +100,7 @@ class ModelUnit:
         self._clamped = False
 
     @property
-    def unverified(self) -> str:
+    def unverified_reason(self) -> str:
         """Why nothing of these models may be written: one of them runs although it does not verify; "" if none does."""
         return next((model.warning for model in (self.loaded, *self.members) if model.warning), "")
 
@@ -111,28 +111,28 @@ class ModelUnit:
 
     # ---------------------------------------------------------------- the stages of a scan
 
-    def pick_up(self, now: float) -> bool:
+    def adopt_promoted_model(self, now: float) -> bool:
         """Let a model that was promoted meanwhile take over; True if one has.
 
         Between two scans, so that every scan is of one model, and between two forecasts, so that none is of a model
         that runs no more.
         """
         refused = self.pickup.collect()
-        promoted = None if self.outlook.busy else self.pickup.taken()
+        promoted = None if self.outlook.busy else self.pickup.take()
         if isinstance(promoted, ReadyModel):
-            self._take_over(promoted, now)
+            self._adopt(promoted, now)
             return True
         if reason := promoted or refused:
             self._log.error("the promoted model is refused and the former one goes on", reason=reason)
             self._historian.put("audit", [(now, "promoted model refused", self.pickup.running, reason)])
         return False
 
-    def _take_over(self, promoted: ReadyModel, now: float) -> None:
+    def _adopt(self, promoted: ReadyModel, now: float) -> None:
         """The other models of an ensemble go on as they are; what their evidence was held against begins anew."""
         former, cycle = self.outlook.ensemble, self.familiarity
         before, self.loaded = self.loaded.version, promoted.loaded
         self.begin_anew(promoted.predictor)
-        self.familiarity.follow_on(cycle)
+        self.familiarity.adopt_cycle(cycle)
         if self.outlook.ensemble is not None and former is not None:
             self.outlook.ensemble.keep(former)
         version = self.loaded.version
@@ -153,7 +153,7 @@ class ModelUnit:
                 self.virtual.stopped = "state not known"
         self._found_out = wrong_since is not None
         before, prediction = self.prediction, self.predictor.step(scan)
-        prediction = prediction.with_familiarity(self._rating(scan, prediction))
+        prediction = prediction.with_familiarity(self._rate_scan(scan, prediction))
         if self.loaded.verdict is not None and self.loaded.verdict.word == "unfit":
             prediction = prediction.at_best("red")
         if self.twin is not None:
@@ -173,7 +173,7 @@ class ModelUnit:
         self._clamped = clamps > 0
         return prediction
 
-    def _rating(self, scan: Scan, p: ScanPrediction) -> FamiliarityRating:
+    def _rate_scan(self, scan: Scan, p: ScanPrediction) -> FamiliarityRating:
         """How familiar the present cycle is; that it begins or ceases to be is logged."""
         before, rating = self.familiarity.rating, self.familiarity.take(scan, p.events)
         if before.outside != rating.outside and rating.zone != "unknown":
@@ -192,11 +192,11 @@ class ModelUnit:
         if belief is None or belief.read_at is None or p.mean is None or p.high is None:
             return None
         others = (scan.samples.get(name) for name in self.predictor.inputs if name != tag)
-        mean, half, helped = p.mean, (p.high - p.mean) * self.outlook.widening(scan.time - belief.read_at), ""
+        mean, half, helped = p.mean, (p.high - p.mean) * self.outlook.band_factor(scan.time - belief.read_at), ""
         if self.twin is not None:
             told = self.twin.estimate(scan.time, belief.read_at, scan.good(self.twin.twin))
             if told is not None:
-                both = combined(mean, half / Z90, told)
+                both = combine(mean, half / Z90, told)
                 mean, half, helped = both.mean, Z90 * both.sigma, self.twin.twin
         return self.virtual.take(
             scan.time,
@@ -230,7 +230,7 @@ class ModelUnit:
             self.outlook.void()  # before it is collected: it began from what is no longer known
         finished = self.outlook.collect()
         if finished is not None:
-            self.guards.made(finished.forecast)
+            self.guards.count_forecast(finished.forecast)
         return finished
 
     def usable(self, prediction: ScanPrediction) -> Forecast | None:
@@ -366,7 +366,7 @@ class ModelUnit:
             self._log.warning("the saved state cannot be used; the model begins anew", reason=repr(error))
             self.begin_anew()
 
-    def follow_past(self, scans: Sequence[Scan]) -> None:
+    def follow_history(self, scans: Sequence[Scan]) -> None:
         """Follow what was read before a start, after `restore`: cycle and bearings have a past from then on.
 
         So has the belief, where a sensor turns out to have been wrong by then; the belief itself stays.

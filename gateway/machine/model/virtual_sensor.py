@@ -17,7 +17,7 @@ from sim.sha import Event
 Stopped = Literal["", "too long", "too wide", "state not known"]
 """Why the model does not speak for the sensor any more; "" while it does."""
 
-LOOK_BACK_SECONDS, KEPT_EVERY, INPUTS_EVERY = 2100.0, 30.0, 1.0
+LOOK_BACK_SECONDS, KEEP_PERIOD_S, INPUT_PERIOD_S = 2100.0, 30.0, 1.0
 """How far (s) the model can go back, a little more than it takes to find a sensor frozen that has no twin; how far the
 kept beliefs are apart, and the inputs beside them at least, since a device that speaks by itself may do so often."""
 
@@ -94,7 +94,7 @@ class PastStep:
 
 
 class PastBeliefs:
-    """The beliefs of the last LOOK_BACK_SECONDS, KEPT_EVERY seconds apart, and what has moved the model since."""
+    """The beliefs of the last LOOK_BACK_SECONDS, KEEP_PERIOD_S seconds apart, and what has moved the model since."""
 
     def __init__(self, tracker: Tracker) -> None:
         self._tracker = tracker
@@ -104,8 +104,8 @@ class PastBeliefs:
 
     def keep(self, time: float, events: Sequence[Event], signals: Mapping[str, float], belief: Belief) -> None:
         """Remember one scan with the `belief` after it; between two kept beliefs only what is news."""
-        due = time - self._kept_at >= KEPT_EVERY
-        news = signals != self._signals and (not self._steps or time - self._steps[-1].time >= INPUTS_EVERY)
+        due = time - self._kept_at >= KEEP_PERIOD_S
+        news = signals != self._signals and (not self._steps or time - self._steps[-1].time >= INPUT_PERIOD_S)
         if not (due or events or news):
             return
         self._signals = signals

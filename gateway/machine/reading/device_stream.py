@@ -42,7 +42,7 @@ class DeviceStream:
         await self._changed.wait()
         await asyncio.sleep(max(0.0, self._not_before - asyncio.get_running_loop().time()))
 
-    def restart_from(self, read: Sequence[Sample]) -> None:
+    def restart(self, read: Sequence[Sample]) -> None:
         """A scan has read all tags: this is what is known now."""
         self._seen = {sample.tag: sample for sample in read}
         self._latest.clear()
@@ -57,7 +57,7 @@ class DeviceStream:
         return [self._seen[tag.name] for tag in self._tags], newest
 
     @contextmanager
-    def pausing(self) -> Iterator[None]:
+    def pause(self) -> Iterator[None]:
         """Nothing is ripe for as long as the body takes, counted from its end."""
         loop = asyncio.get_running_loop()
         begun = loop.time()

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 
 from drivers.tag import Quality
 from gateway.machine.reading.scan import Scan
-from gateway.repeated import without_measured
+from gateway.repeated import drop_measurements
 
 if TYPE_CHECKING:
     from structlog.typing import FilteringBoundLogger
 
 
-OUTAGES = 50
+MAX_KEPT_OUTAGES = 50
 
 
 @dataclass(slots=True)
@@ -35,7 +35,7 @@ class Outage:
         }
 
 
-def reason_of(scan: Scan) -> str:
+def main_reason(scan: Scan) -> str:
     """What most of the tags without a good reading say; of several the first in the map's order."""
     reasons = Counter(sample.reason for sample in scan.samples.values() if sample.reason)
     return reasons.most_common(1)[0][0] if reasons else ""
@@ -52,7 +52,7 @@ class LinkHealth:
     reason: str = ""
     alive: bool = False
     last_good: float | None = None
-    outages: deque[Outage] = field(default_factory=lambda: deque(maxlen=OUTAGES))
+    outages: deque[Outage] = field(default_factory=lambda: deque(maxlen=MAX_KEPT_OUTAGES))
     count: int = 0
     garbled: set[str] = field(default_factory=set)
 
@@ -64,12 +64,12 @@ class LinkHealth:
             if self.outages and self.outages[-1].recovered is None:
                 self.outages[-1].recovered = scan.time
             self.log.info("good readings arrive", time=scan.time, outages=self.count)
-        before, self.reason = self.reason, "" if good else reason_of(scan)
+        before, self.reason = self.reason, "" if good else main_reason(scan)
         if self.alive and not good and self.last_good is not None:
             self.outages.append(Outage(self.last_good, scan.time))
             self.count += 1
             self.log.warning("no good reading any more", time=scan.time, reason=self.reason)
-        elif not good and without_measured(self.reason) != without_measured(before):
+        elif not good and drop_measurements(self.reason) != drop_measurements(before):
             # A device that connects and gives nothing has no outage to begin with: it is said at once, and by change.
             self.log.warning("no good reading", time=scan.time, reason=self.reason)
         doubted = self.garbled or Quality.DATA_ENCODING_INVALID in qualities

@@ -111,7 +111,7 @@ def judge(
     # The heartbeat first, by which everything else is judged.
     image = None
     if rules.heartbeat:
-        age = _counted(age, by_name.get(rules.heartbeat), now, rules)
+        age = _count_beat(age, by_name.get(rules.heartbeat), now, rules)
         image = _image(age, now, rules)
         if image is None and age.silent is not None:
             age = replace(age, silent=None, silence=(age.silent, age.said))
@@ -144,7 +144,7 @@ def judge(
     return replace(age, tags=histories, garbled=garbled, doubted=doubted), judged
 
 
-def _counted(age: DeviceAge, beat: Sample | None, now: float, rules: QualityRules) -> DeviceAge:
+def _count_beat(age: DeviceAge, beat: Sample | None, now: float, rules: QualityRules) -> DeviceAge:
     """What is remembered of the device after one more reading of its heartbeat, or none."""
     if beat is not None and beat.quality.is_good and isinstance(beat.value, int):
         count, changed, alive = int(beat.value), age.beat_changed, age.alive
@@ -186,7 +186,7 @@ def _on_its_own(tag: Tag, sample: Sample, histories: dict[str, TagHistory], now:
     name = tag.name
     known = histories.get(name)
     if not sample.quality.is_good:
-        return _held(sample, known, now, period) if sample.quality in LINK_FAULTS else sample
+        return _hold_sample(sample, known, now, period) if sample.quality in LINK_FAULTS else sample
     if known is not None and tag.max_rate is not None and (reason := _too_fast(tag, sample, known.good, period)):
         return replace(sample, quality=Quality.SENSOR_NOT_ACCURATE, reason=reason)
     # Compared by the bit, not by the deadband: a sensor that lives has noise, a frozen one has none.
@@ -199,7 +199,7 @@ def _on_its_own(tag: Tag, sample: Sample, histories: dict[str, TagHistory], now:
     if sample.sent is None:
         return sample
     if _periods(sample, now, period) > STALE_PERIODS:
-        return _held(sample, history, now, period)
+        return _hold_sample(sample, history, now, period)
     # The device looked at its memory at some moment since it was asked, however late its reply was taken.
     if (now - sample.sent) / period > STALE_PERIODS + _ROUNDING:
         reason = f"was asked for {now - sample.sent:.1f} s ago, and may be as old"
@@ -211,7 +211,7 @@ def _periods(sample: Sample, now: float, period: float) -> float:
     return (now - sample.time) / period + _TOLERANCE
 
 
-def _held(sample: Sample, known: TagHistory | None, now: float, period: float) -> Sample:
+def _hold_sample(sample: Sample, known: TagHistory | None, now: float, period: float) -> Sample:
     """The last good value instead of no value, as long as it is usable."""
     if known is None or _periods(known.good, now, period) > DEAD_PERIODS:
         quality = Quality.NO_DATA if sample.quality.is_good else sample.quality

@@ -28,7 +28,7 @@ from gateway.machine.reading.same_plc import Pulse, agree, still, with_beat
 
 # Errors after which it is certain that the device did not take the block: nothing was sent, or it refused.
 _KNOWN_FATE = (WriteForbidden, EncodingError, AddressError, DeviceException)
-_STRANGE_SCANS = 3
+_MAX_FOREIGN_BEATS = 3
 """Scans running with another heartbeat before a link is taken to lead to another PLC."""
 
 
@@ -181,10 +181,10 @@ class Redundant:
             if state.task is None:
                 own = [state.path.tags[tag.name] for tag in tags]
                 state.task = asyncio.create_task(state.path.driver.read(own), name=f"read {state.path.name}")
-        await self._finished(begun)
+        await self._await_links(begun)
         self._judge()
         self._choose(begun)
-        return [self._delivered(tag.name) for tag in tags]
+        return [self._pick_sample(tag.name) for tag in tags]
 
     # ------------------------------------------------------------ one scan
 
@@ -195,7 +195,7 @@ class Redundant:
             state.samples, state.fresh, state.news = {sample.tag: sample for sample in task.result()}, True, True
             state.pulse = with_beat(state.pulse, state.samples.get(self._rules.heartbeat or ""))
 
-    async def _finished(self, begun: float) -> None:
+    async def _await_links(self, begun: float) -> None:
         """Wait for the active link; if it fails or is late, for the first other one that is well, or for all."""
         until = begun + self._rules.switch_after
         # First only the active link, for as long as it may take: that is the scan of every ordinary day.
@@ -228,7 +228,7 @@ class Redundant:
 
     def _is_well(self, state: _PathState) -> bool:
         """True if all tags came through the link with its last reading, and it shows our PLC, which lives."""
-        if not state.samples or state.faults or state.strange >= _STRANGE_SCANS:
+        if not state.samples or state.faults or state.strange >= _MAX_FOREIGN_BEATS:
             return False
         return not still(state.pulse, self._rules.beat_period)
 
@@ -276,7 +276,7 @@ class Redundant:
             self._switch(others[0], f"{active.path.name}: {active.reason}", begun)
 
     def _is_better(self, state: _PathState, active: _PathState) -> bool:
-        if state is active or not state.fresh or state.strange >= _STRANGE_SCANS:
+        if state is active or not state.fresh or state.strange >= _MAX_FOREIGN_BEATS:
             return False
         if self._is_well(state):
             return True
@@ -288,7 +288,7 @@ class Redundant:
         names = self._states[before].path.name, self._states[index].path.name
         self.on_switch(SwitchOver(self._clock(), *names, reason, _now() - begun))
 
-    def _delivered(self, name: str) -> Sample:
+    def _pick_sample(self, name: str) -> Sample:
         """The active link's sample of a tag, or the last one of another link if that may be the newer."""
         state = self._states[self._active]
         sample = state.samples.get(name) if state.fresh else None

@@ -7,15 +7,15 @@ from statistics import median
 
 from drivers.tag import Sample
 
-RING = 0xFFFF
+COUNTER_MODULUS = 0xFFFF
 """The heartbeat counts 1..65535 and round to 1."""
-KEPT = 16
+MAX_KEPT_BEATS = 16
 """Readings of the heartbeat that its rate is taken from."""
 STILL_PERIODS = 1.5
 """Heartbeat periods without a change after which a link is left, before its readings stop being good (at 2.5)."""
-SLACK = 2.0
+COUNT_TOLERANCE = 2.0
 """Counts by which two readings may differ beside what time explains: each may lie just before or after a beat."""
-MARGIN = 1.5
+RATE_MARGIN = 1.5
 """How much faster than its mean rate the heartbeat may run for a while."""
 
 
@@ -48,7 +48,7 @@ def with_beat(pulse: Pulse, sample: Sample | None) -> Pulse:
         return Pulse((beat,), beat.latest, beat.latest)  # the program stands or has just begun anew: its count too
     if pulse.beats and beat.count == pulse.beats[-1].count:
         return replace(pulse, read=beat.latest)
-    return Pulse((*pulse.beats, beat)[-KEPT:], beat.latest if pulse.beats else None, beat.latest)
+    return Pulse((*pulse.beats, beat)[-MAX_KEPT_BEATS:], beat.latest if pulse.beats else None, beat.latest)
 
 
 def still(pulse: Pulse, beat_period: float) -> bool:
@@ -60,7 +60,7 @@ def still(pulse: Pulse, beat_period: float) -> bool:
 
 def rate(pulse: Pulse) -> float:
     """Counts a second, the median over the readings that are kept; 0 with fewer than two."""
-    steps = [((b.count - a.count) % RING) / (b.latest - a.latest) for a, b in pairwise(pulse.beats)]
+    steps = [((b.count - a.count) % COUNTER_MODULUS) / (b.latest - a.latest) for a, b in pairwise(pulse.beats)]
     return median(steps) if steps else 0.0
 
 
@@ -73,7 +73,7 @@ def agree(pulse: Pulse, other: Pulse) -> bool | None:
     if len(pulse.beats) < 2 or len(other.beats) < 2:
         return None
     a, b = pulse.beats[-1], other.beats[-1]
-    apart = (b.count - a.count) % RING
-    distance = min(apart, RING - apart)
+    apart = (b.count - a.count) % COUNTER_MODULUS
+    distance = min(apart, COUNTER_MODULUS - apart)
     span = max(a.latest, b.latest) - min(a.earliest, b.earliest)
-    return distance <= SLACK + MARGIN * max(rate(pulse), rate(other)) * span
+    return distance <= COUNT_TOLERANCE + RATE_MARGIN * max(rate(pulse), rate(other)) * span

@@ -72,7 +72,9 @@ async def scans(
     if urgent is not None and isinstance(driver, Streams):
         stream = DeviceStream(driver, tags, urgent, supervisor)
     try:
-        while (due := await _awaited(clock, begin + tick * rules.period, stop, stream if number else None)) != "stop":
+        while (
+            due := await _await_next(clock, begin + tick * rules.period, stop, stream if number else None)
+        ) != "stop":
             sent = clock.now()
             if due == "news" and stream is not None:
                 read, newest = stream.newest_readings()
@@ -81,13 +83,13 @@ async def scans(
                 last = max(last, min(newest, sent))
                 age, samples = judge(age, tags, read, sent, rules)
                 samples = with_derived(samples, derived or {}, last)
-                with stream.pausing():
+                with stream.pause():
                     yield Scan(number, last, samples, 0, 0.0, early=True)
                 number += 1
                 continue
             read = await driver.read(tags)
             if stream is not None:
-                stream.restart_from(read)  # what was read holds all that was streamed up to now
+                stream.restart(read)  # what was read holds all that was streamed up to now
             last = now = clock.now()
             age, samples = judge(age, tags, read, now, rules)
             samples = with_derived(samples, derived or {}, now)
@@ -104,7 +106,7 @@ async def scans(
             await stream.close()
 
 
-async def _awaited(clock: Clock, moment: float, stop: asyncio.Event, stream: DeviceStream | None) -> str:
+async def _await_next(clock: Clock, moment: float, stop: asyncio.Event, stream: DeviceStream | None) -> str:
     """Wait for the moment, the stop or something urgent; "tick", "stop" or "news", whichever comes first."""
     if stream is None:
         await clock.sleep_until(moment, stop)

@@ -2,19 +2,19 @@
 
 from typing import TYPE_CHECKING
 
-from sim.doors import opened_at_use
+from sim.doors import lazy_getattr
 
 if TYPE_CHECKING:
     from gateway.machine.writing.arming import (
         ArmingError,
         arm_in_log,
-        arming_of,
         disarm_in_log,
         end_by_mode,
         keep_disarming,
         next_start,
         own_process,
-        signed,
+        parse_arming,
+        sign_arming,
         uptime,
     )
     from gateway.machine.writing.block import (
@@ -32,11 +32,11 @@ if TYPE_CHECKING:
         SIGN_SECONDS,
         clear_for_arming,
         countersign,
+        find_places,
         obstacle,
-        places_for,
-        places_of,
+        witness_places,
     )
     from gateway.machine.writing.writeback import FAILED, REFUSED, WRITE, Arming
     from gateway.machine.writing.writeback_stage import AuditTrail, WritebackStage, open_audit_trail
 else:
-    __getattr__ = opened_at_use(__name__)
+    __getattr__ = lazy_getattr(__name__)

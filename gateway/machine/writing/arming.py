@@ -38,16 +38,16 @@ from gateway.store import (
     AuditRow,
     SigningKeyError,
     Uptime,
+    arming_end,
     armings,
-    cancelling,
+    cancel_entry,
     confirmation,
-    end_of,
+    end_reason,
     given_words,
-    key_beside,
+    key_path,
     load_or_make_key,
     open_audit,
     open_or_set_aside,
-    over,
 )
 
 if TYPE_CHECKING:
@@ -56,9 +56,9 @@ if TYPE_CHECKING:
     from gateway.store import HistorianView
 
 
-LONGEST = 200
+MAX_TEXT_CHARACTERS = 200
 _FOR = "configuration"
-"""The key of an arming's detail that names the configuration that it is for (`Config.armed_for`)."""
+"""The key of an arming's detail that names the configuration that it is for (`Config.arming_hash`)."""
 CONFIRMED_SECONDS = 2.0
 """The longest wait for the disk to take the row that confirms an arming in force; then nobody waits for it."""
 
@@ -67,14 +67,14 @@ class ArmingError(OneLineError, ValueError):
     """It is not armed; the message says why and what would be right."""
 
 
-def signed(by: str, reason: str, minutes: float, now: float) -> Arming:
+def sign_arming(by: str, reason: str, minutes: float, now: float) -> Arming:
     """The arming that a person signs at `now`. Raises ArmingError for one without a name, a reason or an end."""
     by, reason = by.strip(), reason.strip()
     for what, text in (("name", by), ("reason", reason)):
         if not text:
             raise ArmingError(f"arming needs a {what}; give the person's name, the reason and the minutes")
-        if len(text) > LONGEST or not text.isprintable():
-            raise ArmingError(f"the {what} must be one line of at most {LONGEST} characters")
+        if len(text) > MAX_TEXT_CHARACTERS or not text.isprintable():
+            raise ArmingError(f"the {what} must be one line of at most {MAX_TEXT_CHARACTERS} characters")
     if not 0 < minutes <= MAX_ARMED_MINUTES:
         raise ArmingError(f"{minutes:g} minutes cannot be armed; give more than 0 and at most {MAX_ARMED_MINUTES:g}")
     return Arming(by, reason, now + 60.0 * minutes)
@@ -87,19 +87,19 @@ def uptime() -> Uptime:
     return Uptime(name, time.clock_gettime(time.CLOCK_BOOTTIME))
 
 
-def entry_of(arming: Arming, now: float, via: str, speed: float = 1.0, **more: Any) -> AuditEntry:
+def arming_entry(arming: Arming, now: float, via: str, speed: float = 1.0, **more: Any) -> AuditEntry:
     """The audit log's row of an arming; `speed` is seconds of `until` per real second."""
     count = uptime()
     detail = {"until": arming.until, "via": via, "boot": count.boot, "uptime": count.seconds, "speed": speed}
     return AuditEntry(now, ARMED, arming.by, arming.reason, {**detail, **more})
 
 
-def _words_for(configuration: str) -> dict[str, Any]:
+def _configuration_detail(configuration: str) -> dict[str, Any]:
     """What the row of an arming says of the configuration that it is for ("": nothing, as rows of before)."""
     return {_FOR: configuration} if configuration else {}
 
 
-def arming_of(row: AuditRow) -> Arming:
+def parse_arming(row: AuditRow) -> Arming:
     """The arming in a row of the audit log."""
     return Arming(row.entry.who, row.entry.reason, float(row.entry.detail["until"]))
 
@@ -114,18 +114,20 @@ def arm_in_log(
 ) -> None:
     """Arm a subject where no gateway runs: for the commands that write, and for a gateway that starts meanwhile.
 
-    `key` is the gateway's key file, by default the one beside the log; `armed_for` is the machine's configuration
-    (`Config.armed_for`, "": any). Raises ArmingError, AuditError, SigningKeyError.
+    `key` is the gateway's key file, by default the one beside the log; `arming_hash` is the machine's configuration
+    (`Config.arming_hash`, "": any). Raises ArmingError, AuditError, SigningKeyError.
     """
-    entry = entry_of(arming, now, "command", **own_process(), **_words_for(armed_for)).of(subject)
+    entry = arming_entry(arming, now, "command", **own_process(), **_configuration_detail(armed_for)).with_subject(
+        subject
+    )
     late = "the disk did not take it in time"
-    signing = load_or_make_key(key or key_beside(path))
+    signing = load_or_make_key(key or key_path(path))
     audit = open_audit(path)
     try:
-        row = audit.record(entry, undo=cancelling(entry, late))
+        row = audit.record(entry, undo=cancel_entry(entry, late))
         # Nothing is in force by then, so that the confirming row is waited for, and taken back by a disarming.
         stored = row is not None and audit.record(
-            confirmation(row, signing, now), undo=AuditEntry(now, DISARMED, "", late).of(subject)
+            confirmation(row, signing, now), undo=AuditEntry(now, DISARMED, "", late).with_subject(subject)
         )
     finally:
         known = audit.close()
@@ -152,7 +154,7 @@ def disarm_in_log(
     """
     row = None
     try:
-        row = _standing(path, now, subject)
+        row = _find_arming(path, now, subject)
     except AuditError as error:
         say(f"whether it was armed is not known: {error}")
     audit = open_or_set_aside(path)
@@ -161,7 +163,7 @@ def disarm_in_log(
             say(audit.note)
         detail = {**own_process(), **({} if stamp is None else {"stamp": stamp})}
         entry = AuditEntry(now, DISARMED, by, reason, detail)
-        if not audit.record(entry.of(subject)):
+        if not audit.record(entry.with_subject(subject)):
             why = audit.failure or "the disk does not answer"
             raise ArmingError(f"nothing has changed, as the audit log does not take it: {why}")
     finally:
@@ -175,11 +177,11 @@ def end_by_mode(config: Config, audit: Callable[[], Audit], now: float) -> Audit
     A mode that is another one later does not bring it back: a person arms again. `audit` opens the log. Raises
     ArmingError, AuditError.
     """
-    row = _standing(config.audit, now, config.subject) if config.audit.exists() else None
+    row = _find_arming(config.audit, now, config.subject) if config.audit.exists() else None
     if row is not None:
         log = audit()
         entry = AuditEntry(now, EXPIRED, row.entry.who, "writeback.mode was set to 'off'")
-        if not log.record(entry.of(config.subject)):
+        if not log.record(entry.with_subject(config.subject)):
             why = log.failure or "the disk does not answer"
             raise ArmingError(f"the arming by {row.entry.who} stands, as the audit log does not take its end: {why}")
     return row
@@ -195,13 +197,13 @@ async def keep_disarming(
 ) -> None:
     """Put on record that a machine of mode 'off' was disarmed, against what its plant file may say later."""
     detail = {**process, "stamp": newest_stamp(config)}
-    await audit.kept(AuditEntry(now, DISARMED, by, reason, detail).of(config.subject), DISARMED_SECONDS)
+    await audit.keep(AuditEntry(now, DISARMED, by, reason, detail).with_subject(config.subject), DISARMED_SECONDS)
 
 
-def _standing(path: Path, now: float, subject: str) -> AuditRow | None:
+def _find_arming(path: Path, now: float, subject: str) -> AuditRow | None:
     """The arming in force of a subject, confirmed or not: to take it back needs no key. Raises AuditError."""
     row = next(iter(given_words(path, subject=subject)), None)
-    return None if row is None or row.entry.kind != ARMED or over(path, row, now, uptime()) else row
+    return None if row is None or row.entry.kind != ARMED or end_reason(path, row, now, uptime()) else row
 
 
 # ---------------------------------------------------------------- what a start makes of it
@@ -237,13 +239,13 @@ def next_start(config: Config, path: Path, now: float, count: Uptime) -> NextSta
     except SigningKeyError as error:
         return NextStart(None, str(error))
     # Confirmed or not, a row of the file's words uses them up.
-    if section.mode == "armed" and not any(_is_of(row, words) for row in rows):
+    if section.mode == "armed" and not any(_matches_words(row, words) for row in rows):
         # Times of change are compared with one another, so that no clock has a say; without one, with the row's time.
         # The newest disarming of all, as an arming since then is one for what ran then, and no word about this file.
         against = next((row.entry for row in rows if row.entry.kind == DISARMED), None)
         stamp = against.detail.get("stamp") if against is not None else None
         if against is None or config.stamp > (stamp if isinstance(stamp, int | float) else against.time):
-            arming = signed(section.armed_by, section.reason, section.minutes or 0.0, now)
+            arming = sign_arming(section.armed_by, section.reason, section.minutes or 0.0, now)
             return NextStart(arming, f"{config.path} arms it for {section.minutes:g} minutes", words)
         if last is not None and last.entry.kind == DISARMED:
             return NextStart(
@@ -259,16 +261,16 @@ def next_start(config: Config, path: Path, now: float, count: Uptime) -> NextSta
         return NextStart(None, _who(last), by=last.entry.who)
     if last.entry.kind == EXPIRED:
         return NextStart(None, f"the arming by {last.entry.who} is over: {last.entry.reason}", by=last.entry.who)
-    if why := over(path, last, now, count):
+    if why := end_reason(path, last, now, count):
         return NextStart(None, f"the arming by {last.entry.who} is over: {why}", ended=last, by=last.entry.who)
-    if last.entry.detail.get(_FOR, config.armed_for) != config.armed_for:
+    if last.entry.detail.get(_FOR, config.arming_hash) != config.arming_hash:
         who = last.entry.who
         why = f"the arming by {who} is for another configuration of the machine than the one there is now"
         return NextStart(None, f"{why}; look at it, and arm again", ended=last, by=who)
     file = last.entry.detail.get("file")
-    if file is not None and not (section.mode == "armed" and _is_of(last, words)):
+    if file is not None and not (section.mode == "armed" and _matches_words(last, words)):
         return NextStart(None, f"the words of {config.path} that armed it are changed", ended=last, by=last.entry.who)
-    left = Arming(last.entry.who, last.entry.reason, end_of(last, now, count))
+    left = Arming(last.entry.who, last.entry.reason, arming_end(last, now, count))
     return NextStart(left, f"the arming by {last.entry.who} goes on", file)
 
 
@@ -277,7 +279,7 @@ def _newest_word(path: Path, subject: str, before: float = inf) -> int:
     return next((word.id for word in given_words(path, subject=subject) if word.id < before), 0)
 
 
-def _is_of(row: AuditRow, words: dict[str, Any]) -> bool:
+def _matches_words(row: AuditRow, words: dict[str, Any]) -> bool:
     """True if the arming of this row was given by these words of the plant file."""
     entry = row.entry
     if entry.kind != ARMED or "file" in entry.detail:
@@ -344,7 +346,7 @@ def open_writers(
     arming = start.arming
     if start.ended is not None:
         # Its end is a row of its own: what is over stays over, whatever the clock does after this.
-        audit.put(AuditEntry(now, EXPIRED, start.ended.entry.who, start.sentence).of(config.subject))
+        audit.put(AuditEntry(now, EXPIRED, start.ended.entry.who, start.sentence).with_subject(config.subject))
     if arming is None:
         if section.mode == "armed" or start.ended is not None:
             log.warning("not armed", reason=start.sentence)
@@ -356,9 +358,9 @@ def open_writers(
     # First on record, then armed: what cannot be accounted for is not written.
     historian.put("audit", [(now, f"armed until {arming.until:.0f}", arming.by, arming.reason)])
     words: dict[str, Any] = {} if start.file is None else {"file": start.file}
-    words |= _words_for(config.armed_for)
-    entry = entry_of(arming, now, "gateway began", clock.speed, **words).of(config.subject)
-    undo = cancelling(entry, "the records could not be stored when the gateway began")
+    words |= _configuration_detail(config.arming_hash)
+    entry = arming_entry(arming, now, "gateway began", clock.speed, **words).with_subject(config.subject)
+    undo = cancel_entry(entry, "the records could not be stored when the gateway began")
     row = audit.record(entry, undo=undo) if historian.flush() else None
     if row is None:
         log.error("not armed, as the audit record cannot be stored", reason=historian.failure or audit.failure)
@@ -366,12 +368,12 @@ def open_writers(
     try:
         since = _newest_word(audit.path, config.subject, row.id)
     except AuditError as error:
-        audit.put(cancelling(entry, "not armed: the audit log cannot be read"))
+        audit.put(cancel_entry(entry, "not armed: the audit log cannot be read"))
         log.error("not armed", reason=str(error))
         return writers
     if since != word:
         # A disarming that was given meanwhile, or that the disk had not taken when it was looked for.
-        audit.put(cancelling(entry, "not armed: something was said of it while it began"))
+        audit.put(cancel_entry(entry, "not armed: something was said of it while it began"))
         log.warning("not armed", reason="somebody armed or disarmed while it began; arm again if that is wanted")
         return writers
     for writer in writers:
@@ -394,7 +396,7 @@ async def arm(
 ) -> Arming:
     """Arm the blocks of a gateway that runs in shadow, or sign their arming anew; `key` confirms it.
 
-    `armed_for` is the configuration that it is for (`Config.armed_for`).
+    `arming_hash` is the configuration that it is for (`Config.arming_hash`).
 
     They share clock and audit log. Raises ArmingError.
     """
@@ -405,19 +407,19 @@ async def arm(
         doubt = f", which the audit log does not take ({audit.failure})" if audit.failure else ""
         raise ArmingError(f"it is being disarmed at this moment{doubt}; arm again once that is done")
     now, generations = clock.now(), [writer.generation for writer in writers]
-    arming = signed(by, reason, minutes, now)
-    words = {**process, **_words_for(armed_for)}
-    entry = entry_of(arming, now, "command", clock.speed, **words).of(writers[0].subject)
-    row = await audit.stored(entry, undo=cancelling(entry, "not armed: the disk did not take it in time"))
+    arming = sign_arming(by, reason, minutes, now)
+    words = {**process, **_configuration_detail(armed_for)}
+    entry = arming_entry(arming, now, "command", clock.speed, **words).with_subject(writers[0].subject)
+    row = await audit.stored(entry, undo=cancel_entry(entry, "not armed: the disk did not take it in time"))
     if row is None:
         why = audit.failure or "the disk does not answer"
         raise ArmingError(f"not armed, as the audit log does not take it: {why}")
     if [writer.generation for writer in writers] != generations:
         # Whoever disarmed did so while this was being stored, and has been told that nothing is written any more.
-        audit.put(cancelling(entry, "not armed: it was disarmed meanwhile"))
+        audit.put(cancel_entry(entry, "not armed: it was disarmed meanwhile"))
         raise ArmingError("not armed: it was disarmed meanwhile; arm again if that is still wanted")
     for writer in writers:
         writer.arm(driver, arming, row.id)
     # Shielded: whoever asked may go away, and it is in force all the same.
-    await asyncio.shield(audit.kept(confirmation(row, key, now), CONFIRMED_SECONDS))
+    await asyncio.shield(audit.keep(confirmation(row, key, now), CONFIRMED_SECONDS))
     return arming

@@ -95,7 +95,7 @@ def block_builder(layout: WritebackLayout) -> Callable[[Values, Validity, Sessio
     """`build` for one layout, what depends on the layout alone worked out once."""
     plans = tuple(map(partial(_word_plan, layout), layout.fields))
 
-    def built(values: Values, validity: Validity, session: SessionWords) -> WritebackBlock:
+    def build(values: Values, validity: Validity, session: SessionWords) -> WritebackBlock:
         contents: dict[str, float | None] = {
             **values,
             "layout_version": layout.version,
@@ -122,7 +122,7 @@ def block_builder(layout: WritebackLayout) -> Callable[[Values, Validity, Sessio
                 words.append((raw if raw != unknown else raw - 1 if raw > low else raw + 1) & 0xFFFF)
         return WritebackBlock(session.sequence, validity, tuple(words))
 
-    return built
+    return build
 
 
 def build(layout: WritebackLayout, values: Values, validity: Validity, session: SessionWords) -> WritebackBlock:

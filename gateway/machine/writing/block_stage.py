@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from structlog.typing import FilteringBoundLogger
 
 
-LATENCIES = 10_000
+MAX_KEPT_LATENCIES = 10_000
 
 
 class BlockStage:
@@ -39,7 +39,7 @@ class BlockStage:
         # Of several blocks each line of the log says which one it is of.
         self._which = {"block": writer.layout.temperature} if writer.layout.blocks > 1 else {}
         self.attempt: Attempt | None = None
-        self.latencies: deque[float] = deque(maxlen=LATENCIES)
+        self.latencies: deque[float] = deque(maxlen=MAX_KEPT_LATENCIES)
 
     def take_counts(self, scan: Scan) -> None:
         """Take over what the PLC says of the blocks before this one."""
@@ -78,7 +78,7 @@ class BlockStage:
     ) -> dict[str, float | None]:
         """The block's fields; a number that is not known is left out, and the block says so."""
         if p is None:
-            bad = any(scan.good(name) is None for name in self.config.watched)
+            bad = any(scan.good(name) is None for name in self.config.watched_temperatures)
             return {"zone": 0.0, "input_quality": 2.0 if bad else 0.0}
         values = {
             "zone": float(ZONES.index(p.zone)),

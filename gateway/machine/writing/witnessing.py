@@ -29,11 +29,11 @@ from gateway.store import (
     WitnessPlaces,
     acknowledgement,
     confirmation,
+    default_places,
     examine,
     heads_file,
     load_or_make_key,
     numbered_files,
-    places_beside,
     sign_head,
     trusted_key,
 )
@@ -49,7 +49,7 @@ LEAST_DIGITS = 16
 """So many digits of a lost head are enough to acknowledge it by."""
 
 
-def places_of(config: Config) -> WitnessPlaces:
+def witness_places(config: Config) -> WitnessPlaces:
     """Where the audit log of a plant file, its key and its witnesses are now."""
     logs = tuple(numbered_files(config.log.path)) if config.log.path is not None else ()
     historian = config.historian.path if config.historian.path.exists() else None
@@ -58,9 +58,9 @@ def places_of(config: Config) -> WitnessPlaces:
     )
 
 
-def places_for(audit: Path, config: Config | None) -> WitnessPlaces:
+def find_places(audit: Path, config: Config | None) -> WitnessPlaces:
     """Those of this audit log: the plant file's if it is its own, else what lies beside it."""
-    return places_of(config) if config is not None and config.audit == audit else places_beside(audit)
+    return witness_places(config) if config is not None and config.audit == audit else default_places(audit)
 
 
 def obstacle(places: WitnessPlaces) -> tuple[str, SignedHead | None]:
@@ -135,7 +135,7 @@ class HeadWitnessing:
     @property
     def places(self) -> WitnessPlaces:
         """As they are now: the log has other files from day to day."""
-        return places_of(self._config)
+        return witness_places(self._config)
 
     @property
     def sinks(self) -> tuple[HeadSink, ...]:

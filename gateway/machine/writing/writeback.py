@@ -20,7 +20,7 @@ from drivers.errors import DriverError, WriteForbidden
 from gateway.machine.reading import Clock, Scan
 from gateway.machine.writing.block import SessionWords, Validity, Values, WritebackBlock, block_builder, next_heartbeat
 from gateway.settings import WritebackLayout
-from gateway.store import DISARMED, EXPIRED, NO_PROCESS, Audit, AuditEntry, detail_about
+from gateway.store import DISARMED, EXPIRED, NO_PROCESS, Audit, AuditEntry, subject_detail
 
 Mode = Literal["off", "shadow", "armed"]
 Verdict = Literal["shadow", "written", "failed", "not permitted", "held back"]
@@ -170,7 +170,7 @@ class Writer:
         self.mode, self.driver, self.arming, self.armed_at = "armed", driver, arming, row
 
     @property
-    def ended_elsewhere(self) -> str:
+    def foreign_end(self) -> str:
         """That another program has taken the arming back in the audit log, as a sentence; "" if none has."""
         ended = None if self.audit is None else self.audit.ended_elsewhere.get(self.subject)
         if ended is None or ended.row <= self.armed_at:
@@ -189,10 +189,10 @@ class Writer:
     ) -> Attempt | None:
         """Fall back to shadow; with the newest `scan` a block of validity 0 is the last that leaves, and its attempt.
 
-        It is `disarm_together` of this writer alone.
+        It is `disarm_writers` of this writer alone.
         """
         return (
-            await disarm_together([self], now, by, reason, scan=scan, alarms=[alarms], audit=self.audit, stamp=stamp)
+            await disarm_writers([self], now, by, reason, scan=scan, alarms=[alarms], audit=self.audit, stamp=stamp)
         )[0]
 
     async def offer(self, scan: Scan, values: Mapping[str, float | None], validity: Validity) -> Attempt | None:
@@ -210,14 +210,14 @@ class Writer:
         async with self._sending:  # also where none is to be written: a block that is under way ends first
             if former is None or scan is None:
                 return None
-            return await self._attempt(_taking_back(alarms), Validity.NONE, scan, former, last=True)
+            return await self._attempt(_withdrawal_values(alarms), Validity.NONE, scan, former, last=True)
 
     async def withdraw(self, scan: Scan, alarms: int = 0) -> Attempt | None:
         """Write a block of validity 0 once, if armed and permitted: of what stands in the PLC only `alarms` is true."""
         async with self._sending:  # also where nothing is armed any more: a disarming that is under way ends first
             if not self.armed:
                 return None
-            return await self._attempt(_taking_back(alarms), Validity.NONE, scan, self.arming, last=True)
+            return await self._attempt(_withdrawal_values(alarms), Validity.NONE, scan, self.arming, last=True)
 
     def take_counts(self, scan: Scan, refusals: Mapping[int, str]) -> str:
         """Take over what the PLC says of the blocks, as far as this scan read it well.
@@ -288,16 +288,16 @@ class Writer:
             """Why the block must not be sent now, and what that counts as."""
             now = self.clock.now()
             if last:
-                return self._unpermitted(scan)
+                return self._permit_obstacle(scan)
             if self.generation != generation:
                 return "not permitted", "it was disarmed meanwhile"
-            if ended := self.ended_elsewhere:
+            if ended := self.foreign_end:
                 return "not permitted", ended
             if arming is not None and now >= arming.until:
                 return "not permitted", "the arming is over"
-            if self.audit is not None and (complaint := self.audit.complaint_of(self.subject)):
+            if self.audit is not None and (complaint := self.audit.subject_complaint(self.subject)):
                 return "not permitted", f"no audit record could be kept: {complaint}"
-            if unpermitted := self._unpermitted(scan):
+            if unpermitted := self._permit_obstacle(scan):
                 return unpermitted
             # From the first request on: a device may have looked at its memory long before its reply was complete.
             old = (now - scan.time + scan.duration) / self.clock.speed
@@ -326,7 +326,7 @@ class Writer:
                 refused = "held back", f"more than {self.pace.rate:g} blocks a second"
             if refused is None and self.audit is not None:
                 # Its subject from the beginning: an entry that is made is looked through for what no row may hold.
-                entry = AuditEntry(scan.time, WRITE, by, "", detail_about(self.subject, self._plain(block)))
+                entry = AuditEntry(scan.time, WRITE, by, "", subject_detail(self.subject, self._plain(block)))
                 if not await self.audit.stored(entry, SENDING_SECONDS):
                     if last:
                         self.audit.put(entry)
@@ -362,7 +362,7 @@ class Writer:
             self._note(AuditEntry(scan.time, kind, by, attempt.reason, self._plain(block)))
         return attempt
 
-    def _unpermitted(self, scan: Scan) -> tuple[Verdict, str] | None:
+    def _permit_obstacle(self, scan: Scan) -> tuple[Verdict, str] | None:
         """Why the PLC would not use a block, as this scan read it: no permit, or no challenge to make the block with.
 
         One of doubtful quality is none.
@@ -397,10 +397,10 @@ class Writer:
 
     def _note(self, entry: AuditEntry) -> None:
         if self.audit is not None:
-            self.audit.put(entry.of(self.subject))
+            self.audit.put(entry.with_subject(self.subject))
 
 
-async def disarm_together(
+async def disarm_writers(
     writers: Sequence[Writer],
     now: float,
     by: str = "",
@@ -437,14 +437,14 @@ async def disarm_together(
             who, why = by or (former.by if former else ""), reason or "the arming is over"
             detail = {**process, **({} if stamp is None else {"stamp": stamp})}
             entry = AuditEntry(now, EXPIRED if over else DISARMED, who, why, detail)
-            await audit.kept(entry.of(writers[0].subject), DISARMED_SECONDS)
+            await audit.keep(entry.with_subject(writers[0].subject), DISARMED_SECONDS)
         return attempts
     finally:
         for writer in writers:
             writer.ending -= 1
 
 
-def _taking_back(alarms: int) -> dict[str, float | None]:
+def _withdrawal_values(alarms: int) -> dict[str, float | None]:
     return {"alarms": float(alarms), "zone": 0.0, "input_quality": 2.0}
 
 

@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING
 from drivers.driver import Driver
 from drivers.supervision import Supervisor
 from gateway.machine.reading import Clock, Scan
-from gateway.machine.writing.arming import ArmingError, arm, newest_stamp, open_writers, signed
+from gateway.machine.writing.arming import ArmingError, arm, newest_stamp, open_writers, sign_arming
 from gateway.machine.writing.block_stage import BlockStage
 from gateway.machine.writing.witnessing import SIGN_SECONDS, HeadWitnessing, clear_for_arming, obstacle
-from gateway.machine.writing.writeback import Arming, disarm_together
+from gateway.machine.writing.writeback import Arming, disarm_writers
 from gateway.settings import Config, WritebackLayout
 from gateway.store import NO_PROCESS, Audit, HistorianView, ReliedFiles, open_or_set_aside, saved_state
 
@@ -119,7 +119,7 @@ class WritebackStage:
         return any(writer.armed for writer in self._writers)
 
     @contextmanager
-    def _being_asked(self) -> Iterator[None]:
+    def _count_request(self) -> Iterator[None]:
         """A person's word, or the gateway's own, is being carried out meanwhile."""
         self._asked += 1
         self._settled.clear()
@@ -130,7 +130,7 @@ class WritebackStage:
             if not self._asked:
                 self._settled.set()
 
-    async def settled(self) -> None:
+    async def settle(self) -> None:
         """Wait until all that was said about the arming is carried out: it is on record then, or waits to be.
 
         Each has deadlines of its own.
@@ -158,16 +158,16 @@ class WritebackStage:
         if scan.time - self._signed >= SIGN_SECONDS and not signing:
             self._sign(scan.time)
         # Taking back comes first: no block of an arming that is over may follow it.
-        if over := self._disarming(scan.time, unverified):
+        if over := self._disarm_reason(scan.time, unverified):
             await self.disarm("", over, scan, alarms)
 
-    def _disarming(self, now: float, unverified: str) -> str:
+    def _disarm_reason(self, now: float, unverified: str) -> str:
         """Why the gateway has to disarm itself at this scan; "" if it has not."""
         if not self.armed:
             return ""
         if any(writer.expired(now) for writer in self._writers):
             return "the arming is over"
-        if ended := next((word for writer in self._writers if (word := writer.ended_elsewhere)), ""):
+        if ended := next((word for writer in self._writers if (word := writer.foreign_end)), ""):
             return ended[:LONGEST_REASON]
         if self._files.taken != self._taken:
             return f"a file that it relies on was taken away: {self._files.note}"[:LONGEST_REASON]
@@ -191,11 +191,11 @@ class WritebackStage:
         """Let blocks be written from the next scan on; `acknowledged` are heads of lost rows. Raises ArmingError."""
         if unverified:
             raise ArmingError(f"the model that runs does not verify: {unverified}")
-        signed(by, reason, minutes, self._clock.now())  # what is not even signed leaves no row
-        with self._being_asked():
-            return await self._armed(by, reason, minutes, acknowledged, process)
+        sign_arming(by, reason, minutes, self._clock.now())  # what is not even signed leaves no row
+        with self._count_request():
+            return await self._arm(by, reason, minutes, acknowledged, process)
 
-    async def _armed(
+    async def _arm(
         self, by: str, reason: str, minutes: float, acknowledged: Sequence[str], process: Mapping[str, int]
     ) -> Arming:
         witnessing, generations = self.witnessing, [writer.generation for writer in self._writers]
@@ -220,7 +220,7 @@ class WritebackStage:
             minutes=minutes,
             key=key,
             process=process,
-            armed_for=self.config.armed_for,
+            armed_for=self.config.arming_hash,
         )
         self._historian.put("audit", [(self._clock.now(), f"armed until {arming.until:.0f}", arming.by, arming.reason)])
         self._log.warning("armed", by=arming.by, reason=arming.reason, until=arming.until)
@@ -240,15 +240,15 @@ class WritebackStage:
 
         `by` is "" where the gateway disarms itself; `scan` is the newest one.
         """
-        with self._being_asked():
-            return await self._disarmed(by, reason, scan, alarms, process)
+        with self._count_request():
+            return await self._disarm(by, reason, scan, alarms, process)
 
-    async def _disarmed(
+    async def _disarm(
         self, by: str, reason: str, scan: Scan | None, alarms: Sequence[int], process: Mapping[str, int]
     ) -> bool:
         now, arming = self._clock.now(), next((writer.arming for writer in self._writers if writer.arming), None)
         stamp = newest_stamp(self.config)
-        attempts = await disarm_together(
+        attempts = await disarm_writers(
             self._writers, now, by, reason, scan=scan, alarms=alarms, audit=self.audit, stamp=stamp, process=process
         )
         for block, attempt in zip(self.blocks, attempts, strict=True):

@@ -28,12 +28,12 @@ from gateway.store import (
     HistorianView,
     RowPosition,
     RowStream,
+    find_position,
     newest_position,
     newest_rows,
-    position_at,
+    next_rows,
     reading,
     row_streams,
-    rows_after,
     saved_state,
 )
 
@@ -42,9 +42,9 @@ if TYPE_CHECKING:
 
 POLL_SECONDS = 1.0
 """How often it is looked for new rows: the historian commits them once a second."""
-MOST = 4_000
+MAX_PENDING_ROWS = 4_000
 """Rows in hand from which on no more are read."""
-PIECE = 1_000
+ROWS_PER_DELIVERY = 1_000
 """Rows that are handed over at a time."""
 FIRST_RETRY, LONGEST_RETRY = 1.0, 30.0
 """Seconds until a sink is tried again: doubled with each failure up to the longest."""
@@ -134,7 +134,7 @@ class SinkFeed:
         try:
             while not self._stop.is_set():
                 try:
-                    self._go_on()
+                    self._step()
                     pause = FIRST_RETRY
                 except (SinkUnreachable, HistorianError, sqlite3.Error) as error:
                     self._note_failure(str(error))
@@ -147,7 +147,7 @@ class SinkFeed:
             self._end_session()
             self._save()
 
-    def _go_on(self) -> None:
+    def _step(self) -> None:
         """Begin a session if there is none; hand on a piece, or wait for one."""
         if not self.connected:
             self._begin_session()
@@ -156,7 +156,7 @@ class SinkFeed:
             self._fill()
         if self._pending:
             begun = monotonic()
-            self._hand_on()
+            self._deliver()
             # Half of the interpreter's time at most, also where a day is to be caught up.
             self._stop.wait(min(monotonic() - begun, 1.0))
         else:
@@ -215,12 +215,12 @@ class SinkFeed:
         with reading(self._path) as connection:
             streams = self._streams(connection)
             for _ in range(len(streams)):
-                if len(self._pending) >= MOST:
+                if len(self._pending) >= MAX_PENDING_ROWS:
                     return
                 stream = streams[self._turn % len(streams)]
                 self._turn += 1
                 position = self._positions.get(stream) or self._first_position(connection, stream, oldest)
-                found = rows_after(connection, stream, position)
+                found = next_rows(connection, stream, position)
                 self._positions[stream] = position if found.rows else found.passed
                 self._newest[stream] = found.newest
                 self._lose(found.gone, "they were deleted before they could be handed on")
@@ -240,23 +240,24 @@ class SinkFeed:
         if stream.machine not in self._restored:
             saved = saved_state(self._view(stream.machine), self._state, self._log)
             self._restored[stream.machine] = saved[1] if saved is not None else {}
-        match self._restored[stream.machine].get(_key_of(stream)):
+        match self._restored[stream.machine].get(_position_key(stream)):
             case [int(key), int(time) | float(time)]:
                 return RowPosition(key, float(time))
-        return position_at(connection, stream, oldest)
+        return find_position(connection, stream, oldest)
 
     def _lose(self, count: int, why: str) -> None:
         if count:
             self.lost += count
             self._log.error("rows are not handed on", rows=count, reason=why)
 
-    def _hand_on(self) -> None:
+    def _deliver(self) -> None:
         piece = [
-            OutgoingRow(row, row.key <= self._old_until.get(row.stream, 0)) for row in islice(self._pending, PIECE)
+            OutgoingRow(row, row.key <= self._old_until.get(row.stream, 0))
+            for row in islice(self._pending, ROWS_PER_DELIVERY)
         ]
         try:
             for count in self._sink.deliver(piece):
-                self._done_with(count)
+                self._confirm_rows(count)
                 self.delivered += count
                 self._note_success()
                 if self._stop.is_set():
@@ -264,9 +265,9 @@ class SinkFeed:
         except RowsRefused as error:
             self.refused += error.count
             self._log.error("rows are refused and left out", rows=error.count, reason=str(error))
-            self._done_with(error.count)
+            self._confirm_rows(error.count)
 
-    def _done_with(self, count: int) -> None:
+    def _confirm_rows(self, count: int) -> None:
         self._taken_at = monotonic()
         for _ in range(count):
             row = self._pending.popleft()
@@ -283,7 +284,7 @@ class SinkFeed:
     def _save(self) -> None:
         for machine in self._unsaved:
             own = {
-                _key_of(stream): [at.key, at.time]
+                _position_key(stream): [at.key, at.time]
                 for stream, at in self._positions.items()
                 if stream.machine == machine
             }
@@ -293,6 +294,6 @@ class SinkFeed:
         self._saved_at = monotonic()
 
 
-def _key_of(stream: RowStream) -> str:
+def _position_key(stream: RowStream) -> str:
     """By what a stream's position is saved."""
     return f"{stream.table} {stream.temperature}".strip()

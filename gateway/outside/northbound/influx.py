@@ -12,10 +12,10 @@ from threading import Event
 from typing import Any
 from urllib.parse import urlencode, urlsplit
 
-from gateway.network import TimedHttp, make_tls, reason_of
+from gateway.network import TimedHttp, failure_reason, make_tls
 from gateway.outside.northbound.sink import OutgoingRow, Present, RowsRefused, Sink, SinkContext, SinkUnreachable
 from gateway.settings import InfluxRow, NorthboundSecrets
-from gateway.store import TABLE_COLUMNS, FollowedRow, cells_of
+from gateway.store import TABLE_COLUMNS, FollowedRow, row_cells
 
 ANSWER_SECONDS = 10.0
 """Seconds that a connection, and a batch of rows with its answer, may take in all."""
@@ -69,11 +69,11 @@ class InfluxSink:
             self._connection.connect()
         except (OSError, UnicodeError) as error:
             self.close()
-            raise SinkUnreachable(f"{self._row.url} cannot be reached: {reason_of(error)}") from None
+            raise SinkUnreachable(f"{self._row.url} cannot be reached: {failure_reason(error)}") from None
 
     def deliver(self, rows: Sequence[OutgoingRow]) -> Iterator[int]:
         """Write all at once; where the server will not have some, halves, down to the row that it will not have."""
-        status, reason = self._post("\n".join(line_of(one.row, self._row.node) for one in rows).encode())
+        status, reason = self._post("\n".join(format_row(one.row, self._row.node) for one in rows).encode())
         if status in (200, 204):
             yield len(rows)
         elif status not in (400, 413, 422):
@@ -110,11 +110,11 @@ class InfluxSink:
             connection.close()
 
 
-def line_of(row: FollowedRow, node: str) -> str:
+def format_row(row: FollowedRow, node: str) -> str:
     """A row as a line: measurement and tags, fields, the time in microseconds."""
     table = row.stream.table
     cells: dict[str, Any] = {
-        column.name: cell for column, cell in zip(TABLE_COLUMNS[table], cells_of(row), strict=True)
+        column.name: cell for column, cell in zip(TABLE_COLUMNS[table], row_cells(row), strict=True)
     }
     tags = [("node", node), *((name, cells.pop(name)) for name in TAGS[table])]
     if "unit" in cells:

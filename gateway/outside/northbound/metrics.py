@@ -52,7 +52,7 @@ def _temperatures(status: GatewayStatus) -> Iterator[GatewayStatus | Temperature
     yield from status.further
 
 
-def _predicted(key: str) -> Callable[[GatewayStatus], Iterable[Labelled]]:
+def _prediction_values(key: str) -> Callable[[GatewayStatus], Iterable[Labelled]]:
     return lambda status: [
         ((one.temperature,), getattr(one.prediction, key))
         for one in _temperatures(status)
@@ -130,17 +130,27 @@ METRICS: Sequence[MachineMetric] = (
         "gauge",
         "What the model expected of the newest scan.",
         ("temperature",),
-        _predicted("mean"),
-    ),
-    MachineMetric("decanter_predicted_low", "gauge", "The lower end of its band.", ("temperature",), _predicted("low")),
-    MachineMetric(
-        "decanter_predicted_high", "gauge", "The upper end of its band.", ("temperature",), _predicted("high")
+        _prediction_values("mean"),
     ),
     MachineMetric(
-        "decanter_anomaly", "gauge", "How unlike the model the readings are.", ("temperature",), _predicted("anomaly")
+        "decanter_predicted_low", "gauge", "The lower end of its band.", ("temperature",), _prediction_values("low")
     ),
     MachineMetric(
-        "decanter_state_known", "gauge", "Whether the model's state is known.", ("temperature",), _predicted("known")
+        "decanter_predicted_high", "gauge", "The upper end of its band.", ("temperature",), _prediction_values("high")
+    ),
+    MachineMetric(
+        "decanter_anomaly",
+        "gauge",
+        "How unlike the model the readings are.",
+        ("temperature",),
+        _prediction_values("anomaly"),
+    ),
+    MachineMetric(
+        "decanter_state_known",
+        "gauge",
+        "Whether the model's state is known.",
+        ("temperature",),
+        _prediction_values("known"),
     ),
     MachineMetric(
         "decanter_sensor_bad",

@@ -40,7 +40,7 @@ class MetricsServer:
         self.port = section.port or 0
         self.stop = threading.Event()
 
-    def _is_meant(self, host: str) -> bool:
+    def _is_own_host(self, host: str) -> bool:
         """Whether a request's Host is this server: another site's name that leads here is that site's trick."""
         try:
             name = urlsplit(f"//{host}").hostname or ""
@@ -53,7 +53,7 @@ class MetricsServer:
         return True  # no name, and so nobody's to lead here
 
     async def _metrics(self, request: Request) -> Response:
-        if not self._is_meant(request.headers.get("host", "")):
+        if not self._is_own_host(request.headers.get("host", "")):
             said = "this name is not among [northbound.metrics] names\n"
             return Response(said, status_code=421, media_type="text/plain")
         try:
@@ -72,9 +72,9 @@ class MetricsServer:
             return
         section = self._section
         listener = SharingListener(socket.AF_INET, socket.SOCK_STREAM)
-        listener.bound(MOST_REQUESTS)
+        listener.limit_connections(MOST_REQUESTS)
         try:
-            listener.listen_at((section.host, self.port), MOST_REQUESTS)
+            listener.bind_address((section.host, self.port), MOST_REQUESTS)
         except OSError as error:
             listener.close()
             reason = error.strerror or str(error)

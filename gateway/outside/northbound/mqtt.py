@@ -31,7 +31,7 @@ from paho.mqtt.reasoncodes import ReasonCode
 
 from drivers.settings import is_in_names
 from drivers.tag import Quality, Tag
-from gateway.network import TimedSocket, connect, load_pair, make_tls, reason_of, seconds_left
+from gateway.network import TimedSocket, connect, failure_reason, load_pair, make_tls, remaining_seconds
 from gateway.outside.northbound.sink import Acknowledge, OutgoingRow, Present, Sink, SinkContext, SinkUnreachable, Tags
 from gateway.outside.northbound.sparkplug import (
     BOOLEAN,
@@ -42,10 +42,10 @@ from gateway.outside.northbound.sparkplug import (
     Payload,
     SparkplugMetric,
     add_metric,
-    commands_in,
     host_state,
-    metrics_of,
     milliseconds,
+    parse_commands,
+    row_metrics,
 )
 from gateway.settings import MqttRow, NorthboundSecrets
 from gateway.store import FollowedRow
@@ -53,13 +53,13 @@ from gateway.store import FollowedRow
 OPEN_SECONDS, ANSWER_SECONDS = 15.0, 10.0
 """How long it may take in all until the broker has let in and subscribed what is heard, and how long an answer may."""
 KEEPALIVE_SECONDS = 20
-WINDOW = 100
+MAX_UNCONFIRMED_MESSAGES = 100
 """JSON messages that wait for their acknowledgement at a time; fewer where the broker says so (MQTT 5)."""
 MOST_METRICS = 500
 """Metrics in one Sparkplug message."""
 HOST_SECONDS = 2.0
 """How long the word of a primary host may take that the broker has kept."""
-TOGETHER = 10
+MESSAGES_PER_CONFIRMATION = 10
 """Sparkplug messages that are confirmed together."""
 MOST_PACKET_BYTES = 1 << 16
 """Bytes of one packet from the broker: many times what any command or answer has. One that is larger ends the
@@ -71,10 +71,10 @@ MOST_UNSENT = 1_000
 ends it: nobody may subscribe by that here."""
 MOST_AT_ONCE = 5_000
 """Packets from the broker that are taken as fast as they come, beside those that answer the gateway's own."""
-UNASKED_SECONDS = 0.001
+FLOOD_DELAY_SECONDS = 0.001
 """How long is waited before each that comes beyond them: so a broker that floods waits at its own end of the line, and
 does not take the interpreter from the scans."""
-ANSWERS_EACH = 2
+ANSWERS_PER_PACKET = 2
 """Packets of the broker's that one of the gateway's may call for: QoS 2 has as many."""
 BIRTH_SECONDS = 5.0
 """From a birth that was commanded to the next such birth at least."""
@@ -100,14 +100,14 @@ class _BoundedClient(Client):
     _spare = MOST_AT_ONCE
 
     def _packet_queue(self, *given: Any, **keys: Any) -> MQTTErrorCode:
-        self._spare = min(self._spare + ANSWERS_EACH, MOST_AT_ONCE)
+        self._spare = min(self._spare + ANSWERS_PER_PACKET, MOST_AT_ONCE)
         return super()._packet_queue(*given, **keys)
 
     def _packet_handle(self) -> MQTTErrorCode:
         if self._spare:
             self._spare -= 1
         else:
-            sleep(UNASKED_SECONDS)
+            sleep(FLOOD_DELAY_SECONDS)
         return super()._packet_handle()
 
     def _create_socket_connection(self) -> TimedSocket:
@@ -134,7 +134,7 @@ class BrokerConnection:
         self._ended = ""
         self._accepted = False
         self._answered: set[int] = set()
-        self.window = WINDOW
+        self.window = MAX_UNCONFIRMED_MESSAGES
         self.received: deque[MQTTMessage] = deque()
         self._subscribed: Sequence[str] = ()
         self.dropped = 0
@@ -156,7 +156,7 @@ class BrokerConnection:
         self._subscribed = subscribed
         self._client = client
         client.end, client.connect_timeout = end, OPEN_SECONDS
-        client.max_inflight_messages = WINDOW
+        client.max_inflight_messages = MAX_UNCONFIRMED_MESSAGES
         client.on_connect, client.on_disconnect = self._on_connect, self._on_disconnect
         client.on_publish = lambda _client, _data, number, reason, _: self._note_answer(number, [reason])
         client.on_subscribe = lambda _client, _data, number, reasons, _: self._note_answer(number, reasons)
@@ -181,11 +181,13 @@ class BrokerConnection:
             if isinstance(line, TimedSocket):
                 line.end = inf  # from here on paho waits for nothing by itself
                 line.setblocking(False)  # sending the CONNECT has left its time-out
-            self.until(lambda: self._accepted, seconds_left(end))
+            self.wait(lambda: self._accepted, remaining_seconds(end))
             for topic in subscribed:
-                self._answer(client.subscribe(topic, qos=1), seconds_left(end))
+                self._answer(client.subscribe(topic, qos=1), remaining_seconds(end))
         except (OSError, ValueError) as error:
-            reason = reason_of(error) if isinstance(error, SSLError) else getattr(error, "strerror", None) or str(error)
+            reason = (
+                failure_reason(error) if isinstance(error, SSLError) else getattr(error, "strerror", None) or str(error)
+            )
             raise SinkUnreachable(f"{row.host}:{row.port} cannot be reached: {reason}") from None
 
     def _on_connect(
@@ -195,7 +197,7 @@ class BrokerConnection:
         if reason.is_failure:
             self._ended = f"it refuses the connection: {reason}"
         # A broker that is sent more at a time closes the connection (MQTT 5, 3.3.4).
-        self.window = min(WINDOW, getattr(properties, "ReceiveMaximum", WINDOW))
+        self.window = min(MAX_UNCONFIRMED_MESSAGES, getattr(properties, "ReceiveMaximum", MAX_UNCONFIRMED_MESSAGES))
 
     def _on_disconnect(
         self, _client: Client, _data: Any, _flags: DisconnectFlags, reason: ReasonCode, _: Properties | None
@@ -234,7 +236,7 @@ class BrokerConnection:
             reason = self._ended or f"the connection has ended: {code.name}"
             raise SinkUnreachable(f"{self._row.host}:{self._row.port}: {reason}")
 
-    def until(self, true: Callable[[], bool], seconds: float = ANSWER_SECONDS) -> None:
+    def wait(self, true: Callable[[], bool], seconds: float = ANSWER_SECONDS) -> None:
         """Receive until it is so."""
         end = monotonic() + seconds
         while not true():
@@ -243,13 +245,13 @@ class BrokerConnection:
             self.turn(0.05)
 
     def publish(self, topic: str, payload: bytes, *, qos: int, retain: bool = False) -> int:
-        """Send a message; gives the number under which `is_answered` knows it."""
+        """Send a message; gives the number under which `pop_answer` knows it."""
         info = self.client.publish(topic, payload, qos=qos, retain=retain)
         if info.rc != MQTTErrorCode.MQTT_ERR_SUCCESS:
             raise SinkUnreachable(f"{self._row.host}:{self._row.port}: the connection has ended: {info.rc.name}")
         return info.mid
 
-    def is_answered(self, number: int) -> bool:
+    def pop_answer(self, number: int) -> bool:
         """Whether the broker has acknowledged it; once it has, that is forgotten."""
         if number not in self._answered:
             return False
@@ -265,7 +267,7 @@ class BrokerConnection:
         code, number = asked
         if code != MQTTErrorCode.MQTT_ERR_SUCCESS or number is None:
             raise SinkUnreachable(f"{self._row.host}:{self._row.port}: the connection has ended: {code.name}")
-        self.until(lambda: self.is_answered(number), seconds)
+        self.wait(lambda: self.pop_answer(number), seconds)
 
     def close(self) -> None:
         """Disconnect, so that the broker does not tell the will."""
@@ -317,7 +319,7 @@ class SparkplugSink:
         self._wait_for_host()
         tags = self._tags()
         self._present = {
-            machine: {metric.name: metric for row in rows for metric in metrics_of(row, tags.get(machine, {}))}
+            machine: {metric.name: metric for row in rows for metric in row_metrics(row, tags.get(machine, {}))}
             for machine, rows in present.items()
         }
         self._give_birth()
@@ -356,11 +358,11 @@ class SparkplugSink:
         birth.metrics.add(name="Node Control/Rebirth", timestamp=birth.timestamp, datatype=BOOLEAN, boolean_value=False)
         self._send("NBIRTH", "", birth)
         for machine in self._present:
-            self._give_birth_to(machine)
+            self._publish_birth(machine)
         self._broker.confirm()
         self._is_born = True
 
-    def _give_birth_to(self, machine: str) -> None:
+    def _publish_birth(self, machine: str) -> None:
         birth = Payload(timestamp=milliseconds(self._now()))
         for metric in self._present[machine].values():
             add_metric(birth, metric, alias=self._alias(machine, metric.name), birth=True)
@@ -385,7 +387,7 @@ class SparkplugSink:
             former = self._born_tags[machine]
             for name in former.keys() - own.keys():
                 self._present[machine].pop(f"Measured/{name}", None)
-            self._give_birth_to(machine)
+            self._publish_birth(machine)
 
     def _alias(self, machine: str, name: str) -> int:
         return self._aliases.setdefault((machine, name), len(self._aliases) + 1)
@@ -401,7 +403,7 @@ class SparkplugSink:
         tags = self._tags()
         unconfirmed = messages = 0
         for machine, own in groupby(rows, key=lambda one: one.row.stream.machine):
-            mine = [(one, list(metrics_of(one.row, tags.get(machine, {})))) for one in own]
+            mine = [(one, list(row_metrics(one.row, tags.get(machine, {})))) for one in own]
             self._announce(machine, mine)
             while mine:
                 data = Payload(timestamp=milliseconds(self._now()))
@@ -415,7 +417,7 @@ class SparkplugSink:
                 del mine[:count]
                 self._send("DDATA", machine, data)
                 unconfirmed, messages = unconfirmed + count, messages + 1
-                if messages % TOGETHER == 0:
+                if messages % MESSAGES_PER_CONFIRMATION == 0:
                     self._broker.confirm()
                     yield unconfirmed
                     unconfirmed = 0
@@ -434,7 +436,7 @@ class SparkplugSink:
                 if known is None or known.datatype != metric.datatype or not one.historical:
                     present[metric.name] = metric
         if is_new:
-            self._give_birth_to(machine)
+            self._publish_birth(machine)
 
     def idle(self, seconds: float, stop: Event) -> None:
         """Keep the connection alive, hear commands, and follow what a reload has changed."""
@@ -456,7 +458,7 @@ class SparkplugSink:
                 self._take_host_state(bytes(message.payload))
                 continue
             kind, *device = message.topic.split("/")[2:3] + message.topic.split("/")[4:]
-            for command in commands_in(bytes(message.payload)):
+            for command in parse_commands(bytes(message.payload)):
                 if kind == "NCMD" and command.name == "Node Control/Rebirth" and command.is_true:
                     self._rebirth_wanted = self._is_born
                 elif kind == "DCMD" and device and command.name == ACKNOWLEDGE and command.text:
@@ -514,10 +516,10 @@ class JsonSink:
                 topic, payload = json_message(self._base, left.popleft())
                 waiting.append(self._broker.publish(topic, payload, qos=1))
             first = waiting[0]
-            self._broker.until(lambda first=first: self._broker.is_answered(first))  # type: ignore[misc]
+            self._broker.wait(lambda first=first: self._broker.pop_answer(first))  # type: ignore[misc]
             waiting.popleft()
             count = 1
-            while waiting and self._broker.is_answered(waiting[0]):
+            while waiting and self._broker.pop_answer(waiting[0]):
                 waiting.popleft()
                 count += 1
             yield count
@@ -545,7 +547,7 @@ class JsonSink:
         try:
             if self._is_online:
                 number = self._broker.publish(f"{self._base}/status", b"offline", qos=1, retain=True)
-                self._broker.until(lambda: self._broker.is_answered(number), 1.0)
+                self._broker.wait(lambda: self._broker.pop_answer(number), 1.0)
         except SinkUnreachable:
             pass
         self._is_online = False
@@ -555,7 +557,7 @@ class JsonSink:
 def json_message(base: str, outgoing: OutgoingRow) -> tuple[str, bytes]:
     """The topic and the payload of a row; `time` is in s UTC, `row` numbers the rows of a table of the machine."""
     row = outgoing.row
-    signal = _signal_of(row)
+    signal = _topic_signal(row)
     levels = [base, row.stream.machine, row.stream.table, *([] if signal is None else [_level(signal)])]
     plain = {key: _plain(value) for key, value in row.values.items()}
     plain |= {key: json.loads(row.values[key]) for key in ("levels", "quantiles") if key in row.values}
@@ -563,7 +565,7 @@ def json_message(base: str, outgoing: OutgoingRow) -> tuple[str, bytes]:
     return "/".join(levels), json.dumps(content, separators=(",", ":"), allow_nan=False).encode()
 
 
-def _signal_of(row: FollowedRow) -> str | None:
+def _topic_signal(row: FollowedRow) -> str | None:
     """The last level of a row's topic."""
     match row.stream.table:
         case "samples":

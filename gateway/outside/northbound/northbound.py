@@ -8,10 +8,10 @@ from contextlib import suppress
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from drivers.json_lines import packed
+from drivers.json_lines import format_object
 from drivers.settings import ConfigError
 from drivers.supervision import Supervisor
-from gateway.extras import missing
+from gateway.extras import missing_sentence
 from gateway.network import application_problem
 from gateway.outside.northbound.feed import SinkFeed
 from gateway.outside.northbound.sink import SinkContext
@@ -51,7 +51,7 @@ def check_northbound(config: Config) -> NorthboundSecrets:
     problems = [
         f"{config.path}: northbound.{name}: {lacking}"
         for name, extra, needs in wanted
-        if (lacking := _missing(extra, needs))
+        if (lacking := _missing_packages(extra, needs))
     ]
     if problems:
         raise ConfigError(problems)
@@ -62,13 +62,13 @@ def check_northbound(config: Config) -> NorthboundSecrets:
     return load_northbound_secrets(section)
 
 
-def _missing(extra: str, needs: Iterable[str]) -> str:
+def _missing_packages(extra: str, needs: Iterable[str]) -> str:
     """What of an extra, or of this program, is not installed; "" if all of it is."""
     try:
         for module in needs:
             import_module(module)
     except ImportError as error:
-        return missing(extra, error)
+        return missing_sentence(extra, error)
     return ""
 
 
@@ -103,7 +103,7 @@ class Northbound:
                 import_module(row.kind.module).make_sink(row, secrets, context),
                 path=historian.path,
                 machines=lambda: list(machines()),
-                view=historian.of,
+                view=historian.view,
                 now=now,
                 tables=row.tables,
                 backlog=3600.0 * section.backlog_hours,
@@ -127,7 +127,7 @@ class Northbound:
             self._opcua_thread = supervisor.thread("opcua", self.opcua.run, stop=self.opcua.stop)
 
     @property
-    def unreached(self) -> str:
+    def sink_complaints(self) -> str:
         """Which sinks are out of reach or take nothing, and why; "" while none is."""
         return "; ".join(f"{feed.name}: {complaint}" for feed in self.feeds if (complaint := feed.complaint))
 
@@ -140,7 +140,7 @@ class Northbound:
         if len(self._asked) >= MOST_ASKED:
             self._log.warning("a command is left out, since too many wait", by=by, machine=machine)
             return
-        line = packed({"command": "acknowledge", "machine": machine, "alarms": list(alarms), "by": by})
+        line = format_object({"command": "acknowledge", "machine": machine, "alarms": list(alarms), "by": by})
 
         async def ask() -> None:
             reply = await self._answer(line)
@@ -150,7 +150,7 @@ class Northbound:
         with suppress(RuntimeError):  # the gateway's loop has ended
             self._asked.append(asyncio.run_coroutine_threadsafe(ask(), self._loop))
 
-    def wait_loaded(self) -> None:
+    def wait_load(self) -> None:
         """Wait until all that is large is there. Call it in a thread."""
         if self.opcua is not None:
             self.opcua.loaded.wait(LOAD_SECONDS)

@@ -33,7 +33,7 @@ from cryptography import x509
 from drivers.tag import Quality
 from gateway.network import OPC_UA_CERTIFICATE, OPC_UA_KEY, SharingListener, trusted_certificates
 from gateway.outside.northbound.opcua_history import VARIANT_TYPES, HistorianHistory, data_value
-from gateway.outside.northbound.opcua_points import OpcUaPoint, points_of
+from gateway.outside.northbound.opcua_points import OpcUaPoint, status_points
 from gateway.outside.northbound.pictures import Pictures, ask_statuses
 from gateway.settings import OpcUaSection
 
@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 NAMESPACE = "urn:decanter-gateway:machines"
 LARGEST_MESSAGE = 1 << 20
 """Bytes of a request or an answer."""
-SUBSCRIPTIONS_EACH = 8
+SUBSCRIPTIONS_PER_CLIENT = 8
 """Subscriptions for each of the clients that there may be."""
 ACTIVATION_SECONDS = 15.0
 """Seconds from a connection to the session that is activated on it: who does not come so far takes no place longer."""
@@ -157,10 +157,10 @@ class BoundedServer(BinaryServer):  # type: ignore[misc]
         # The library's own bound counts those too that have to go and are about to: it is for what is beyond them.
         self.iserver.max_connections = _CLOSING_FACTOR * self.most_clients
         listener = SharingListener(socket.AF_INET, socket.SOCK_STREAM)
-        listener.bound(self.most_clients)
+        listener.limit_connections(self.most_clients)
         started = False
         try:
-            listener.listen_at((self.hostname, self.port), self.most_clients)
+            listener.bind_address((self.hostname, self.port), self.most_clients)
             self._server = await asyncio.get_running_loop().create_server(self._make_protocol, sock=listener)
             started = True
         finally:
@@ -274,7 +274,7 @@ class OpcUaServer:
     # ---------------------------------------------------------------- in the thread's loop
 
     async def _serve(self) -> None:
-        server = await self._made()
+        server = await self._make_server()
         self.loaded.set()
         if self.stop.is_set():
             return
@@ -288,15 +288,15 @@ class OpcUaServer:
                     await self._show(server, statuses)
                 await asyncio.to_thread(self.stop.wait, self._section.period)
 
-    async def _made(self) -> GatewayServer:
+    async def _make_server(self) -> GatewayServer:
         section = self._section
         server = GatewayServer(section.certificates, section.most_clients)
         inner, most = server.iserver, section.most_clients
-        inner.max_subscriptions = SUBSCRIPTIONS_EACH * most
+        inner.max_subscriptions = SUBSCRIPTIONS_PER_CLIENT * most
         inner.max_pending_messages_per_connection, inner.max_monitored_item_queue_size = MOST_WAITING, LONGEST_QUEUE
         inner.max_pending_activation_seconds = ACTIVATION_SECONDS
         inner.allow_remote_admin = False
-        inner.history_manager.set_storage(HistorianHistory(self._historian, self._recorded))
+        inner.history_manager.set_storage(HistorianHistory(self._historian, self._find_point))
         server.limits = TransportLimits(
             max_recv_buffer=CHANNEL_BYTES,
             max_send_buffer=CHANNEL_BYTES,
@@ -333,7 +333,7 @@ class OpcUaServer:
         for machine in {path[0] for path in self._nodes} - set(statuses):
             await self._remove(server, (machine,))
         for name, status in statuses.items():
-            for point in points_of(status, tags.get(name, {})):
+            for point in status_points(status, tags.get(name, {})):
                 given.add(point.path)
                 before = self._shown.get(point.path)
                 if before is not None and before.kind != point.kind:
@@ -364,10 +364,10 @@ class OpcUaServer:
         for depth in range(1, len(point.path)):
             path = point.path[:depth]
             if path not in self._nodes:
-                self._nodes[path] = await parent.add_object(self._id(path), self._browsed(path[-1]))
+                self._nodes[path] = await parent.add_object(self._id(path), self._browse_name(path[-1]))
             parent = self._nodes[path]
         kind = VARIANT_TYPES[point.kind]
-        name = self._browsed(point.path[-1])
+        name = self._browse_name(point.path[-1])
         node = await parent.add_variable(self._id(point.path), name, None, datatype=ua.NodeId(kind.value))
         self._nodes[point.path] = node
         if point.unit:
@@ -396,10 +396,10 @@ class OpcUaServer:
         # A name may have a stroke in it.
         return ua.NodeId("/".join(name.replace("%", "%25").replace("/", "%2F") for name in path), self._namespace)
 
-    def _browsed(self, name: str) -> ua.QualifiedName:
+    def _browse_name(self, name: str) -> ua.QualifiedName:
         return ua.QualifiedName(name, self._namespace)
 
-    def _recorded(self, node_id: ua.NodeId) -> OpcUaPoint | None:
+    def _find_point(self, node_id: ua.NodeId) -> OpcUaPoint | None:
         """What a node shows, if its past is on record."""
         path = self._places.get(node_id)
         return None if path is None else self._shown.get(path)

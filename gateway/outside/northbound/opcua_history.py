@@ -13,7 +13,7 @@ from asyncua import ua
 from asyncua.server.history import HistoryStorageInterface
 
 from drivers.tag import Quality
-from gateway.outside.northbound.opcua_points import OpcUaPoint, PointType, point_at
+from gateway.outside.northbound.opcua_points import OpcUaPoint, PointType, make_point
 from gateway.store import HistorianError, newest_scan, oldest_scan, reading, samples, stored_rows
 
 MOST_VALUES = 10_000
@@ -60,7 +60,7 @@ class HistorianHistory(HistoryStorageInterface):  # type: ignore[misc]
 
         def read() -> list[OpcUaPoint]:
             # One more, which says where to go on.
-            return list(islice(recorded(self._path, point, low, high, backwards=backwards), most + 1))
+            return list(islice(recorded_points(self._path, point, low, high, backwards=backwards), most + 1))
 
         rows: list[OpcUaPoint] = []
         with suppress(HistorianError):  # of a machine that has no rows yet
@@ -68,7 +68,7 @@ class HistorianHistory(HistoryStorageInterface):  # type: ignore[misc]
         return [data_value(row) for row in rows[:most]], _moment(rows[most].time) if len(rows) > most else None
 
 
-def recorded(
+def recorded_points(
     historian: Path, point: OpcUaPoint, low: float | None, high: float | None, *, backwards: bool = False
 ) -> Iterator[OpcUaPoint]:
     """What a point was at low <= time <= high (s UTC; None: as far as the record goes), in the order of time.
@@ -113,7 +113,7 @@ def _rows(historian: Path, point: OpcUaPoint, since: float, until: float) -> lis
         sure = point.path[3] == "zone"
         found = [(time, value, Quality.GOOD if known or sure else Quality.UNCERTAIN) for time, value, known in rows]
     return [
-        point_at(point.path, point.kind, value, quality, time=time, unit=point.unit, recorded=True)
+        make_point(point.path, point.kind, value, quality, time=time, unit=point.unit, recorded=True)
         for time, value, quality in found
     ]
 

@@ -29,16 +29,16 @@ class OpcUaPoint:
     standing: bool = False
 
 
-def points_of(status: GatewayStatus, tags: Mapping[str, Tag]) -> Iterator[OpcUaPoint]:
+def status_points(status: GatewayStatus, tags: Mapping[str, Tag]) -> Iterator[OpcUaPoint]:
     """The values of a machine, of which `tags` are the tags by name."""
     machine = status.machine
     for name, reading in status.values.items():
         kind = _kind(tags.get(name), reading.value)
         measured, quality = (machine, "Measured", name), Quality[reading.quality]
-        yield point_at(measured, kind, reading.value, quality, time=reading.time, unit=reading.unit, recorded=True)
-    yield from _predicted(machine, status, status.time)
+        yield make_point(measured, kind, reading.value, quality, time=reading.time, unit=reading.unit, recorded=True)
+    yield from _prediction_points(machine, status, status.time)
     for further in status.further:
-        yield from _predicted(machine, further, status.time)
+        yield from _prediction_points(machine, further, status.time)
     shown = {alarm.name: alarm for alarm in status.alarm_summary}
     for name, state in status.alarms.items():
         alarm = shown.get(name)
@@ -53,12 +53,12 @@ def points_of(status: GatewayStatus, tags: Mapping[str, Tag]) -> Iterator[OpcUaP
         }
         for key, (kind, value) in rows.items():
             path = (machine, "Alarm", name, key)
-            yield point_at(path, kind, value, Quality.GOOD, time=time, standing=alarm is None)
+            yield make_point(path, kind, value, Quality.GOOD, time=time, standing=alarm is None)
     mode = str(status.writeback["mode"])
-    yield point_at((machine, "Writeback", "mode"), "string", mode, Quality.GOOD, time=status.time, standing=True)
+    yield make_point((machine, "Writeback", "mode"), "string", mode, Quality.GOOD, time=status.time, standing=True)
 
 
-def _predicted(machine: str, one: GatewayStatus | TemperatureStatus, now: float) -> Iterator[OpcUaPoint]:
+def _prediction_points(machine: str, one: GatewayStatus | TemperatureStatus, now: float) -> Iterator[OpcUaPoint]:
     """What the model says of one temperature; what it does not say yet waits for its first value."""
     made = one.prediction
     time = now if made is None else made.time
@@ -76,7 +76,7 @@ def _predicted(machine: str, one: GatewayStatus | TemperatureStatus, now: float)
         ("inputs_good", "boolean", Quality.GOOD),
     )
     for key, kind, quality in rows:
-        yield point_at(
+        yield make_point(
             (machine, "Predicted", one.temperature, key),
             kind,
             None if made is None else getattr(made, key),
@@ -94,29 +94,29 @@ def _predicted(machine: str, one: GatewayStatus | TemperatureStatus, now: float)
     for key, kind, field in of_cycle:
         value = None if familiarity is None else getattr(familiarity, field)
         quality = Quality.WAITING_FOR_INITIAL_DATA if value is None else Quality.GOOD
-        yield point_at((machine, "Predicted", one.temperature, key), kind, value, quality, time=time)
+        yield make_point((machine, "Predicted", one.temperature, key), kind, value, quality, time=time)
     limit = (machine, "Forecast", one.temperature, "limit")
-    yield point_at(limit, "double", one.limit, Quality.GOOD, time=now, unit=one.unit, standing=True)
+    yield make_point(limit, "double", one.limit, Quality.GOOD, time=now, unit=one.unit, standing=True)
     forecast = one.forecast
     folder, time = (machine, "Forecast", one.temperature), now if forecast is None else forecast.time
     waiting = Quality.WAITING_FOR_INITIAL_DATA
     usable = waiting if forecast is None else Quality.GOOD if forecast.usable else Quality.LAST_USABLE
     fresh = None if forecast is None else forecast.usable
-    yield point_at((*folder, "usable"), "boolean", fresh, waiting if forecast is None else Quality.GOOD, time=time)
+    yield make_point((*folder, "usable"), "boolean", fresh, waiting if forecast is None else Quality.GOOD, time=time)
     for key in ("minutes_low", "minutes_median", "minutes_high"):
         # Without a value: beyond the horizons.
         left = None if forecast is None else forecast.block.get(key)
-        yield point_at((*folder, key), "double", left, usable, time=time, unit="min")
+        yield make_point((*folder, key), "double", left, usable, time=time, unit="min")
     if forecast is None:
         return
     for horizon, fan, chance in zip(forecast.horizons, forecast.quantiles, forecast.p_limit, strict=True):
         at = (*folder, f"{horizon:g} s")
         for level, quantile in zip(forecast.levels, fan, strict=True):
-            yield point_at((*at, f"q{100 * level:g}"), "double", quantile, usable, time=time, unit=one.unit)
-        yield point_at((*at, "p_limit"), "double", chance, usable, time=time)
+            yield make_point((*at, f"q{100 * level:g}"), "double", quantile, usable, time=time, unit=one.unit)
+        yield make_point((*at, "p_limit"), "double", chance, usable, time=time)
 
 
-def point_at(
+def make_point(
     path: tuple[str, ...],
     kind: PointType,
     value: Any,
@@ -128,7 +128,7 @@ def point_at(
     standing: bool = False,
 ) -> OpcUaPoint:
     """A point of a value that may be of another type or missing, which its status says then."""
-    value = _fitting(value, kind)
+    value = _convert_value(value, kind)
     if value is None and not quality.is_bad:
         quality = Quality.NO_DATA
     return OpcUaPoint(
@@ -152,7 +152,7 @@ def _kind(tag: Tag | None, value: object) -> PointType:
     return "boolean" if tag.dtype is DType.BOOL or tag.bit is not None else "double"
 
 
-def _fitting(value: Any, kind: PointType) -> float | bool | str | None:
+def _convert_value(value: Any, kind: PointType) -> float | bool | str | None:
     """The value as its type has it; None for one of another type, and for no number."""
     if value is None or isinstance(value, str) != (kind == "string"):
         return None

@@ -15,7 +15,7 @@ PATIENCE_SECONDS = 5.0
 async def ask_statuses(pictures: Pictures, gateway_loop: asyncio.AbstractEventLoop) -> "dict[str, GatewayStatus]":
     """All pictures, asked from another loop. Raises TimeoutError or RuntimeError where the gateway does not answer."""
 
-    async def taken() -> "dict[str, GatewayStatus]":
+    async def take_all() -> "dict[str, GatewayStatus]":
         statuses = {}
         for name, take in pictures().items():
             statuses[name] = take()
@@ -23,7 +23,7 @@ async def ask_statuses(pictures: Pictures, gateway_loop: asyncio.AbstractEventLo
             await asyncio.sleep(0)
         return statuses
 
-    work = taken()
+    work = take_all()
     try:
         asked = asyncio.run_coroutine_threadsafe(work, gateway_loop)
     except RuntimeError:

@@ -12,10 +12,10 @@ from typing import Any, TypeVar
 import psycopg
 from psycopg import sql
 
-from gateway.network import addresses_of, seconds_left
+from gateway.network import remaining_seconds, resolve_host
 from gateway.outside.northbound.sink import OutgoingRow, Present, RowsRefused, Sink, SinkContext, SinkUnreachable
 from gateway.settings import NorthboundSecrets, PostgresRow
-from gateway.store import TABLE_COLUMNS, cells_of
+from gateway.store import TABLE_COLUMNS, row_cells
 
 R = TypeVar("R")
 
@@ -38,15 +38,15 @@ class TimedConnection(psycopg.Connection[Any]):
 
     def wait(self, gen: Any, *given: Any, **keys: Any) -> Any:
         """As a connection's, within the time: psycopg looks again several times a second."""
-        return super().wait(self.limited(gen), *given, **keys)
+        return super().wait(self.limit_time(gen), *given, **keys)
 
-    def limited(self, gen: Generator[Any, Any, R]) -> Generator[Any, Any, R]:
+    def limit_time(self, gen: Generator[Any, Any, R]) -> Generator[Any, Any, R]:
         """What a generator of psycopg's asks for and gives, for as long as there is time."""
         try:
             wanted = next(gen)
             while True:
                 ready = yield wanted
-                seconds_left(self.end)
+                remaining_seconds(self.end)
                 wanted = gen.send(ready)
         except StopIteration as finished:
             found: R = finished.value
@@ -95,7 +95,7 @@ class PostgresSink:
         # libpq would look for the name as long as the resolver takes, and have the whole time for each address.
         places: Sequence[str | None] = [None]
         if not row.host.startswith("/"):
-            places = list(dict.fromkeys(str(found[4][0]) for found in addresses_of(row.host, row.port, end)))
+            places = list(dict.fromkeys(str(found[4][0]) for found in resolve_host(row.host, row.port, end)))
         failure: Exception = OSError("it has no address")
         for place in places:
             try:
@@ -106,7 +106,7 @@ class PostgresSink:
                     dbname=row.database,
                     user=row.user,
                     password=self._password,
-                    connect_timeout=max(int(seconds_left(end)), 1),
+                    connect_timeout=max(int(remaining_seconds(end)), 1),
                     application_name=f"decanter {row.node}",
                     options=f"-c statement_timeout={answer_ms} -c lock_timeout={answer_ms}",
                     # A server that is gone without a word is noticed by the kernel.
@@ -163,7 +163,7 @@ class PostgresSink:
                 kinds = [column.kind for column in TABLE_COLUMNS[table]]
                 cursor.executemany(
                     self._inserts[table],
-                    [(self._row.node, *map(_stored, kinds, cells_of(one.row))) for one in own],
+                    [(self._row.node, *map(_to_cell, kinds, row_cells(one.row))) for one in own],
                 )
 
     def _sentence(self, error: Exception) -> str:
@@ -181,7 +181,7 @@ class PostgresSink:
             connection.close()
 
 
-def _stored(kind: str, cell: Any) -> Any:
+def _to_cell(kind: str, cell: Any) -> Any:
     if kind == "moment":
         return datetime.fromtimestamp(cell, UTC)
     # The one character that PostgreSQL's texts cannot have.

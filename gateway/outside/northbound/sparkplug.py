@@ -87,7 +87,7 @@ class SparkplugCommand:
     text: str
 
 
-def commands_in(payload: bytes) -> list[SparkplugCommand]:
+def parse_commands(payload: bytes) -> list[SparkplugCommand]:
     """What a command asks for; nothing where its bytes make no sense. Whoever may publish may send anything."""
     try:
         metrics = Payload.FromString(payload).metrics
@@ -122,7 +122,7 @@ def host_state(payload: bytes) -> HostState | None:
     return HostState(online, timestamp)
 
 
-def metrics_of(row: FollowedRow, tags: Mapping[str, Tag]) -> Iterator[SparkplugMetric]:
+def row_metrics(row: FollowedRow, tags: Mapping[str, Tag]) -> Iterator[SparkplugMetric]:
     """What a row says, as metrics of the machine's; `tags` are the machine's own."""
     values, time, of = row.values, row.time, row.stream.temperature
     match row.stream.table:
@@ -132,7 +132,7 @@ def metrics_of(row: FollowedRow, tags: Mapping[str, Tag]) -> Iterator[SparkplugM
             yield SparkplugMetric(
                 name=f"Measured/{values['tag']}",
                 datatype=datatype,
-                value=_fitting(value, datatype),
+                value=_convert_value(value, datatype),
                 time=time,
                 quality=GOOD if quality.is_good else BAD if quality.is_bad else STALE,
                 unit=values["unit"],
@@ -181,7 +181,7 @@ def _datatype(tag: Tag | None, value: object) -> int:
     return BOOLEAN if tag.dtype is DType.BOOL or tag.bit is not None else DOUBLE
 
 
-def _fitting(value: Any, datatype: int) -> float | bool | str | None:
+def _convert_value(value: Any, datatype: int) -> float | bool | str | None:
     """The value as its type has it; None for one of another type, as before the map was changed."""
     if value is None or isinstance(value, str) != (datatype == STRING):
         return None

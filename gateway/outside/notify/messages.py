@@ -42,14 +42,14 @@ def identity(messages: Sequence[AlarmMessage], recipient: str) -> str:
     return sha256("\n\n".join([recipient, *(message.key for message in messages)]).encode()).hexdigest()[:32]
 
 
-def subject_of(messages: Sequence[AlarmMessage]) -> str:
+def subject_line(messages: Sequence[AlarmMessage]) -> str:
     """One line: the most urgent alarm, and how many more there are."""
     first = messages[0]
     more = f" and {len(messages) - 1} more" if len(messages) > 1 else ""
     return f"alarm, priority {first.priority}: {first.alarm} ({first.subject}){more}"
 
 
-def text_of(messages: Sequence[AlarmMessage], *, escalated_after: float) -> str:
+def message_text(messages: Sequence[AlarmMessage], *, escalated_after: float) -> str:
     """The alarms for a person, the most urgent first; `escalated_after` minutes nobody had acknowledged them."""
     parts = []
     if escalated_after:
@@ -66,11 +66,11 @@ def text_of(messages: Sequence[AlarmMessage], *, escalated_after: float) -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def plain_of(messages: Sequence[AlarmMessage], *, recipient: str, escalated_after: float) -> Mapping[str, Any]:
+def message_json(messages: Sequence[AlarmMessage], *, recipient: str, escalated_after: float) -> Mapping[str, Any]:
     """The alarms as JSON can carry them."""
     return {
         "id": identity(messages, recipient),
-        "subject": subject_of(messages),
+        "subject": subject_line(messages),
         "escalated_after_minutes": escalated_after,
         "alarms": [asdict(message) for message in messages],
     }

@@ -5,8 +5,8 @@ is not delivered yet, and who knows already of an alarm that still waits, is kep
 neither forgets a message nor sends it anew. A message is delivered at least once: a gateway that is killed between a
 server's answer and the next commit of its records sends that one again, under the same Message-ID or Idempotency-Key.
 
-Policy of the queue: MOST deliveries wait at most. Beyond that the oldest of the least urgent is given up, counted and
-logged, and so is one that is older than a day.
+Policy of the queue: MAX_WAITING_DELIVERIES deliveries wait at most. Beyond that the oldest of the least urgent is given
+up, counted and logged, and so is one that is older than a day.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ if TYPE_CHECKING:
 
     from gateway.machine import Machine
 
-MOST = 500
-TOGETHER = 50
+MAX_WAITING_DELIVERIES = 500
+MAX_ALARMS_PER_MESSAGE = 50
 """Alarms in one message: what comes while a server is talked to goes out together."""
 FIRST_RETRY, LONGEST_RETRY = 1.0, 300.0
 """Seconds until a recipient is tried again: doubled with each failure up to the longest."""
-BETWEEN = 5.0
+MESSAGE_GAP_SECONDS = 5.0
 """Seconds between two messages to one recipient: an alarm that chatters fills no mailbox."""
 COMPLAIN_SECONDS = 60.0
 """What was asked for and is not delivered for so long is a cause for complaint, whatever keeps it."""
@@ -133,11 +133,11 @@ class Notifier:
         saved = saved_state(historian, "messages", self._log)
         with self._wake:
             self._historians[machine] = historian
-            if saved is not None and not any(self._machine_of(key) == machine for key in self._waiting):
+            if saved is not None and not any(self._key_machine(key) == machine for key in self._waiting):
                 self._restore(saved[1], self._now() - saved[0], known)
         for condition, alarm in unseen:
             if alarm.raised is not None:
-                self._ask_for(machine, condition, alarm, self._now() - alarm.raised)
+                self._queue_message(machine, condition, alarm, self._now() - alarm.raised)
 
     def take(self, machine: str, condition: AlarmCondition, before: Alarm, after: Alarm) -> None:
         """Note a change of an alarm; it waits for nothing.
@@ -145,7 +145,7 @@ class Notifier:
         What comes again before anybody has acknowledged it is what everybody was told already.
         """
         if after.state is AlarmState.UNACKNOWLEDGED and before.state not in UNSEEN:
-            self._ask_for(machine, condition, after, 0.0)
+            self._queue_message(machine, condition, after, 0.0)
         elif before.state in UNSEEN and after.state not in UNSEEN:
             # Somebody knows: nobody else has to be told who was not to be told at once.
             with self._wake:
@@ -160,7 +160,7 @@ class Notifier:
                 self._changed.add(machine)
                 self._wake.notify_all()
 
-    def _ask_for(self, machine: str, condition: AlarmCondition, alarm: Alarm, age: float) -> None:
+    def _queue_message(self, machine: str, condition: AlarmCondition, alarm: Alarm, age: float) -> None:
         """Have everybody told, in their time, of an alarm that has been waiting for `age` seconds.
 
         At a start it may have come again since those were told who know of it.
@@ -189,17 +189,19 @@ class Notifier:
                     due = now + max(line.row.after * 60.0 - max(age, 0.0), 0.0)
                     self._waiting[key] = Delivery(message, line.row.name, due, now)
             self._changed.add(machine)
-            self._bound()
+            self._drop_excess()
             self._wake.notify_all()
 
-    def _bound(self) -> None:
+    def _drop_excess(self) -> None:
         """Give up what is too much, and what is too old."""
         now = self._clock()
         lost = [key for key, delivery in self._waiting.items() if now - delivery.due > OLDEST_SECONDS]
         by_worth = sorted(
             self._waiting, key=lambda key: (-self._waiting[key].message.priority, self._waiting[key].made)
         )
-        lost += [key for key in by_worth if key not in lost][: max(len(self._waiting) - len(lost) - MOST, 0)]
+        lost += [key for key in by_worth if key not in lost][
+            : max(len(self._waiting) - len(lost) - MAX_WAITING_DELIVERIES, 0)
+        ]
         for key in lost:
             delivery = self._waiting.pop(key)
             self.given_up += 1
@@ -218,7 +220,7 @@ class Notifier:
                 pause = self._pause(line)
                 if pause > 0 and not self._stop.is_set() and not self._changed:
                     self._wake.wait(pause)
-                self._bound()
+                self._drop_excess()
                 changed, self._changed = self._changed, set()
                 self._save(changed)
                 batch = self._next(line)
@@ -238,7 +240,7 @@ class Notifier:
         if line.again > now:
             return []
         ready = [each for each in self._waiting.values() if each.recipient == line.row.name and each.due <= now]
-        return sorted(ready, key=lambda each: (each.message.priority, each.message.raised))[:TOGETHER]
+        return sorted(ready, key=lambda each: (each.message.priority, each.message.raised))[:MAX_ALARMS_PER_MESSAGE]
 
     def _deliver(self, line: RecipientLine, batch: list[Delivery]) -> None:
         name = line.row.name
@@ -260,7 +262,7 @@ class Notifier:
             if line.reason:
                 self._log.info("messages about alarms are delivered again", recipient=name)
             line.failing_since, line.pause, line.reason = None, FIRST_RETRY, ""
-            line.again = self._clock() + BETWEEN
+            line.again = self._clock() + MESSAGE_GAP_SECONDS
             delivered = True
         with self._wake:
             for each in batch:
@@ -274,7 +276,7 @@ class Notifier:
 
     # ---------------------------------------------------------------- what outlives it
 
-    def _machine_of(self, key: tuple[str, str]) -> str:
+    def _key_machine(self, key: tuple[str, str]) -> str:
         return key[0].partition("\n")[0]
 
     def _save(self, machines: Iterable[str]) -> None:
@@ -286,12 +288,12 @@ class Notifier:
             waiting = [
                 {"message": asdict(each.message), "recipient": each.recipient, "left": each.due - now}
                 for key, each in self._waiting.items()
-                if self._machine_of(key) == machine
+                if self._key_machine(key) == machine
             ]
             known = [
                 {"message": asdict(message), "recipient": key[1]}
                 for key, message in self._known.items()
-                if self._machine_of(key) == machine
+                if self._key_machine(key) == machine
             ]
             historian.save("messages", self._now(), {"waiting": waiting, "known": known})
 

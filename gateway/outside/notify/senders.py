@@ -15,8 +15,8 @@ from time import monotonic
 from urllib.parse import urlsplit
 
 from drivers.errors import OneLineError
-from gateway.network import TimedHttp, TimedTls, answer_by, connect, make_tls, reason_of
-from gateway.outside.notify.messages import AlarmMessage, identity, plain_of, subject_of, text_of
+from gateway.network import TimedHttp, TimedTls, call_with_deadline, connect, failure_reason, make_tls
+from gateway.outside.notify.messages import AlarmMessage, identity, message_json, message_text, subject_line
 from gateway.settings import FROM_SECRETS, NotifySecrets, NotifySection, RecipientRow, SmtpSection
 
 DELIVERY_SECONDS = 30.0
@@ -74,7 +74,7 @@ def _own_name(end: float) -> str:
     A name server that does not answer costs a part of the time until `end` (monotonic s), and no delivery.
     """
     try:
-        name = answer_by(min(end, monotonic() + NAME_SECONDS), socket.getfqdn)
+        name = call_with_deadline(min(end, monotonic() + NAME_SECONDS), socket.getfqdn)
     except (OSError, ValueError):
         name = ""
     return name if "." in name else "[127.0.0.1]"
@@ -91,11 +91,11 @@ def _mail(
     end = monotonic() + DELIVERY_SECONDS
     try:
         mail = EmailMessage()
-        mail["From"], mail["To"], mail["Subject"] = smtp.sender, row.email, subject_of(messages)
+        mail["From"], mail["To"], mail["Subject"] = smtp.sender, row.email, subject_line(messages)
         mail["Date"] = formatdate(now)
         mail["Message-ID"] = f"<{identity(messages, row.name)}@decanter.invalid>"
         mail["Auto-Submitted"] = "auto-generated"  # RFC 3834: nobody's holiday answers it
-        mail.set_content(text_of(messages, escalated_after=row.after))
+        mail.set_content(message_text(messages, escalated_after=row.after))
         with _TimedSmtp(smtp.host, smtp.port, end=end, tls=trusted if smtp.security == "tls" else None) as server:
             if smtp.security == "starttls":
                 server.starttls(context=trusted)
@@ -131,7 +131,7 @@ def _post(row: RecipientRow, address: str, token: str, messages: Sequence[AlarmM
     end = monotonic() + DELIVERY_SECONDS
     line = TimedHttp(host, parts.port, make_tls(None) if parts.scheme == "https" else None)
     line.allow(DELIVERY_SECONDS, MOST_ANSWER_BYTES)
-    plain = plain_of(messages, recipient=row.name, escalated_after=row.after)
+    plain = message_json(messages, recipient=row.name, escalated_after=row.after)
     headers: Mapping[str, str] = {"Content-Type": "application/json", "Idempotency-Key": str(plain["id"])}
     headers = {**headers, **({"Authorization": f"Bearer {token}"} if token else {})}
     try:
@@ -153,4 +153,4 @@ def _post(row: RecipientRow, address: str, token: str, messages: Sequence[AlarmM
 
 def _reason(error: Exception, end: float) -> str:
     """What an error says without quoting what was sent or asked for; after `end` (monotonic s) it was too late."""
-    return "no answer in time" if monotonic() >= end else reason_of(error)
+    return "no answer in time" if monotonic() >= end else failure_reason(error)

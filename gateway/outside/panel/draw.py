@@ -19,13 +19,13 @@ from gateway.outside.status import (
     clock_text,
     date_text,
     findings,
-    health_of,
+    judge_health,
     link_sentence,
     model_text,
     records_sentence,
     virtual_sentence,
 )
-from sim.units import shown_unit
+from sim.units import display_unit
 
 ZONE_COLOURS = {"green": "green", "yellow": "yellow", "red": "red"}
 HEALTH_COLOURS = {Health.WELL: "bold green", Health.ATTENTION: "bold yellow", Health.NO_READINGS: "bold red"}
@@ -51,8 +51,8 @@ def duration(seconds: float) -> str:
 
 def status_rows(status: GatewayStatus) -> dict[str, Text]:
     """The rows of the panel by their labels; the same ones each time, so that the panel keeps its height."""
-    p, unit = status.prediction, f" {shown_unit(status.unit)}"
-    rows = {"link": _link(status), "measured": _measured(status, unit)}
+    p, unit = status.prediction, f" {display_unit(status.unit)}"
+    rows = {"link": _link(status), "measured": _measurement(status, unit)}
     if p is None or status.scan.late:
         rows["predicted"] = Text(f"{NOTHING} (no model)" if status.model is None else NOTHING)
         rows["state"] = Text(NOTHING)
@@ -95,7 +95,7 @@ def _link(status: GatewayStatus) -> Text:
     return Text(f"last good reading {duration(age)} ago{over}; {counts}", style="green")
 
 
-def _measured(status: GatewayStatus, unit: str) -> Text:
+def _measurement(status: GatewayStatus, unit: str) -> Text:
     tag = status.values.get(status.temperature)
     if tag is None:
         return Text(NOTHING)
@@ -139,7 +139,7 @@ def _forecast_rows(forecast: ForecastStatus | None, unit: str) -> dict[str, Text
     return rows
 
 
-def framed(title: Text, rows: Mapping[str, Text]) -> RenderableType:
+def frame_rows(title: Text, rows: Mapping[str, Text]) -> RenderableType:
     """A title over labelled rows."""
     grid = Table(box=SIMPLE, show_header=False, pad_edge=False)
     grid.add_column(style="bold", no_wrap=True)
@@ -156,7 +156,7 @@ def panel(sighting: Sighting) -> RenderableType:
         return _silent(sighting)
     if status is None:
         return plant_panel(sighting)
-    health, found = health_of(status), findings(status)
+    health, found = judge_health(status), findings(status)
     title = Text(f"decanter top: {status.temperature} of {status.place}", style="bold", overflow="fold")
     rows = {
         "time": Text(f"{date_text(status.time)[:10]} {clock_text(status.time)}, asked {duration(sighting.age)} ago"),
@@ -170,7 +170,7 @@ def panel(sighting: Sighting) -> RenderableType:
         # The link has a row of its own.
         if finding.check != "link":
             rows["health"].append(f"\n{finding.check}: {shorten(finding.sentence, LONGEST_SENTENCE)}", style="yellow")
-    return framed(title, rows)
+    return frame_rows(title, rows)
 
 
 def plant_panel(sighting: Sighting) -> RenderableType:
@@ -179,7 +179,7 @@ def plant_panel(sighting: Sighting) -> RenderableType:
     for column in ("machine", "health", "temperatures", "to limit", "most urgent"):
         table.add_column(column, overflow="fold")
     for name, status in sighting.machines.items():
-        health, found = health_of(status), findings(status)
+        health, found = judge_health(status), findings(status)
         tags = (status.temperature, *(one.temperature for one in status.further))
         read = [value for tag in tags if (value := status.values.get(tag)) is not None]
         shown = ", ".join(number(value.value, 1) if value.quality == "GOOD" else NOTHING for value in read) or NOTHING
@@ -188,7 +188,7 @@ def plant_panel(sighting: Sighting) -> RenderableType:
         table.add_row(
             name,
             Text(health.value, style=HEALTH_COLOURS[health]),
-            f"{shown} {shown_unit(status.unit)}",
+            f"{shown} {display_unit(status.unit)}",
             soonest,
             Text(shorten(urgent, LONGEST_SENTENCE)),
         )
@@ -219,7 +219,7 @@ def _silent(sighting: Sighting) -> RenderableType:
     lines = [Text(shorten(sighting.silence, 300))]
     if (status := sighting.status) is not None:
         tag = status.values.get(status.temperature)
-        value = "" if tag is None else f": {number(tag.value, 2, f' {shown_unit(status.unit)}')}, {tag.quality}"
+        value = "" if tag is None else f": {number(tag.value, 2, f' {display_unit(status.unit)}')}, {tag.quality}"
         lines.append(Text(f"The last status is of {clock_text(status.time)}{value}. Nothing is known of now."))
     lines.append(Text("This panel goes on by itself once there is an answer; Ctrl-C ends it."))
     return Group(headline, Text(""), *lines)

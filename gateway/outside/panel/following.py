@@ -7,7 +7,7 @@ from rich.console import Console
 from rich.live import Live
 
 from gateway.outside.panel.draw import panel
-from gateway.outside.status import ChangeLines, GatewayWatch, opening
+from gateway.outside.status import ChangeLines, GatewayWatch, opening_lines
 
 PATIENCE_S = 0.5
 """How long (s) one look waits for an answer before the panel says for how long there has been none."""
@@ -49,7 +49,7 @@ def _speak(watch: GatewayWatch, console: Console, seconds: float, stop: Event) -
                 machine = f"{name}: " if len(sighting.machines) > 1 else ""
                 if name not in lines:
                     lines[name] = ChangeLines()
-                    for line in opening(status):
+                    for line in opening_lines(status):
                         say(machine + line)
                 for line in lines[name].take(status, monotonic()):
                     say(machine + line)

@@ -22,7 +22,7 @@ alone.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-from drivers.codec import encode, registers_needed
+from drivers.codec import encode, register_count
 from drivers.driver import capabilities, load_function
 from drivers.errors import AddressError, DriverError, EncodingError
 from drivers.settings import ConfigError
@@ -30,8 +30,8 @@ from drivers.tag import DType, Quality, Sample, Tag
 from gateway.machine.reading import Scan, unread
 from gateway.settings import Config
 
-LAYOUT, HEAD, EACH = 1, 4, 2
-NEVER = 0xFFFF
+LAYOUT_VERSION, HEAD_WORDS, WORDS_PER_TAG = 1, 4, 2
+NO_AGE = 0xFFFF
 """The age of what is not there, or older than 65534 tenths of a second."""
 ILLEGAL_ADDRESS, TARGET_SILENT = 2, 11
 _STATE_TABLES = ("holding", "input")
@@ -57,10 +57,10 @@ def served_rows(config: Config) -> tuple[ServedRow, ...]:
     """
     device, address = config.map, config.serve.address
     locates = capabilities(device.driver).locates
-    place: Callable[[Tag], tuple[str, int, int]] = load_function(locates) if locates else _following()
+    place: Callable[[Tag], tuple[str, int, int]] = load_function(locates) if locates else _place_allocator()
     rows: list[ServedRow] = []
     problems: list[str] = []
-    end = address + HEAD + EACH * len(device.tags)
+    end = address + HEAD_WORDS + WORDS_PER_TAG * len(device.tags)
     if end > 0x10000:
         reason = f"{address} leaves no room for {len(device.tags)} tags; give a lower one"
         raise ConfigError([f"{config.path}: serve.address: {reason}"])
@@ -80,20 +80,20 @@ def served_rows(config: Config) -> tuple[ServedRow, ...]:
                 f"{config.path}: serve.address: {table}:{address} to {end - 1} lies over {tag.name} ({table}:{start}); "
                 "give an address that the device does not use"
             )
-        first = address + HEAD + EACH * len(rows)
+        first = address + HEAD_WORDS + WORDS_PER_TAG * len(rows)
         rows.append(ServedRow(tag, table, start, count, quality=first, age=first + 1))
     if problems:
         raise ConfigError(problems)
     return tuple(rows)
 
 
-def _following() -> Callable[[Tag], tuple[str, int, int]]:
+def _place_allocator() -> Callable[[Tag], tuple[str, int, int]]:
     """Places one after another in the holding registers, for tags that have none of their own."""
     reach = 0
 
     def place(tag: Tag) -> tuple[str, int, int]:
         nonlocal reach
-        start, count = reach, registers_needed(replace(tag, bit=None))
+        start, count = reach, register_count(replace(tag, bit=None))
         reach += count
         return "holding", start, count
 
@@ -132,7 +132,7 @@ class DeviceImage:
     def read(self, table: str, start: int, count: int) -> list[int] | int:
         """The registers (or bits as 0 and 1) of a request, or the code of the exception that answers it."""
         numbers = range(start, start + count)
-        last = self._state + HEAD + EACH * len(self.rows)
+        last = self._state + HEAD_WORDS + WORDS_PER_TAG * len(self.rows)
         if table in _STATE_TABLES and self._state <= start and start + count <= last:
             state = self._states()
             return state[start - self._state : start - self._state + count]
@@ -163,7 +163,7 @@ class DeviceImage:
         """The whole state area."""
         scan, now = self._scan, self._now()
         number, age = (scan.number % 0x10000, now - scan.time) if scan else (0, None)
-        words = [LAYOUT, number, _tenths(age), len(self.rows)]
+        words = [LAYOUT_VERSION, number, _tenths(age), len(self.rows)]
         for row in self.rows:
             sample = self._sample(row.tag.name)
             # A failed reading has the time of its failure: its age is that of the last good value.
@@ -209,4 +209,4 @@ def _absent(tag: Tag) -> list[int] | None:
 
 
 def _tenths(seconds: float | None) -> int:
-    return NEVER if seconds is None else min(NEVER, max(0, round(10 * seconds)))
+    return NO_AGE if seconds is None else min(NO_AGE, max(0, round(10 * seconds)))

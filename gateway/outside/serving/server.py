@@ -80,7 +80,7 @@ class PeerServer:
                     pdu = self.answer(unit, await reader.readexactly(length - 1))
                     writer.write(_HEADER.pack(transaction, 0, len(pdu) + 1, unit) + pdu)
                     await writer.drain()
-        self._clients.give_back(writer)
+        self._clients.release(writer)
         writer.close()
 
     def answer(self, unit: int, request: bytes) -> bytes:

@@ -10,14 +10,14 @@ from gateway.outside.status.changes import (
     clock_text,
     date_text,
     model_text,
-    opening,
+    opening_lines,
 )
 from gateway.outside.status.client import ControlError, GatewayLine, connect, short
 from gateway.outside.status.health import (
     Health,
     HealthFinding,
     findings,
-    health_of,
+    judge_health,
     link_sentence,
     records_sentence,
     unfamiliar_sentence,

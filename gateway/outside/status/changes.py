@@ -6,11 +6,11 @@ from datetime import UTC, datetime
 
 from gateway.outside.status.health import link_sentence, not_good, readings_sentence, records_sentence, virtual_sentence
 from gateway.outside.status.picture import GatewayStatus, TemperatureStatus
-from sim.strict_json import escaped
+from sim.strict_json import escape_text
 
 FIRST_HOLD, LONGEST_HOLD = 2.0, 300.0
 """For how long (real s) a topic is not spoken of again: doubled while it keeps changing, up to the longest."""
-RESTLESS = 4
+MIN_CHANGES_TO_REPORT = 4
 """So many changes since the last line are worth another one, also where the last of them led back."""
 SAID_BY_CHANGES = frozenset(
     {
@@ -65,7 +65,7 @@ def arming_text(status: GatewayStatus) -> str:
     return f"ARMED by {w['armed_by']} until {clock_text(w['armed_until'])}, blocks are written to the PLC"
 
 
-def opening(status: GatewayStatus) -> tuple[str, str, str]:
+def opening_lines(status: GatewayStatus) -> tuple[str, str, str]:
     """The three lines with which a run begins."""
     predicts = f"; predicts {status.temperature}" if status.model else f"; watches {status.temperature}"
     return (
@@ -168,7 +168,7 @@ class ChangeLines:
             rested = now - said.at
             if rested < said.hold:
                 continue
-            if topic.key != said.key or said.changes >= RESTLESS:
+            if topic.key != said.key or said.changes >= MIN_CHANGES_TO_REPORT:
                 often = f" (changed {said.changes} times in {rested:.0f} s)" if said.changes > 1 else ""
                 lines.append(f"{clock_text(status.time)} {topic.sentence}{often}")
                 hold = min(2.0 * said.hold, LONGEST_HOLD) if rested < 2.0 * said.hold else FIRST_HOLD
@@ -177,4 +177,4 @@ class ChangeLines:
                 # It went and came back: the last line still says how it is.
                 said.at, said.changes = now, 0
         # Reasons hold what devices have said, and may be shown on a terminal.
-        return [str(escaped(line)) for line in lines]
+        return [str(escape_text(line)) for line in lines]

@@ -58,7 +58,7 @@ class GatewayLine:
         """One request without waiting. Raises OSError."""
         self._sock.end = monotonic() + self.timeout
         whose = {} if self._machine is None else {"machine": self._machine}
-        self._sock.sendall(json_lines.packed({"command": command, **whose, **keys}))
+        self._sock.sendall(json_lines.format_object({"command": command, **whose, **keys}))
 
     def reply(self, seconds: float) -> dict[str, Any]:
         """The reply to the oldest request that has none yet. Raises as `ask`.
@@ -72,7 +72,7 @@ class GatewayLine:
                 raise ConnectionResetError("the gateway has closed its control socket")
             self._received += part
         line, _, self._received = self._received.partition(b"\n")
-        reply = json_lines.parsed(line)
+        reply = json_lines.parse_object(line)
         if not reply.pop("ok", False):
             raise ControlError(str(reply.get("reason", "the gateway refused without a reason")))
         return reply

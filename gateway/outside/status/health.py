@@ -6,7 +6,7 @@ from enum import StrEnum
 
 from gateway.outside.status.picture import GatewayStatus, TagStatus, TemperatureStatus
 from sim.phrase import Phrase
-from sim.units import shown_unit
+from sim.units import display_unit
 
 UNFORESEEN = "no forecast"
 """The kind of the alarm that no usable forecast comes."""
@@ -32,7 +32,7 @@ class HealthFinding:
     sentence: str
 
 
-def named(names: list[str]) -> str:
+def list_names(names: list[str]) -> str:
     """The first names, and how many more there are."""
     more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
     return ", ".join(names[:MOST_NAMED]) + more
@@ -48,7 +48,7 @@ def readings_sentence(status: GatewayStatus) -> str:
     bad = not_good(status)
     if not bad:
         return ""
-    tags = named([f"{name} {tag.quality}" for name, tag in bad])
+    tags = list_names([f"{name} {tag.quality}" for name, tag in bad])
     reason = f": {bad[0][1].reason}" if bad[0][1].reason else ""
     return f"{len(bad)} of {len(status.values)} readings are not good, {tags}{reason}"
 
@@ -99,9 +99,9 @@ def model_sentence(status: GatewayStatus, one: GatewayStatus | TemperatureStatus
     """Why the prediction of a temperature is not to be relied on; "" if it is, and without a model."""
     p, model = one.prediction, one.model
     if model is not None and model.refused:
-        return REFUSED.filled(reason=model.refused)
+        return REFUSED.fill(reason=model.refused)
     if model is not None and model.verdict == "unfit":
-        return UNFIT.filled(reason=model.verdict_sentence.removeprefix("unfit: "))
+        return UNFIT.fill(reason=model.verdict_sentence.removeprefix("unfit: "))
     if link_sentence(status):
         return ""
     if p is not None and not p.known:
@@ -115,7 +115,7 @@ def model_sentence(status: GatewayStatus, one: GatewayStatus | TemperatureStatus
     if strange := unfamiliar_sentence(one):
         return strange
     if p.zone in ("yellow", "red"):
-        return DOES_NOT_FOLLOW.filled(zone=ZONE_WORDS[p.zone], anomaly=f"{p.anomaly or 0.0:.1f}")
+        return DOES_NOT_FOLLOW.fill(zone=ZONE_WORDS[p.zone], anomaly=f"{p.anomaly or 0.0:.1f}")
     return ""
 
 
@@ -138,10 +138,10 @@ def unforeseen_sentence(status: GatewayStatus, one: GatewayStatus | TemperatureS
     """Why there has been no usable forecast for longer than is usual."""
     failures = [part["failure"] for name, part in status.parts.items() if "forecast" in name and part["failure"]]
     if failures:
-        return UNFORESEEN_FOR.filled(reason=failures[0])
+        return UNFORESEEN_FOR.fill(reason=failures[0])
     if one.forecast is None:
-        return UNFORESEEN_FOR.filled(reason=NONE_FINISHED)
-    return UNFORESEEN_FOR.filled(reason=TOO_LATE.filled(seconds=f"{one.forecast.age / status.speed:.0f}"))
+        return UNFORESEEN_FOR.fill(reason=NONE_FINISHED)
+    return UNFORESEEN_FOR.fill(reason=TOO_LATE.fill(seconds=f"{one.forecast.age / status.speed:.0f}"))
 
 
 def unfamiliar_sentence(one: GatewayStatus | TemperatureStatus) -> str:
@@ -176,10 +176,10 @@ def virtual_sentence(status: GatewayStatus, one: GatewayStatus | TemperatureStat
     gone = (status.time - v.since) / status.speed
     lasting = f"{gone:.0f} s" if gone < 120.0 else f"{gone / 60.0:.0f} min"
     if v.mean is None or v.low is None or v.high is None:
-        return NOT_BY_MODEL.filled(tag=one.temperature, lasting=lasting, reason=v.reason, stopped=v.stopped)
-    said = f"{v.mean:.1f} {shown_unit(one.unit)} ({v.low:.1f} to {v.high:.1f})"
-    whom = THE_MODEL_AND.filled(twin=v.twin) if v.twin else THE_MODEL
-    return BY_MODEL.filled(tag=one.temperature, reason=v.reason, whom=whom, said=said, lasting=lasting)
+        return NOT_BY_MODEL.fill(tag=one.temperature, lasting=lasting, reason=v.reason, stopped=v.stopped)
+    said = f"{v.mean:.1f} {display_unit(one.unit)} ({v.low:.1f} to {v.high:.1f})"
+    whom = THE_MODEL_AND.fill(twin=v.twin) if v.twin else THE_MODEL
+    return BY_MODEL.fill(tag=one.temperature, reason=v.reason, whom=whom, said=said, lasting=lasting)
 
 
 def _virtual(status: GatewayStatus) -> str:
@@ -197,7 +197,7 @@ def records_sentence(status: GatewayStatus) -> str:
 def _alarms(status: GatewayStatus) -> str:
     # The plant's are found at the machine that looks after them.
     standing = [alarm for alarm in status.alarm_summary if alarm.active]
-    return named([f"{'plant: ' if alarm.of_plant else ''}{alarm.name} ({alarm.state})" for alarm in standing])
+    return list_names([f"{'plant: ' if alarm.of_plant else ''}{alarm.name} ({alarm.state})" for alarm in standing])
 
 
 NO_REASON = Phrase("no reason", it="nessun motivo", de="kein Grund")
@@ -212,14 +212,14 @@ def _writeback(status: GatewayStatus) -> str:
     w = status.writeback
     if w.get("mode") != "armed" or w.get("last_verdict") in (None, "written"):
         return ""
-    return NOT_WRITTEN.filled(verdict=w["last_verdict"], reason=w.get("last_reason") or NO_REASON)
+    return NOT_WRITTEN.fill(verdict=w["last_verdict"], reason=w.get("last_reason") or NO_REASON)
 
 
 def _parts(status: GatewayStatus) -> str:
     stopped = [
         (name, part["failure"]) for name, part in status.parts.items() if part["failure"] and not part["running"]
     ]
-    return named([f"{name}: {failure}" for name, failure in stopped])
+    return list_names([f"{name}: {failure}" for name, failure in stopped])
 
 
 CHECKS: dict[str, Callable[[GatewayStatus], str]] = {
@@ -232,7 +232,7 @@ CHECKS: dict[str, Callable[[GatewayStatus], str]] = {
     "records": records_sentence,
     "parts": _parts,
     "clock": lambda status: str(status.clock.get("complaint") or ""),
-    "device": lambda status: named(list(status.complaints)),
+    "device": lambda status: list_names(list(status.complaints)),
 }
 """All that is looked at, in the order in which it is said; "" is well."""
 
@@ -246,7 +246,7 @@ def findings(status: GatewayStatus) -> tuple[HealthFinding, ...]:
     return tuple(HealthFinding(name, sentence) for name, sentence in found.items() if sentence)
 
 
-def health_of(status: GatewayStatus) -> Health:
+def judge_health(status: GatewayStatus) -> Health:
     """The word for a gateway that answers."""
     found = findings(status)
     if any(finding.check == "link" for finding in found):

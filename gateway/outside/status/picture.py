@@ -12,7 +12,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from drivers.errors import OneLineError
 from gateway.machine import Phase
-from sim.strict_json import escaped
+from sim.strict_json import escape_text
 
 
 class StatusError(OneLineError, ValueError):
@@ -271,7 +271,7 @@ def read_status(plain: object) -> GatewayStatus:
     Raises StatusError for what is no status of this program's version.
     """
     try:
-        return _READER.validate_python(escaped(plain))
+        return _READER.validate_python(escape_text(plain))
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(map(str, first["loc"])) or "the status"

@@ -56,7 +56,7 @@ class GatewayWatch:
             pass  # it listens and does not answer; BlockingIOError: it does not even accept
         except OSError as error:
             self.close()
-            return self._sighting(_why_gone(self.path, error), gone=True)
+            return self._sighting(_absence_reason(self.path, error), gone=True)
         late = not self._statuses or self._clock() - self._asked > PRESENT_S
         return self._sighting(f"the gateway at {self.path} is there and does not answer" if late else "")
 
@@ -91,7 +91,7 @@ class GatewayWatch:
         self._line = self._requested = None
 
 
-def _why_gone(path: Path, error: OSError) -> str:
+def _absence_reason(path: Path, error: OSError) -> str:
     if isinstance(error, FileNotFoundError | ConnectionRefusedError):
         return f"no gateway runs (nothing listens at {path})"
     if isinstance(error, PermissionError | ConnectionResetError):

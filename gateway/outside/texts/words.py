@@ -7,7 +7,7 @@ from functools import cache
 from pathlib import Path
 
 from gateway.settings import ALARM_KINDS
-from sim.phrase import said_in
+from sim.phrase import translate
 
 LANGUAGES = ("en", "it", "de")
 """The first one is what a browser gets that asks for none of them."""
@@ -42,7 +42,7 @@ def all_words() -> dict[str, Words]:
         language: Words(
             language,
             {f"{section}.{key}": rows[language] for section, keys in table.items() for key, rows in keys.items()}
-            | {key: said_in(language, text) for key, text in own.items()},
+            | {key: translate(language, text) for key, text in own.items()},
         )
         for language in LANGUAGES
     }
@@ -64,7 +64,7 @@ def _own_words() -> dict[str, str]:
     }
 
 
-def preferred(accepted: str) -> str:
+def preferred_language(accepted: str) -> str:
     """The language of an `Accept-Language` header: ours that has the greatest weight (RFC 9110, 12.5.4)."""
     weighted = []
     for place, part in enumerate(accepted[:500].split(",")):

@@ -6,7 +6,7 @@ Nothing here is imported unless the page is enabled.
 
 from typing import TYPE_CHECKING
 
-from sim.doors import opened_at_use
+from sim.doors import lazy_getattr
 
 if TYPE_CHECKING:
     from gateway.outside.web.access import accounts_problem
@@ -14,4 +14,4 @@ if TYPE_CHECKING:
     from gateway.outside.web.server import PageServer, check_page
     from gateway.outside.web.views import machine_view
 else:
-    __getattr__ = opened_at_use(__name__)
+    __getattr__ = lazy_getattr(__name__)

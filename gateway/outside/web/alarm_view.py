@@ -7,7 +7,7 @@ from typing import Any
 from gateway.outside.status import AlarmStatus, GatewayStatus, link_sentence
 from gateway.outside.texts import Words
 from gateway.settings import ALARM_KINDS
-from sim.units import shown_unit
+from sim.units import display_unit
 
 PUT_ASIDE = ("shelved", "suppressed by design", "out of service")
 SECTIONS = ("standing", "over", "aside")
@@ -52,7 +52,7 @@ def _row(words: Words, labels: Mapping[str, str], status: GatewayStatus, alarm: 
         "holds": holds,
         "title": _title(words, labels, alarm, holds=holds, of_temperature=of_temperature),
         "response": response,
-        "sentence": response if holds else _past(words, status, alarm, known=known),
+        "sentence": response if holds else _current_state(words, status, alarm, known=known),
     }
 
 
@@ -65,14 +65,14 @@ def _title(words: Words, labels: Mapping[str, str], alarm: AlarmStatus, *, holds
     return f"{labels.get(alarm.tag, alarm.tag)}: {title}" if of_temperature else title
 
 
-def _past(words: Words, status: GatewayStatus, alarm: AlarmStatus, *, known: bool) -> str:
+def _current_state(words: Words, status: GatewayStatus, alarm: AlarmStatus, *, known: bool) -> str:
     """What is known of now, where it is not so that the alarm's condition is met."""
     if alarm.standing and not known:
         return words.say("alarm.not_known_now")
     parts = []
     tag = None if link_sentence(status) else status.values.get(alarm.tag)
     if tag is not None and tag.quality == "GOOD" and isinstance(tag.value, int | float):
-        value = f"{words.number(tag.value, 1)}\u00a0{shown_unit(tag.unit)}"
+        value = f"{words.number(tag.value, 1)}\u00a0{display_unit(tag.unit)}"
         parts.append(words.say("alarm.now", value=value))
     if alarm.standing:
         parts.append(words.say("alarm.ends"))
@@ -86,6 +86,6 @@ def _response(words: Words, labels: Mapping[str, str], status: GatewayStatus, al
         return alarm.response
     tag = status.values.get(alarm.tag)
     limit = words.number(alarm.limit, 0 if alarm.limit == int(alarm.limit) else 1)
-    unit = "" if tag is None else shown_unit(tag.unit)
+    unit = "" if tag is None else display_unit(tag.unit)
     twin = words.say("word.twin")
     return words.say(key, tag=labels.get(alarm.tag, alarm.tag), twin=twin, limit=limit, unit=unit)

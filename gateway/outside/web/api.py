@@ -1,7 +1,7 @@
 """The REST interface under /api: one table of endpoints, from which the routes and the OpenAPI document are made.
 
-Who may ask is decided here, once for all of them (`answered`): a session with a role for what changes something, with
-the token of our own page (CSRF); reading as the configuration has it.
+Who may ask is decided here, once for all of them (`answer_request`): a session with a role for what changes something,
+with the token of our own page (CSRF); reading as the configuration has it.
 """
 
 import asyncio
@@ -16,10 +16,10 @@ from pydantic import Field, ValidationError
 from starlette.requests import ClientDisconnect, Request
 from starlette.responses import Response
 
-from drivers.json_lines import NoObject, parsed
+from drivers.json_lines import NoObject, parse_object
 from drivers.settings import Line, Section, first_sentence
 from gateway.outside.status import ControlError
-from gateway.outside.texts import LANGUAGES, preferred
+from gateway.outside.texts import LANGUAGES, preferred_language
 from gateway.outside.web.access import AccountRole, AccountsError, Session
 from gateway.outside.web.backing_up import BackupRefused
 from gateway.outside.web.box import box_facts
@@ -29,10 +29,10 @@ from gateway.outside.web.state import PageState, Unaccountable
 from sim.strict_json import json_text
 
 MOST_BODY = 8 * 1024
-BODY_S = 10.0
+BODY_TIMEOUT_S = 10.0
 """How long a request's body may take to come."""
 MOST_QUERY = 2_000
-FARTHEST_S = 1e10
+MAX_TIME_S = 1e10
 COOKIE = "decanter_session"
 TOKEN_HEADER = "x-csrf-token"  # noqa: S105 - the name of a header
 
@@ -88,10 +88,10 @@ class _None(Section):
 # ---------------------------------------------------------------- one request
 
 
-async def answered(page: PageState, endpoint: Endpoint, request: Request) -> Response:
+async def answer_request(page: PageState, endpoint: Endpoint, request: Request) -> Response:
     """The response to a request for an endpoint; whatever is wrong with it is one sentence."""
     try:
-        call = await _admitted(page, endpoint, request)
+        call = await _admit(page, endpoint, request)
         plain = await endpoint.answer(call)
         if isinstance(plain, bytes):  # JSON of another process
             return Response(plain, media_type="application/json")
@@ -112,7 +112,7 @@ def as_json(plain: Any, status: HTTPStatus = HTTPStatus.OK, headers: dict[str, s
     return Response(json_text(plain), status, headers, media_type="application/json")
 
 
-async def _admitted(page: PageState, endpoint: Endpoint, request: Request) -> Call:
+async def _admit(page: PageState, endpoint: Endpoint, request: Request) -> Call:
     """The call that a request is, if it may be made. Raises Refused, AccountsError."""
     secret = request.cookies.get(COOKIE, "")[:200]
     changes = endpoint.method != "GET"
@@ -124,15 +124,17 @@ async def _admitted(page: PageState, endpoint: Endpoint, request: Request) -> Ca
         if session is None or role is None:
             raise Refused(HTTPStatus.UNAUTHORIZED, "log in first: this changes something, and needs a person")
         if ROLE_ORDER.index(role) < ROLE_ORDER.index(endpoint.role):
-            page.note("page: refused", f"{session.name} at {address_of(request)}", f"{role} may not {endpoint.path}")
+            page.note(
+                "page: refused", f"{session.name} at {client_address(request)}", f"{role} may not {endpoint.path}"
+            )
             raise Refused(HTTPStatus.FORBIDDEN, f"an account of the role {role} may not do this; {endpoint.role} may")
     elif session is None and not endpoint.open and not page.reading_is_open:
         raise Refused(HTTPStatus.UNAUTHORIZED, "log in first: this page shows nothing without an account")
     return Call(
         page=page,
-        given=await _given(endpoint, request),
-        language=language_of(request),
-        address=address_of(request),
+        given=await _parse_request(endpoint, request),
+        language=choose_language(request),
+        address=client_address(request),
         secret=secret,
         secure=request.url.scheme == "https",
         session=session,
@@ -155,7 +157,7 @@ def _from_our_page(request: Request, session: Session | None, endpoint: Endpoint
         raise Refused(HTTPStatus.FORBIDDEN, f"the header {TOKEN_HEADER} is not this session's; load the page anew")
 
 
-async def _given(endpoint: Endpoint, request: Request) -> Any:
+async def _parse_request(endpoint: Endpoint, request: Request) -> Any:
     """What a request gives, as its endpoint has it. Raises Refused."""
     kind = endpoint.gives or _None
     if endpoint.method == "GET":
@@ -167,7 +169,7 @@ async def _given(endpoint: Endpoint, request: Request) -> Any:
     else:
         body = await _body(request)
         try:
-            plain = parsed(body, '{"name": "value"}') if body or endpoint.gives else {}
+            plain = parse_object(body, '{"name": "value"}') if body or endpoint.gives else {}
         except NoObject as error:
             raise Refused(HTTPStatus.BAD_REQUEST, str(error)) from None
         place, strictly = "the request", True
@@ -180,7 +182,7 @@ async def _given(endpoint: Endpoint, request: Request) -> Any:
 async def _body(request: Request) -> bytes:
     body = bytearray()
     try:
-        async with asyncio.timeout(BODY_S):
+        async with asyncio.timeout(BODY_TIMEOUT_S):
             async for chunk in request.stream():
                 body += chunk
                 if len(body) > MOST_BODY:
@@ -191,30 +193,30 @@ async def _body(request: Request) -> bytes:
                     )
     except TimeoutError:
         raise Refused(
-            HTTPStatus.REQUEST_TIMEOUT, f"the request did not come within {BODY_S:g} s", {"connection": "close"}
+            HTTPStatus.REQUEST_TIMEOUT, f"the request did not come within {BODY_TIMEOUT_S:g} s", {"connection": "close"}
         ) from None
     except ClientDisconnect:
         raise Refused(HTTPStatus.BAD_REQUEST, "the client has gone") from None
     return bytes(body)
 
 
-def address_of(request: Request) -> str:
+def client_address(request: Request) -> str:
     """The address that a request comes from."""
     return request.client.host if request.client else "unknown"
 
 
-def language_of(request: Request) -> str:
+def choose_language(request: Request) -> str:
     """The language that a request names, else the one of the page it comes from, else the browser's."""
     for named in (request.query_params.get("lang"), request.cookies.get("decanter_language")):
         if named in LANGUAGES:
             return named
-    return preferred(request.headers.get("accept-language", ""))
+    return preferred_language(request.headers.get("accept-language", ""))
 
 
 # ---------------------------------------------------------------- reading
 
 
-Time = Annotated[float, Field(ge=-FARTHEST_S, le=FARTHEST_S, description="seconds since 1970 UTC")]
+Time = Annotated[float, Field(ge=-MAX_TIME_S, le=MAX_TIME_S, description="seconds since 1970 UTC")]
 MachineName = Annotated[str, Field(min_length=1, max_length=60, description="a machine's name")]
 TagName = Annotated[str, Field(min_length=1, max_length=200, description="a tag's name")]
 
@@ -264,15 +266,15 @@ async def _machine(call: Call) -> Any:
 
 async def _trend(call: Call) -> Any:
     g = call.given
-    return await call.page.reader.trend(g.machine, g.tag, *_ordered(g))
+    return await call.page.reader.trend(g.machine, g.tag, *_check_order(g))
 
 
 async def _forecasts(call: Call) -> Any:
     g = call.given
-    return await call.page.reader.forecasts(g.machine, g.temperature, g.horizon, *_ordered(g))
+    return await call.page.reader.forecasts(g.machine, g.temperature, g.horizon, *_check_order(g))
 
 
-def _ordered(given: Any) -> tuple[float, float]:
+def _check_order(given: Any) -> tuple[float, float]:
     if not given.start < given.end:
         raise Refused(HTTPStatus.UNPROCESSABLE_ENTITY, "the query: start: must be before end; give an earlier time")
     return given.start, given.end
@@ -316,11 +318,11 @@ async def _who(call: Call) -> Any:
     """Who is logged in at this browser, if anybody."""
     if call.session is None or call.role is None:
         return {"name": None, "role": None, "token": None, "left": None}
-    left = call.page.sessions.left(call.session)
+    left = call.page.sessions.remaining_seconds(call.session)
     return {"name": call.session.name, "role": call.role, "token": call.session.token, "left": left}
 
 
-async def _log_in(call: Call) -> Any:
+async def _login(call: Call) -> Any:
     page, name = call.page, call.given.name
     if wait := page.lockout.wait(name, call.address):
         raise Refused(
@@ -337,17 +339,17 @@ async def _log_in(call: Call) -> Any:
         raise Refused(HTTPStatus.UNAUTHORIZED, "the name or the password is wrong")
     if account is None:
         raise Refused(HTTPStatus.UNAUTHORIZED, "the name or the password is wrong")
-    page.lockout.succeeded(name, call.address)
+    page.lockout.note_success(name, call.address)
     await page.record("page: logged in", f"{name} at {call.address}", role=account.role)
     page.sessions.close(call.secret)
     secret, session = page.sessions.open(name, account, call.address)
-    left = page.sessions.left(session)
+    left = page.sessions.remaining_seconds(session)
     response = as_json({"name": name, "role": account.role, "token": session.token, "left": left})
     response.set_cookie(COOKIE, secret, httponly=True, samesite="strict", secure=call.secure, path="/")
     return response
 
 
-async def _log_out(call: Call) -> Any:
+async def _logout(call: Call) -> Any:
     if call.session is not None:
         call.page.note("page: logged out", call.who)
     call.page.sessions.close(call.secret)
@@ -437,7 +439,7 @@ async def _promote(call: Call) -> Any:
     return {"version": g.version}
 
 
-async def _back_up(call: Call) -> Any:
+async def _make_backup(call: Call) -> Any:
     try:
         folder = call.page.backups.next_folder()
         await call.page.record("page: backup", call.who, folder=str(folder))
@@ -499,8 +501,8 @@ ENDPOINTS: Sequence[Endpoint] = (
     ),
     Endpoint(method="GET", path="/api/box", summary="The computer: disk, memory, load, uptime.", answer=_box),
     Endpoint(method="GET", path="/api/session", summary="Who is logged in.", answer=_who, open=True),
-    Endpoint(method="POST", path="/api/session", summary="Log in.", answer=_log_in, gives=_LogIn, open=True),
-    Endpoint(method="DELETE", path="/api/session", summary="Log out.", answer=_log_out, open=True),
+    Endpoint(method="POST", path="/api/session", summary="Log in.", answer=_login, gives=_LogIn, open=True),
+    Endpoint(method="DELETE", path="/api/session", summary="Log out.", answer=_logout, open=True),
     Endpoint(
         method="POST",
         path="/api/alarm",
@@ -537,7 +539,7 @@ ENDPOINTS: Sequence[Endpoint] = (
         method="POST",
         path="/api/backup",
         summary="Copy all that the gateway is into a new folder beside its records.",
-        answer=_back_up,
+        answer=_make_backup,
         gives=_BackingUp,
         role=AccountRole.ADMINISTRATOR,
     ),

@@ -21,7 +21,15 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from gateway.outside.status import ControlError
 from gateway.outside.texts import LANGUAGES
-from gateway.outside.web.api import COOKIE, ENDPOINTS, Endpoint, address_of, answered, as_json, language_of
+from gateway.outside.web.api import (
+    COOKIE,
+    ENDPOINTS,
+    Endpoint,
+    answer_request,
+    as_json,
+    choose_language,
+    client_address,
+)
 from gateway.outside.web.state import PageState
 from sim.strict_json import json_text
 
@@ -89,10 +97,10 @@ class EventStream:
         try:
             await self._follow(receive, send, ended)
         finally:
-            places.give_back(ended)
+            places.release(ended)
 
     async def _follow(self, receive: Receive, send: Send, ended: asyncio.Event) -> None:
-        async def until_gone() -> None:
+        async def await_disconnect() -> None:
             while (await receive())["type"] != "http.disconnect":
                 pass
 
@@ -105,7 +113,7 @@ class EventStream:
 
         headers = [(b"content-type", b"text/event-stream"), (b"x-accel-buffering", b"no")]
         await send({"type": "http.response.start", "status": 200, "headers": headers})
-        tasks = {asyncio.ensure_future(work()) for work in (until_gone, events, ended.wait)}
+        tasks = {asyncio.ensure_future(work()) for work in (await_disconnect, events, ended.wait)}
         try:
             await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
         finally:
@@ -147,7 +155,7 @@ def make_application(page: PageState, failed: Callable[[str, Exception], None]) 
     template = pages.get_template("page.html.j2")
 
     async def document(request: Request) -> Response:
-        language = language_of(request)
+        language = choose_language(request)
         session = page.sessions.find(request.cookies.get(COOKIE, "")[:200])
         state: Mapping[str, Any] | None = None
         if page.reading_is_open or session is not None:
@@ -188,9 +196,9 @@ def make_application(page: PageState, failed: Callable[[str, Exception], None]) 
         secret = request.cookies.get(COOKIE, "")[:200]
         if not page.reading_is_open and page.sessions.find(secret) is None:
             return as_json({"reason": "log in first"}, HTTPStatus.UNAUTHORIZED)
-        return EventStream(page, language_of(request), secret, address_of(request))
+        return EventStream(page, choose_language(request), secret, client_address(request))
 
-    async def refused(_: Request, error: Exception) -> Response:
+    async def refuse(_: Request, error: Exception) -> Response:
         status = HTTPStatus(error.status_code) if isinstance(error, HTTPException) else HTTPStatus.BAD_REQUEST
         return as_json({"reason": status.phrase.lower()}, status)
 
@@ -202,7 +210,7 @@ def make_application(page: PageState, failed: Callable[[str, Exception], None]) 
         )
 
     def endpoint_route(endpoint: Endpoint) -> BaseRoute:
-        return Route(endpoint.path, partial(answered, page, endpoint), methods=[endpoint.method])
+        return Route(endpoint.path, partial(answer_request, page, endpoint), methods=[endpoint.method])
 
     routes: list[BaseRoute] = [
         Route("/", document),
@@ -216,5 +224,5 @@ def make_application(page: PageState, failed: Callable[[str, Exception], None]) 
         Middleware(TrustedHostMiddleware, allowed_hosts=list(names), www_redirect=False),
     ]
     return Starlette(
-        routes=routes, middleware=middleware, exception_handlers={HTTPException: refused, Exception: defect}
+        routes=routes, middleware=middleware, exception_handlers={HTTPException: refuse, Exception: defect}
     )

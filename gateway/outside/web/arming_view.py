@@ -5,18 +5,18 @@ from typing import Any
 
 from gateway.outside.status import GatewayStatus, TemperatureStatus
 from gateway.outside.texts import Words
-from sim.units import shown_unit
+from sim.units import display_unit
 
 MODES = ("off", "shadow", "armed")
 """The modes of writing, the least first."""
 
 
-def mode_of(status: GatewayStatus) -> str:
+def machine_mode(status: GatewayStatus) -> str:
     """The mode of a machine: that of the block which is written the most."""
-    return max((str(one.writeback["mode"]) for one in _predicted(status)), key=MODES.index)
+    return max((str(one.writeback["mode"]) for one in _predictions(status)), key=MODES.index)
 
 
-def _predicted(status: GatewayStatus) -> tuple[GatewayStatus | TemperatureStatus, ...]:
+def _predictions(status: GatewayStatus) -> tuple[GatewayStatus | TemperatureStatus, ...]:
     return (status, *status.further)
 
 
@@ -26,7 +26,7 @@ def arming_view(words: Words, labels: Mapping[str, str], status: GatewayStatus) 
     A block has the `label` of its temperature, its `address` and `words`, its numbers as rows of a name and a text, and
     what was refused of it last.
     """
-    blocks = [(one, one.writeback) for one in _predicted(status) if one.writeback["mode"] != "off"]
+    blocks = [(one, one.writeback) for one in _predictions(status) if one.writeback["mode"] != "off"]
     if not blocks:
         return None
     unknown, challenge = words.say("word.unknown"), status.values.get("Challenge")
@@ -42,7 +42,7 @@ def arming_view(words: Words, labels: Mapping[str, str], status: GatewayStatus) 
                 "label": labels.get(one.temperature, one.temperature),
                 "address": w.get("block", {}).get("address", ""),
                 "words": w.get("block", {}).get("words", 0),
-                "numbers": _numbers(words, w.get("block", {}).get("numbers", {}), shown_unit(one.unit)),
+                "numbers": _numbers(words, w.get("block", {}).get("numbers", {}), display_unit(one.unit)),
                 "refusals": _refusals(words, w),
             }
             for one, w in blocks
@@ -53,11 +53,13 @@ def arming_view(words: Words, labels: Mapping[str, str], status: GatewayStatus) 
 def _numbers(words: Words, numbers: Mapping[str, float | None], unit: str) -> list[tuple[str, str]]:
     """The numbers of a block that a PLC would act on, as they are read out of its words."""
 
-    def shown(names: tuple[str, ...], digits: int, times: float) -> str:
-        texts = [lacking(name) if (n := numbers[name]) is None else words.number(times * n, digits) for name in names]
+    def format_numbers(names: tuple[str, ...], digits: int, times: float) -> str:
+        texts = [
+            missing_text(name) if (n := numbers[name]) is None else words.number(times * n, digits) for name in names
+        ]
         return " – ".join(dict.fromkeys(texts))
 
-    def lacking(name: str) -> str:
+    def missing_text(name: str) -> str:
         return words.say("sentence.beyond", minutes=minutes) if "minutes" in name else words.say("word.unknown")
 
     horizon = numbers.get("horizon")
@@ -72,7 +74,7 @@ def _numbers(words: Words, numbers: Mapping[str, float | None], unit: str) -> li
         (words.say("arming.band_of_minutes"), ("minutes_low", "minutes_high"), "", 0, 1.0),
     )
     return [
-        (label, shown(names, digits, times) + of)
+        (label, format_numbers(names, digits, times) + of)
         for label, names, of, digits, times in rows
         if all(name in numbers for name in names)
     ]

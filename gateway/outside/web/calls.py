@@ -4,7 +4,7 @@ import asyncio
 from collections.abc import Awaitable, Callable, Mapping
 from typing import Any
 
-from drivers.json_lines import packed
+from drivers.json_lines import format_object
 from gateway.outside.status import ControlError, GatewayStatus
 
 PATIENCE_S = 60.0
@@ -22,7 +22,7 @@ class GatewayCalls:
 
     async def ask(self, command: str, **keys: Any) -> Mapping[str, Any]:
         """The reply to a command of the control socket. Raises ControlError where it is refused, or nobody answers."""
-        line = packed({"command": command, **keys})
+        line = format_object({"command": command, **keys})
 
         async def reply() -> Mapping[str, Any]:
             return await self._answer(line)

@@ -49,7 +49,7 @@ class ReaderProcess:
             self._idle.cancel()
         try:
             async with asyncio.timeout(self._patience):
-                process = await self._running()
+                process = await self._ensure_process()
                 assert process.stdin is not None and process.stdout is not None  # noqa: S101 - as it was begun
                 process.stdin.write(line)
                 await process.stdin.drain()
@@ -67,7 +67,7 @@ class ReaderProcess:
         self._idle = asyncio.get_running_loop().call_later(IDLE_S, self._end)
         return answered
 
-    async def _running(self) -> asyncio.subprocess.Process:
+    async def _ensure_process(self) -> asyncio.subprocess.Process:
         if self._process is None or self._process.returncode is not None:
             # -P: a folder of the plant's that is called like one of ours is not taken for it.
             self._process = await asyncio.create_subprocess_exec(
@@ -106,11 +106,11 @@ class HistorianReader:
         self._quick, self._slow = ReaderProcess(path, QUICK_S), ReaderProcess(path, SLOW_S)
 
     async def trend(self, machine: str, tag: str, start: float, end: float) -> bytes:
-        """See `gateway.outside.web.readings.trend_of`."""
+        """See `gateway.outside.web.readings.read_trend`."""
         return await self._quick.ask("trend", machine=machine, tag=tag, start=start, end=end, gap=self._gap)
 
     async def forecasts(self, machine: str, temperature: str, horizon: float, start: float, end: float) -> bytes:
-        """See `gateway.outside.web.readings.forecasts_for`."""
+        """See `gateway.outside.web.readings.read_forecasts`."""
         return await self._quick.ask(
             "forecasts",
             machine=machine,

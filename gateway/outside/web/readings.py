@@ -13,28 +13,28 @@ import numpy as np
 
 from drivers.tag import Quality
 from gateway.machine.alarms import alarm_rates, read_journal
-from gateway.settings import alarm_subject, kind_of
+from gateway.settings import alarm_subject, parse_kind
 from gateway.store import machines, newest_scan, reading, samples, scorecard, stored_rows, trend, warning_score
 from sim.sha import Array
 from sim.strict_json import strict
 
-RAW_S = 3 * 3600.0
+MAX_RAW_SPAN_S = 3 * 3600.0
 """Up to so long a stretch is drawn from the readings themselves; beyond it from the means by the minute or hour."""
-BY_MINUTE_S = 4 * 86_400.0
+MAX_MINUTE_SPAN_S = 4 * 86_400.0
 MINUTE, HOUR, DAY, WEEK = 60, 3600, 86_400.0, 7 * 86_400.0
 MOST_POINTS = 3_000
 """More than a screen has columns: of more readings each stretch shows its least, mean and greatest."""
 MOST_FORECASTS = 1_000
 
 
-def trend_of(path: Path, tag: str, start: float, end: float, *, machine: str, gap: float) -> dict[str, Any]:
+def read_trend(path: Path, tag: str, start: float, end: float, *, machine: str, gap: float) -> dict[str, Any]:
     """Times (s UTC) with the least, mean and greatest value of a tag from `start` to `end`; None where there is a gap.
 
     `gap` (s) is how long after a reading nothing more is drawn; `width` is what a point stands for (s), 0 for a reading
     itself. Raises HistorianError, ValueError.
     """
-    if end - start > RAW_S:
-        tier = MINUTE if end - start <= BY_MINUTE_S else HOUR
+    if end - start > MAX_RAW_SPAN_S:
+        tier = MINUTE if end - start <= MAX_MINUTE_SPAN_S else HOUR
         seen = trend(path, tag, start, end, width=tier, machine=machine)
         return _series(seen.starts + tier / 2, seen.low, seen.mean, seen.high, width=float(tier), gap=1.5 * tier)
     rows = [
@@ -68,7 +68,7 @@ def _series(times: Array, low: Array, mean: Array, high: Array, *, width: float,
     }
 
 
-def forecasts_for(
+def read_forecasts(
     path: Path, horizon: float, start: float, end: float, *, machine: str, temperature: str, gap: float
 ) -> dict[str, Any]:
     """What was said `horizon` s before each moment from `start` to `end`: quantiles (5, 50, 95 %) as they were made.
@@ -101,7 +101,7 @@ def alarm_rows(path: Path, *, machine: str, most: int) -> dict[str, Any]:
     newest = sorted(rows, key=lambda row: row[0])[: -most - 1 : -1]
     plain = [dict(zip(names, row, strict=True)) for row in newest]
     for row in plain:
-        row["kind"] = kind_of(row["condition"])
+        row["kind"] = parse_kind(row["condition"])
         row["of_plant"] = alarm_subject(row["condition"], row["tag"], machine) != machine
     return {"rows": plain}
 
@@ -139,8 +139,8 @@ def scores_by_week(path: Path, *, machine: str, temperature: str, weeks: int) ->
 
 
 QUESTIONS: Mapping[str, Callable[..., Mapping[str, Any]]] = {
-    "trend": trend_of,
-    "forecasts": forecasts_for,
+    "trend": read_trend,
+    "forecasts": read_forecasts,
     "alarms": alarm_rows,
     "rates": rates_of_alarms,
     "scorecard": scores_by_week,

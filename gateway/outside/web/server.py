@@ -43,7 +43,7 @@ LONGEST_HEAD = 16 * 1024
 BACKLOG = 64
 CERTIFICATE_LOOK_S = 10.0
 """Seconds between two looks at whether the page's certificate has been replaced."""
-REFRESH_S, LEAST_S = 1.0, 0.1
+REFRESH_S, MIN_REFRESH_S = 1.0, 0.1
 """Pictures are taken after scans, at most each tenth of a second, and once a second without any: ages grow."""
 
 
@@ -192,7 +192,7 @@ class PageServer:
             shown = {name: now if name in statuses else at for name, at in {**shown, **dict.fromkeys(due, now)}.items()}
             with suppress(RuntimeError):  # the page's loop has ended, and its thread begins another
                 loop.call_soon_threadsafe(live.take, statuses, tuple(there), time.time())
-            await asyncio.sleep(LEAST_S)
+            await asyncio.sleep(MIN_REFRESH_S)
 
     def close(self) -> None:
         """End the server; its thread ends soon after."""
@@ -207,10 +207,10 @@ class PageServer:
     def run(self) -> None:
         """Serve until `close`. Raises OSError, in one sentence, where the port cannot be had."""
         if not self.stop.is_set():
-            with self._listening() as listener, asyncio.Runner(loop_factory=PageLoop) as runner:
+            with self._open_listener() as listener, asyncio.Runner(loop_factory=PageLoop) as runner:
                 runner.run(self._serve(listener))
 
-    def _request_failed(self, path: str, error: Exception) -> None:
+    def _report_failure(self, path: str, error: Exception) -> None:
         self._log.error("a request to the page has failed", path=path, reason=repr(error), exc_info=error)
 
     def _end(self) -> None:
@@ -220,7 +220,7 @@ class PageServer:
             self._server.should_exit = True
 
     @contextmanager
-    def _listening(self) -> Iterator[socket.socket]:
+    def _open_listener(self) -> Iterator[socket.socket]:
         page = self._config.page
         try:
             family, kind, protocol, _, address = socket.getaddrinfo(
@@ -231,8 +231,8 @@ class PageServer:
             raise OSError(error.errno, f"[page] cannot listen at {page.host}: {error.strerror or error}") from None
         with listener:
             try:
-                listener.bound(2 * page.most_clients + 20)
-                listener.listen_at(address, BACKLOG)
+                listener.limit_connections(2 * page.most_clients + 20)
+                listener.bind_address(address, BACKLOG)
             except OSError as error:
                 reason = (error.strerror or str(error)).lower()
                 raise OSError(
@@ -263,7 +263,7 @@ class PageServer:
         context = None if page.certificates is None else _tls(page.certificates, config)
         server = uvicorn.Server(
             uvicorn.Config(
-                make_application(state, self._request_failed),
+                make_application(state, self._report_failure),
                 loop="asyncio",
                 http=BoundedProtocol,
                 ws="none",
@@ -277,7 +277,7 @@ class PageServer:
                 timeout_keep_alive=int(IDLE_S),
                 timeout_graceful_shutdown=1,
                 h11_max_incomplete_event_size=LONGEST_HEAD,
-                ssl_context_factory=None if context is None else partial(_given, context),
+                ssl_context_factory=None if context is None else partial(_keep_context, context),
             )
         )
         self.port = listener.getsockname()[1]
@@ -314,5 +314,5 @@ class PageServer:
                 self._log.info("the page has a new certificate", folder=str(folder))
 
 
-def _given(context: ssl.SSLContext, *_: object) -> ssl.SSLContext:
+def _keep_context(context: ssl.SSLContext, *_: object) -> ssl.SSLContext:
     return context

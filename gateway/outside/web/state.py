@@ -57,10 +57,10 @@ class PageState:
 
     async def record(self, kind: str, who: str, reason: str = "", **detail: Any) -> None:
         """Have on the disk what is going to be done, by whom and from where. Raises Unaccountable."""
-        entry = AuditEntry(self.now(), kind, who, reason, detail).of(PAGE_SUBJECT)
+        entry = AuditEntry(self.now(), kind, who, reason, detail).with_subject(PAGE_SUBJECT)
         if await self.audit.stored(entry) is None:
             raise Unaccountable(f"it cannot be put on record: {self.audit.failure or 'the audit log does not answer'}")
 
     def note(self, kind: str, who: str, reason: str = "", **detail: Any) -> None:
         """Have something put on record that has happened already."""
-        self.audit.put(AuditEntry(self.now(), kind, who, reason, detail).of(PAGE_SUBJECT))
+        self.audit.put(AuditEntry(self.now(), kind, who, reason, detail).with_subject(PAGE_SUBJECT))

@@ -17,15 +17,15 @@ from gateway.outside.status import (
     TagStatus,
     TemperatureStatus,
     findings,
-    health_of,
+    judge_health,
     link_sentence,
     unfamiliar_sentence,
 )
 from gateway.outside.texts import Words, strange_sentence
 from gateway.outside.web.alarm_view import alarm_rows
-from gateway.outside.web.arming_view import arming_view, mode_of
-from sim.phrase import said_in
-from sim.units import shown_unit
+from gateway.outside.web.arming_view import arming_view, machine_mode
+from sim.phrase import translate
+from sim.units import display_unit
 
 LEVELS = ("normal", "over", "attention", "unknown", "alarm")
 """What a row asks of people, the least first; beyond the second it has a colour (ISA-101: grey is normal)."""
@@ -42,28 +42,28 @@ def machine_view(words: Words, labels: Mapping[str, str], status: GatewayStatus)
     Those that are only watched come after those that are predicted; `labels` are words for people by tags.
     """
     first = TemperatureStatus(**{field.name: getattr(status, field.name) for field in fields(TemperatureStatus)})
-    watched = (_only_watched(status, tag, limit) for tag, limit in status.watched.items())
+    watched = (_watched_status(status, tag, limit) for tag, limit in status.watched.items())
     temperatures = [_temperature(words, labels, status, one) for one in (first, *status.further, *watched)]
     alarms = alarm_rows(words, labels, status)
     own = [alarm for alarm in alarms if not alarm["of_plant"]]
     return {
         "label": labels.get(status.machine, status.machine),
         "level": max((row["level"] for row in (*temperatures, *own)), key=LEVELS.index),
-        "health": health_of(status).value,
+        "health": judge_health(status).value,
         "findings": [
-            {"check": each.check, "sentence": _found(words, status, alarms, each)} for each in findings(status)
+            {"check": each.check, "sentence": _finding_text(words, status, alarms, each)} for each in findings(status)
         ],
         "link_reason": link_reason(words, status),
         "temperatures": temperatures,
         "labels": {name: labels[name] for name in status.values if name in labels},
         "alarms": alarms,
-        "mode": mode_of(status),
+        "mode": machine_mode(status),
         "arming": arming_view(words, labels, status),
         "status": status,
     }
 
 
-def reason_of(words: Words, tag: TagStatus) -> str:
+def reading_reason(words: Words, tag: TagStatus) -> str:
     """Why a reading is not good: by the code of its quality; in English the driver's own sentence, which says more."""
     own = tag.reason if words.language == "en" else ""
     return own or words.of_code(f"quality.{tag.quality.lower()}")
@@ -71,12 +71,14 @@ def reason_of(words: Words, tag: TagStatus) -> str:
 
 def link_reason(words: Words, status: GatewayStatus) -> str:
     """Why no good readings arrive: what most tags say; "" while they do."""
-    bad = Counter(reason_of(words, tag) for tag in status.values.values() if tag.quality != "GOOD")
+    bad = Counter(reading_reason(words, tag) for tag in status.values.values() if tag.quality != "GOOD")
     own = status.link.reason if words.language == "en" else ""
     return "" if status.link.alive else own or (bad.most_common(1)[0][0] if bad else "")
 
 
-def _found(words: Words, status: GatewayStatus, alarms: Sequence[Mapping[str, Any]], finding: HealthFinding) -> str:
+def _finding_text(
+    words: Words, status: GatewayStatus, alarms: Sequence[Mapping[str, Any]], finding: HealthFinding
+) -> str:
     """What a check found, in the reader's language where it is made of codes; else the gateway's sentence."""
     if finding.check == "alarms":
         return "; ".join(
@@ -88,14 +90,14 @@ def _found(words: Words, status: GatewayStatus, alarms: Sequence[Mapping[str, An
         return finding.sentence
     if finding.check == "link" and (reason := link_reason(words, status)):
         return words.say("found.link", reason=reason)
-    bad = [f"{name} ({reason_of(words, tag)})" for name, tag in status.values.items() if tag.quality != "GOOD"]
+    bad = [f"{name} ({reading_reason(words, tag)})" for name, tag in status.values.items() if tag.quality != "GOOD"]
     if finding.check == "readings":
         names = ", ".join(bad[:MOST_NAMED]) + (" …" if len(bad) > MOST_NAMED else "")
         return words.say("found.readings", count=len(bad), all=len(status.values), names=names)
-    return said_in(words.language, finding.sentence)
+    return translate(words.language, finding.sentence)
 
 
-def _only_watched(status: GatewayStatus, tag: str, limit: float) -> TemperatureStatus:
+def _watched_status(status: GatewayStatus, tag: str, limit: float) -> TemperatureStatus:
     """A temperature that has a limit and is not predicted."""
     unit = status.values[tag].unit if tag in status.values else status.unit
     return TemperatureStatus(
@@ -114,7 +116,7 @@ def _temperature(
     words: Words, labels: Mapping[str, str], status: GatewayStatus, one: TemperatureStatus
 ) -> dict[str, Any]:
     """A followed temperature: its newest value if that is a present one, the sentence, and what that is worth."""
-    tag, unit = status.values.get(one.temperature), shown_unit(one.unit)
+    tag, unit = status.values.get(one.temperature), display_unit(one.unit)
     label = labels.get(one.temperature, one.temperature)
     what = f"{labels.get(status.machine, status.machine)}: {label}"
     silence = link_sentence(status)
@@ -157,7 +159,7 @@ def _temperature(
         elif silence or tag is None:
             sentence = words.say("sentence.never_read", what=what)
         else:
-            sentence = words.say("sentence.bad", what=what, reason=reason_of(words, tag))
+            sentence = words.say("sentence.bad", what=what, reason=reading_reason(words, tag))
         return {**row, "level": "unknown", "sentence": sentence, "validity": words.say("validity.none")}
     shown = f"{words.number(value, 1)}\u00a0{unit}"  # never broken between number and unit
     limit = f"{words.number(one.limit, 0 if one.limit == int(one.limit) else 1)}\u00a0{unit}"

@@ -5,14 +5,14 @@ from sim.effects.expression.functions import (
     ExpressionNumber,
     Interval,
     bounds,
-    compiled,
+    compile_expression,
     crossings,
     derivative,
     jumps,
     names,
     negate,
     problem,
-    substituted,
+    substitute,
     uppaal_text,
 )
 from sim.effects.expression.parser import FUNCTIONS_OF_A_LINE, ExpressionError, parse

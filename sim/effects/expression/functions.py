@@ -17,9 +17,9 @@ Values = Mapping[str, Array | float]
 """What the names stand for: arrays of one shape, or numbers."""
 Interval = tuple[Array, Array]
 """(least, greatest), arrays of one shape."""
-LARGEST_EXPONENT = 700.0
+MAX_EXPONENT = 700.0
 """e to more than that is no float."""
-TINY = 1e-300
+MIN_POSITIVE = 1e-300
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,7 +112,7 @@ def power(a: Expression, b: Expression) -> Expression:
     return ONE if b == ZERO else a if b == ONE else Apply("^", (a, b))
 
 
-SIMPLIFIED: Mapping[str, Callable[..., Expression]] = {
+SIMPLIFIERS: Mapping[str, Callable[..., Expression]] = {
     "+": add,
     "-": subtract,
     "neg": negate,
@@ -165,11 +165,11 @@ def _powers(a: Interval, b: Interval) -> Interval:
 
 
 def _monotone(function: Callable[[Array], Array], steps: int = 4) -> Callable[[Interval], Interval]:
-    def enclosed(a: Interval) -> Interval:
+    def enclose(a: Interval) -> Interval:
         with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
             return _outward(np.asarray(function(a[0])), np.asarray(function(a[1])), steps)
 
-    return enclosed
+    return enclose
 
 
 def _size(a: Interval) -> Interval:
@@ -178,12 +178,12 @@ def _size(a: Interval) -> Interval:
     return np.where(across, 0.0, np.minimum(*sizes)), np.maximum(*sizes)
 
 
-def _above(a: Array, b: Array) -> Array:
+def _above_indicator(a: Array, b: Array) -> Array:
     # A signal that was never read is neither above nor below.
     return np.where(np.isnan(a) | np.isnan(b), np.nan, np.greater(a, b).astype(float))
 
 
-def _certainly_above(a: Interval, b: Interval) -> Interval:
+def _certainly_exceeds(a: Interval, b: Interval) -> Interval:
     return np.asarray(a[0] > b[1], dtype=float), np.asarray(a[1] > b[0], dtype=float)
 
 
@@ -194,7 +194,7 @@ def _no_zero(_: Interval, b: Interval) -> str:
     return "" if bool(np.all((b[0] > 0) | (b[1] < 0))) else "the divisor may be 0"
 
 
-def _power_defined(a: Interval, b: Interval) -> str:
+def _power_error(a: Interval, b: Interval) -> str:
     constant = bool(np.all((b[0] == b[1]) & (b[0] == np.round(b[0])) & (np.abs(b[0]) < 64)))
     if constant and bool(np.all(b[0] >= 0)):
         return ""
@@ -206,7 +206,7 @@ def _power_defined(a: Interval, b: Interval) -> str:
 
 
 def _not_huge(a: Interval) -> str:
-    return "" if bool(np.all(a[1] <= LARGEST_EXPONENT)) else "exp may be larger than any number"
+    return "" if bool(np.all(a[1] <= MAX_EXPONENT)) else "exp may be larger than any number"
 
 
 def _positive(a: Interval) -> str:
@@ -226,7 +226,7 @@ def _slopes_of_power(a: Expression, b: Expression) -> tuple[Expression, ...]:
     if isinstance(b, ExpressionNumber):
         return by_base, ZERO
     # a^b log a goes to 0 with a, and a^b is 0 there: the logarithm needs any finite value.
-    return by_base, multiply(power(a, b), Apply("log", (Apply("max", (a, ExpressionNumber(TINY))),)))
+    return by_base, multiply(power(a, b), Apply("log", (Apply("max", (a, ExpressionNumber(MIN_POSITIVE))),)))
 
 
 FUNCTIONS: Mapping[str, Function] = {
@@ -276,7 +276,7 @@ FUNCTIONS: Mapping[str, Function] = {
         bounds=_powers,
         slopes=_slopes_of_power,
         text=lambda a, b: f"pow({a}, {b})",
-        wrong=_power_defined,
+        wrong=_power_error,
         infix="^",
         binds=4,
     ),
@@ -320,8 +320,8 @@ FUNCTIONS: Mapping[str, Function] = {
         wrong=_not_negative,
     ),
     "above": Function(
-        value=_above,
-        bounds=_certainly_above,
+        value=_above_indicator,
+        bounds=_certainly_exceeds,
         slopes=lambda a, b: (ZERO, ZERO),
         text=lambda a, b: f"({a} > {b} ? 1.0 : 0.0)",
     ),
@@ -347,7 +347,7 @@ def jumps(tree: Expression) -> bool:
     return isinstance(tree, Apply) and (tree.function == "above" or any(jumps(each) for each in tree.arguments))
 
 
-def compiled(tree: Expression) -> Callable[[Values], Array]:
+def compile_expression(tree: Expression) -> Callable[[Values], Array]:
     """The expression as a function of what its names stand for."""
     match tree:
         case ExpressionNumber(value):
@@ -361,24 +361,24 @@ def compiled(tree: Expression) -> Callable[[Values], Array]:
             value_of = FUNCTIONS[function].value
             # Operators have at most two arguments, and the gateway's filter evaluates them at each reading.
             if len(arguments) == 1:
-                only = compiled(arguments[0])
+                only = compile_expression(arguments[0])
                 return lambda values: value_of(only(values))
             # A constant exponent stays a Python number: numpy squares by multiplying then.
-            first, second = compiled(arguments[0]), compiled(arguments[1])
+            first, second = compile_expression(arguments[0]), compile_expression(arguments[1])
             if isinstance(arguments[1], ExpressionNumber):
                 number = arguments[1].value
                 return lambda values: value_of(first(values), number)
             return lambda values: value_of(first(values), second(values))
 
 
-def substituted(tree: Expression, name: str, by: Expression) -> Expression:
+def substitute(tree: Expression, name: str, by: Expression) -> Expression:
     """The tree with an expression in the place of a name, simplified where something became constant."""
     match tree:
         case ExpressionName(own) if own == name:
             return by
         case Apply(function, arguments):
-            parts = tuple(substituted(each, name, by) for each in arguments)
-            return SIMPLIFIED[function](*parts) if function in SIMPLIFIED else Apply(function, parts)
+            parts = tuple(substitute(each, name, by) for each in arguments)
+            return SIMPLIFIERS[function](*parts) if function in SIMPLIFIERS else Apply(function, parts)
     return tree
 
 
@@ -418,7 +418,7 @@ def problem(tree: Expression, intervals: Mapping[str, Interval]) -> str:
         if inner := problem(argument, intervals):
             return inner
     wrong = FUNCTIONS[tree.function].wrong(*(bounds(each, intervals) for each in tree.arguments))
-    return f"{wrong} in {written(tree)}" if wrong else ""
+    return f"{wrong} in {format_expression(tree)}" if wrong else ""
 
 
 def crossings(tree: Expression) -> tuple[Expression, ...]:
@@ -431,7 +431,7 @@ def crossings(tree: Expression) -> tuple[Expression, ...]:
     return (*inner, tree.arguments[0]) if tree.function == "abs" else inner
 
 
-def written(tree: Expression, outside: int = 0) -> str:
+def format_expression(tree: Expression, outside: int = 0) -> str:
     """The expression as it may be read again; `outside` is how tightly what is around it binds."""
     match tree:
         case ExpressionNumber(value):
@@ -442,13 +442,13 @@ def written(tree: Expression, outside: int = 0) -> str:
         case Apply(function, arguments):
             row = FUNCTIONS[function]
             if not row.infix:
-                return f"{function}({', '.join(written(each) for each in arguments)})"
+                return f"{function}({', '.join(format_expression(each) for each in arguments)})"
             if len(arguments) == 1:
-                text = f"-{written(arguments[0], row.binds)}"
+                text = f"-{format_expression(arguments[0], row.binds)}"
             else:
                 # Of equals the left one is taken first, but of powers the right one.
                 left, right = (row.binds + 1, row.binds) if function == "^" else (row.binds, row.binds + 1)
-                text = f"{written(arguments[0], left)} {row.infix} {written(arguments[1], right)}"
+                text = f"{format_expression(arguments[0], left)} {row.infix} {format_expression(arguments[1], right)}"
             return f"({text})" if row.binds < outside else text
 
 

@@ -1,14 +1,14 @@
 """The gap workflow: from traces to a diagnosis, and the model with what was missing."""
 
 from sim.lab.discrepancy.advice import (
-    LEAST_TOLD_SHARE,
+    MIN_LISTED_SHARE,
+    advice_lines,
     experiment_lines,
     law_sentence,
-    look_at,
     overlap_sentence,
     told_places,
 )
-from sim.lab.discrepancy.augment import augmented
+from sim.lab.discrepancy.augment import augment_model
 from sim.lab.discrepancy.diagnosis import (
     CandidateLaw,
     Diagnosis,
@@ -22,7 +22,7 @@ from sim.lab.discrepancy.diagnosis import (
     TriedEffect,
 )
 from sim.lab.discrepancy.experiment import propose_experiment
-from sim.lab.discrepancy.heat_maps import LONGEST, HeatMap, heat_map, span
+from sim.lab.discrepancy.heat_maps import MAX_PHASE_S, HeatMap, heat_map, span
 from sim.lab.discrepancy.story import (
     beginning_sentence,
     floor_sentence,

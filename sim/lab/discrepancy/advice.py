@@ -7,20 +7,20 @@ from itertools import combinations
 from sim.lab.discrepancy.diagnosis import CandidateLaw, Diagnosis, HeatPlace, ProposedExperiment, Shift
 from sim.lab.discrepancy.fitting import catalogue, rivals
 from sim.lab.discrepancy.heat_maps import span
-from sim.sha import shown_unit
+from sim.sha import display_unit
 
-TOLD = 2
+MAX_LISTED = 2
 """Places that are told where nothing has a name."""
-LEAST_TOLD_SHARE = 0.2
+MIN_LISTED_SHARE = 0.2
 """Share of the unexplained heat below which a place is none that is told: most of the heat is elsewhere."""
 
 
 def told_places(places: Sequence[HeatPlace]) -> tuple[HeatPlace, ...]:
     """The places in which enough of the heat lies to speak of a place at all."""
-    return tuple(place for place in places if place.share >= LEAST_TOLD_SHARE)
+    return tuple(place for place in places if place.share >= MIN_LISTED_SHARE)
 
 
-def look_at(diagnosis: Diagnosis) -> tuple[str, ...]:
+def advice_lines(diagnosis: Diagnosis) -> tuple[str, ...]:
     """What to look at at the machine, in the plant's words, the likeliest first; nothing where nothing is wrong."""
     looks = {entry.name: entry.candidate.look for entry in catalogue()}
     looks |= {effect.name: effect.look for effect in diagnosis.effects if effect.look}
@@ -29,7 +29,7 @@ def look_at(diagnosis: Diagnosis) -> tuple[str, ...]:
     for effect in diagnosis.effects:
         lines += [f"{looks[name]} ({name})" for name in effect.members if looks.get(name)]
     if diagnosis.verdict == "unexplained":
-        for place in told_places(diagnosis.unexplained)[:TOLD]:
+        for place in told_places(diagnosis.unexplained)[:MAX_LISTED]:
             after = f" {span(*place.seconds)} after {place.after}" if place.after else ""
             with_ = (
                 f", with {place.when}" if place.when else f", as {place.correlates} changes" if place.correlates else ""
@@ -53,7 +53,7 @@ def look_at(diagnosis: Diagnosis) -> tuple[str, ...]:
 def shown_move(shift: Shift) -> str:
     """By how much a parameter has moved: a temperature in its unit, with the share where it says something; the others
     as a share, else from where to where."""
-    unit = shown_unit(shift.unit)
+    unit = display_unit(shift.unit)
     share = "" if shift.change is None else f"{shift.change:+.0%}"
     if shift.parameter == "target":
         return f"{shift.after - shift.before:+.3g} {unit}" + (f" ({share})" if share else "")

@@ -6,16 +6,16 @@ from dataclasses import replace
 import numpy as np
 
 from sim.effects import of_feature
-from sim.lab.discrepancy.fitting import Fitted, effects_of
-from sim.lab.learning import RATES, with_inputs
+from sim.lab.discrepancy.fitting import Fitted, automaton_effects
+from sim.lab.learning import RATE_PARAMETERS, with_inputs
 from sim.sha import Distribution, Flow, Input, Location, Model, Provenance, Trace, content_hash, distributions
 
-ALSO_AT_REST = 0.5
+REST_HEAT_SHARE = 0.5
 """The share of a rough heat that acts at rest from which on it counts as heat of all locations: it is then stated at
 most twice too wide there, and the model keeps its memory."""
 
 
-def augmented(
+def augment_model(
     fitted: Fitted,
     *,
     name: str = "",
@@ -34,10 +34,10 @@ def augmented(
     model = fitted.frame.record.model
     sha = replace(
         model.sha,
-        locations=tuple(_fitted(fitted, location, place) for place, location in enumerate(model.sha.locations)),
+        locations=tuple(_fit_location(fitted, location, place) for place, location in enumerate(model.sha.locations)),
         name=name or model.sha.name,
         effects=(
-            *(effect for named in fitted.state.named for effect in effects_of(named, model)),
+            *(effect for named in fitted.state.named for effect in automaton_effects(named, model)),
             *(
                 replace(heat, params={"sigma": kept_share(fitted) * fitted.noise.rough, "memory": fitted.noise.memory})
                 for heat in of_feature(model.sha, "disturbance")
@@ -66,16 +66,16 @@ def augmented(
     return with_inputs(new, readings) if readings else new
 
 
-def _fitted(fitted: Fitted, location: Location, place: int) -> Location:
+def _fit_location(fitted: Fitted, location: Location, place: int) -> Location:
     """The location, the model's `place`-th, with the fit's parameters; as it was where the traces never came."""
     shape, flow = fitted.frame.shape, location.flow
     if shape.kinds[place] != flow.kind or shape.target[place] < 0:
         return location
     params = dict(flow.params)
     if shape.rate[place] >= 0:
-        params[RATES[flow.kind]] = float(np.exp(fitted.state.log_rates[shape.rate[place]]))
+        params[RATE_PARAMETERS[flow.kind]] = float(np.exp(fitted.state.log_rates[shape.rate[place]]))
     if "noise" in params:
-        params["noise"] = noise_in(fitted, place, params.get("k", 0.0))
+        params["noise"] = location_noise(fitted, place, params.get("k", 0.0))
     columns = [column for column in shape.gain[place] if column >= 0]
     inputs = tuple(
         Input(driver.signal, float(fitted.state.linear[column]), driver.reference)
@@ -97,7 +97,7 @@ def sensor_memory(fitted: Fitted) -> float:
     return noise.fades if noise.lasting > fitted.sensor_sigma else fitted.frame.record.model.sensor_memory
 
 
-def noise_in(fitted: Fitted, place: int, k: float) -> float:
+def location_noise(fitted: Fitted, place: int, k: float) -> float:
     """degC/sqrt(s): the process noise of the model's `place`-th location, and what of the rough heat acts there and is
     not kept as heat with a memory."""
     record, noise = fitted.frame.record, fitted.noise
@@ -116,7 +116,7 @@ def kept_share(fitted: Fitted) -> float:
     """
     if not of_feature(fitted.frame.record.model.sha, "disturbance"):
         return 0.0
-    return 1.0 if fitted.noise.rest >= ALSO_AT_REST else fitted.noise.rest
+    return 1.0 if fitted.noise.rest >= REST_HEAT_SHARE else fitted.noise.rest
 
 
 def as_white(sigma: float, memory: float, k: float) -> float:

@@ -12,14 +12,14 @@ import numpy as np
 import scipy
 
 from sim.lab.discrepancy.diagnosis import GapBeginning
-from sim.lab.discrepancy.held_out import LEAST_WINDOWS, HeldOutRun
+from sim.lab.discrepancy.held_out import MIN_WINDOWS, HeldOutRun
 from sim.lab.discrepancy.rules import DecisionRules
 from sim.lab.learning import Indices
 from sim.sha import Array
 
 DRAWS = 10_000
 """Draws of normal errors that a beginning is held against."""
-LIKELY = 3.84
+CHI_SQUARE_95 = 3.84
 """The 95 % quantile of chi-square with one degree of freedom: 2 nats of the profile likelihood about the date."""
 
 
@@ -46,7 +46,7 @@ class _PhaseErrors:
 
 
 def _of_phase(trials: tuple[HeldOutRun, ...], running: bool, least: float, rules: DecisionRules) -> GapBeginning | None:
-    phase = _errors_of(trials, running, rules.beginning_least_cycles)
+    phase = _phase_errors(trials, running, rules.beginning_least_cycles)
     if phase.errors.size < 2 * rules.beginning_least_cycles:
         return None
     return (_jump if phase.stretch else _step)(phase, running, least, rules)
@@ -75,7 +75,7 @@ def _step(phase: _PhaseErrors, running: bool, least: float, rules: DecisionRules
     if p > rules.beginning_most_p:
         return None
     profile = n * np.log(np.maximum(total - gain, 1e-300) / max(total - float(gain[number]), 1e-300))
-    likely = np.flatnonzero(profile <= LIKELY) + side
+    likely = np.flatnonzero(profile <= CHI_SQUARE_95) + side
     # What begins with a cycle may have begun at any time since the cycle before it did.
     return GapBeginning(
         time=float(times[before]),
@@ -130,7 +130,7 @@ def _local_changes(errors: Array, side: int) -> Array:
     return np.asarray(means[..., side:] - means[..., :-side])
 
 
-def _errors_of(trials: tuple[HeldOutRun, ...], running: bool, side: int) -> _PhaseErrors:
+def _phase_errors(trials: tuple[HeldOutRun, ...], running: bool, side: int) -> _PhaseErrors:
     """The mean error of each cycle that shows the phase; of each piece of the long runs, where these are too few."""
     cycles = _mean_errors(trials, [(trial.record.whole, trial.record.window_whole) for trial in trials], running)
     if cycles.errors.size >= 2 * side:
@@ -146,11 +146,11 @@ def _mean_errors(
     rows = []
     for number, (trial, (of_knots, of_windows)) in enumerate(zip(trials, parts, strict=True)):
         record = trial.record
-        on = record.windowed(record.running) > 0.5
+        on = record.window_means(record.running) > 0.5
         chosen = (on == running) & ~trial.early
         for part in np.unique(of_windows):
             windows = chosen & (of_windows == part)
-            if np.count_nonzero(windows) >= LEAST_WINDOWS:
+            if np.count_nonzero(windows) >= MIN_WINDOWS:
                 knots = record.runs.time[of_knots == part]
                 rows.append((knots[0], np.mean(trial.residual[windows]), number, np.ptp(knots)))
     times, errors, of_trial, seconds = np.array(rows, dtype=float).reshape(-1, 4).T

@@ -10,18 +10,18 @@ from threadpoolctl import threadpool_limits
 
 from sim.lab.discrepancy.diagnosis import Ceiling
 from sim.lab.discrepancy.fitting import Fitted
-from sim.lab.discrepancy.heat import Blocks, blocks_of, flips
+from sim.lab.discrepancy.heat import Blocks, flips, heat_blocks
 from sim.lab.learning import Indices
 from sim.sha import Array
 
 FOLDS, DRAWS = 5, 4000
 LEAST_CYCLES, LEAST_BLOCKS = 4, 60
-DAY = 86400.0
+DAY_S = 86400.0
 
 
 def ceiling(fitted: Fitted, seed: int) -> Ceiling | None:
     """The share of the heat left by a fit that trees predict on unseen cycles; None with too few cycles or blocks."""
-    blocks = blocks_of(fitted)
+    blocks = heat_blocks(fitted)
     cycles = np.unique(blocks.cycle)
     if cycles.size < LEAST_CYCLES or blocks.heat.size < LEAST_BLOCKS:
         return None
@@ -32,9 +32,9 @@ def ceiling(fitted: Fitted, seed: int) -> Ceiling | None:
     columns = [
         *blocks.signals.T,
         blocks.course,
-        np.minimum(blocks.since_start, DAY),
-        np.minimum(blocks.since_stop, DAY),
-        blocks.time % DAY,
+        np.minimum(blocks.since_start, DAY_S),
+        np.minimum(blocks.since_stop, DAY_S),
+        blocks.time % DAY_S,
         blocks.time - blocks.time[0],
         blocks.location.astype(float),
         blocks.running,

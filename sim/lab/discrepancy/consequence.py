@@ -16,11 +16,11 @@ from sim.engine import linear_recursion
 from sim.lab.discrepancy.rules import DecisionRules
 from sim.sha import Array, Trace
 
-BLOCK = 120.0
+BLOCK_S = 120.0
 """Seconds over which readings are averaged."""
-CHANGE = 15
+CHANGE_BLOCKS = 15
 """Blocks over which a change is taken, half an hour: starts and loads, and of a day's rhythm hardly anything."""
-LAGS = (0.0, 120.0, 300.0, 600.0, 1200.0, 2400.0, 4800.0)
+LAGS_S = (0.0, 120.0, 300.0, 600.0, 1200.0, 2400.0, 4800.0)
 """Seconds of the lags by which one is foreseen from the other."""
 LEAST_CHANGES, LEAST_VALUES = 100, 8
 """Changes that are needed, and different values: a switch follows nothing by a lag."""
@@ -41,7 +41,7 @@ def follows(traces: Sequence[Trace], temperature: str, signal: str, rules: Decis
 
 def _block_means(trace: Trace, name: str) -> Array:
     """(b,) the mean reading of each block, NaN where there is none."""
-    block = np.floor((trace.times - trace.times[0]) / BLOCK).astype(np.intp)
+    block = np.floor((trace.times - trace.times[0]) / BLOCK_S).astype(np.intp)
     column = trace.signals[name]
     known = np.isfinite(column)
     counts = np.bincount(block[known], minlength=int(block.max()) + 1)
@@ -53,7 +53,7 @@ def _foreseen(pairs: Sequence[tuple[Array, Array]]) -> float:
     """The share of the variance of the second ones' changes that the first ones foresee through the best lag."""
     best = 0.0
     changes = np.concatenate([np.empty(0), *(_changes(own, 0.0) for _, own in pairs)])
-    for lag in LAGS:
+    for lag in LAGS_S:
         from_ = np.concatenate([np.empty(0), *(_changes(warm, lag) for warm, _ in pairs)])
         known = np.isfinite(from_) & np.isfinite(changes)
         if np.count_nonzero(known) < LEAST_CHANGES:
@@ -65,12 +65,15 @@ def _foreseen(pairs: Sequence[tuple[Array, Array]]) -> float:
 
 
 def _changes(means: Array, lag: float) -> Array:
-    """(b - CHANGE,) the changes of a column of blocks through a lag (s), NaN where it was not read at either end."""
+    """(b - CHANGE_BLOCKS,) the changes of a column of blocks through a lag (s), NaN where it was not read at either
+    end."""
     known = np.isfinite(means)
-    if means.size <= CHANGE or not known.any():
-        return np.full(max(means.size - CHANGE, 0), np.nan)
+    if means.size <= CHANGE_BLOCKS or not known.any():
+        return np.full(max(means.size - CHANGE_BLOCKS, 0), np.nan)
     held = means[np.maximum.accumulate(np.where(known, np.arange(means.size), int(np.argmax(known))))]
-    keep = np.full(held.size, np.exp(-BLOCK / lag) if lag > 0 else 0.0)
+    keep = np.full(held.size, np.exp(-BLOCK_S / lag) if lag > 0 else 0.0)
     keep[0] = 0.0
     course = linear_recursion(keep, (1.0 - keep) * held, 0.0)
-    return np.where(known[CHANGE:] & known[:-CHANGE], course[CHANGE:] - course[:-CHANGE], np.nan)
+    return np.where(
+        known[CHANGE_BLOCKS:] & known[:-CHANGE_BLOCKS], course[CHANGE_BLOCKS:] - course[:-CHANGE_BLOCKS], np.nan
+    )

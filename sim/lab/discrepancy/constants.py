@@ -14,12 +14,12 @@ import numpy as np
 import scipy
 
 from sim.lab.discrepancy.diagnosis import AbsorbedLaw
-from sim.lab.discrepancy.fitting import Fitted, Record, held
+from sim.lab.discrepancy.fitting import Fitted, Record, hold_signal
 from sim.lab.discrepancy.gap import sensor_noise
 from sim.lab.discrepancy.held_out import let_run
 from sim.lab.discrepancy.rules import DecisionRules
 from sim.lab.learning import Indices
-from sim.sha import RELAXING, Array
+from sim.sha import RELAXING_FLOWS, Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +46,7 @@ class ConstantsLaw:
         return len(self.terms) + self.searched
 
 
-def absorbed(
+def find_absorbed_law(
     fitted: Fitted, current: str, held_out: Record, rules: DecisionRules, *, pump: str | None = None
 ) -> AbsorbedLaw | None:
     """The law over the signals that stands for the targets and gains of the bins in which the machine runs; None: none.
@@ -56,7 +56,7 @@ def absorbed(
     record, shape = fitted.frame.record, fitted.frame.shape
     places = [place for place in running_places(record) if shape.target[place] >= 0]
     kinds = {shape.kinds[place] for place in places}
-    if len(places) < 2 or len({int(shape.rate[place]) for place in places}) > 1 or not kinds <= set(RELAXING):
+    if len(places) < 2 or len({int(shape.rate[place]) for place in places}) > 1 or not kinds <= set(RELAXING_FLOWS):
         return None
     targets = np.array([shape.target[place] for place in places])
     gains = np.array([shape.gain[place, record.signals.index(current)] for place in places])
@@ -70,7 +70,7 @@ def absorbed(
     for law in laws(record, places, current, pump):
         if numbers.size - law.count < rules.absorbed_least_saved:
             continue
-        design = np.column_stack([imitated(fitted, places, current, numbers, term) for term in law.terms])
+        design = np.column_stack([imitate_line(fitted, places, current, numbers, term) for term in law.terms])
         coefficients = np.linalg.lstsq(design.T @ weight @ design, design.T @ weight @ values, rcond=None)[0]
         off = design @ coefficients - values
         misfit = float(off @ weight @ off)
@@ -108,7 +108,7 @@ def laws(record: Record, places: Sequence[int], current: str, pump: str | None) 
     yield ConstantsLaw(linear, f"a + b {current}", (level, line))
     yield ConstantsLaw(quadratic, f"a + b {current}^2", (level, square))
     yield ConstantsLaw(quadratic, f"a + b {current} + c {current}^2", (level, line, square))
-    column = held(record, current)
+    column = hold_signal(record, current)
     middles = sorted(float(np.median(column[record.runs.place == place])) for place in places)
     for knee in middles[1:-1]:
         bent = LawTerm(current, partial(np.minimum, knee))
@@ -119,11 +119,11 @@ def laws(record: Record, places: Sequence[int], current: str, pump: str | None) 
         yield ConstantsLaw(f"{quadratic} and pump-cooling", f"a + b {current}^2 + c {pump}", (level, square, runs))
 
 
-def imitated(fitted: Fitted, places: Sequence[int], current: str, numbers: Indices, term: LawTerm) -> Array:
+def imitate_line(fitted: Fitted, places: Sequence[int], current: str, numbers: Indices, term: LawTerm) -> Array:
     """(numbers,) the targets and gains of straight lines in each place that come nearest to one term of a law."""
     record, shape = fitted.frame.record, fitted.frame.shape
-    column, dt = held(record, current), record.runs.dt
-    of_term = term.function(held(record, term.signal))
+    column, dt = hold_signal(record, current), record.runs.dt
+    of_term = term.function(hold_signal(record, term.signal))
     order = record.signals.index(current)
     rows: dict[int, list[tuple[float, float]]] = {}
     for place in places:

@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 
 from sim.lab.learning import Indices
-from sim.sha import DEGREES, Array, EffectLine, Mask, Trace
+from sim.sha import DEFAULT_UNIT, Array, EffectLine, Mask, Trace
 
 Verdict = Literal["agree", "named", "class", "unexplained", "too-little-data"]
 
@@ -159,7 +159,7 @@ class NoiseFloor:
     per_cycle: Array
     source: str
 
-    def at(self, cycles: Indices) -> Array:
+    def cycle_floors(self, cycles: Indices) -> Array:
         """degC the floor of each of these cycles, by its number."""
         return np.asarray(self.per_cycle[np.searchsorted(self.cycles, cycles)])
 
@@ -359,7 +359,7 @@ class Diagnosis:
     settings: Mapping[str, float]
     model_before: str
     model_after: str | None
-    unit: str = DEGREES
+    unit: str = DEFAULT_UNIT
     laws: tuple[CandidateLaw, ...] = ()
     description: str = ""
     missing_heat: MissingHeat | None = None

@@ -10,7 +10,7 @@ from sim.lab.discrepancy.judging import NamingResult, immaterial
 from sim.lab.discrepancy.naming import EffectEvidence, NamingStep
 
 
-def candidates_of(steps: Sequence[tuple[NamingStep, str]], kept: bool) -> tuple[TriedEffect, ...]:
+def tried_effects(steps: Sequence[tuple[NamingStep, str]], kept: bool) -> tuple[TriedEffect, ...]:
     """Every entry of every step, in the order of their gains; `kept` says whether the names were given in the end."""
     tried = []
     for number, (step, refusal) in enumerate(steps, start=1):
@@ -25,7 +25,7 @@ def candidates_of(steps: Sequence[tuple[NamingStep, str]], kept: bool) -> tuple[
                     plain=evidence.entry.plain,
                     step=number,
                     gain=evidence.gain,
-                    confirmed=evidence.confirmed,
+                    confirmed=evidence.is_joint,
                     visible=evidence.visible,
                     z=evidence.z,
                     robust=evidence.robust,
@@ -54,13 +54,13 @@ def fate(evidence: EffectEvidence, step: NamingStep, refusal: str, kept: bool) -
     return "adds nothing that chance does not"
 
 
-def traces_of(path: NamingResult) -> tuple[TraceOfEffect, ...]:
+def small_effects(path: NamingResult) -> tuple[TraceOfEffect, ...]:
     """What the path met that is certain and does not matter."""
     best = [step.best for step, refusal in path.looks if refusal and immaterial(step)]
     return tuple(TraceOfEffect(each.entry.name, each.gain, each.amplitude) for each in best if each is not None)
 
 
-def effect_of(step: NamingStep, after: Fitted, confidence: float) -> NamedEffect:
+def named_effect(step: NamingStep, after: Fitted, confidence: float) -> NamedEffect:
     """The step's best entry as it stands in the last fit."""
     best = step.best
     if best is None:

@@ -22,13 +22,13 @@ from sim.lab.discrepancy.fitting import (
     Frame,
     Record,
     Whitener,
-    at,
-    grid_at,
-    on,
+    build_record,
+    move_frame,
     patiently,
     readings_in_window,
-    record_of,
-    restored,
+    restore_fit,
+    run_frame,
+    window_grid,
     window_sensitivity,
 )
 from sim.lab.discrepancy.judging import NamingResult
@@ -37,13 +37,13 @@ from sim.lab.discrepancy.rules import DecisionRules
 from sim.lab.learning import LearningError, first_switch
 from sim.sha import Array, Bins, Mask, Model, Trace
 
-MOST_RIVALS = 4
+MAX_RIVALS = 4
 """Rivals that one experiment is to tell apart."""
 REST_S = 3600.0
 """Seconds of rest with which an experiment begins."""
 PAUSE_S = 900.0
 """Seconds between two starts that follow each other closely."""
-DWELLS = (0.5, 1.5, 3.0)
+DWELL_TAUS = (0.5, 1.5, 3.0)
 """Lengths of a dwell that are tried, in thermal time constants of the running machine."""
 SHORTEST_DWELL_S, LONGEST_DWELL_S = 300.0, 3.0 * 3600.0
 """Seconds of a dwell at least and at most."""
@@ -52,13 +52,13 @@ RAMP_STEPS = 8
 TRIED_S, LONGEST_EXPERIMENT_S = 8.0 * 3600.0, 48.0 * 3600.0
 """Seconds over which schedules are compared, each repeated until then (what one short run shows, a rival may yet
 follow), and of an experiment with its repetitions at most."""
-GROWTHS = 4
+MAX_GROWTHS = 4
 """How often an experiment is made longer where it turns out to give less than its first hours promised."""
 LEVEL_SHARES = (0.05, 0.95)
 """Quantiles of what a signal had while the machine ran, between which it is set."""
-FOLLOWS = 0.5
+MIN_LOAD_CORRELATION = 0.5
 """The correlation with the load from which a signal that nobody sets is what it usually is at that load."""
-MOST_ROWS = 20_000
+MAX_ROWS = 20_000
 """Rows of a schedule at most; beyond, they lie further apart than those of the record."""
 SURE_SIGMAS = 1.64
 """Standard deviations of the gain by which its mean lies above what a name needs: it is then had in 95 %."""
@@ -84,7 +84,7 @@ class ExperimentSchedule:
         """How long it takes."""
         return sum(seconds for _, seconds in self.phases)
 
-    def repeated(self, times: int) -> "ExperimentSchedule":
+    def repeat(self, times: int) -> "ExperimentSchedule":
         """The same schedule so many times."""
         return ExperimentSchedule(self.what, self.phases * times)
 
@@ -127,21 +127,21 @@ class MachineOperation:
     end: float
     barred: tuple[tuple[float, float], ...] = ()
 
-    def allowed(self, level: float) -> float:
+    def nearest_level(self, level: float) -> float:
         """The nearest level at which the load may be set."""
         low, high = self.levels[self.load]
         ends = [end for between in self.barred for end in between]
-        near = [each for each in (level, low, high, *ends) if low <= each <= high and not self._is_barred(each)]
+        near = [each for each in (level, low, high, *ends) if low <= each <= high and not self._is_unsettable(each)]
         return _settable(min(near, key=lambda each: abs(each - level), default=level))
 
-    def _is_barred(self, level: float) -> bool:
+    def _is_unsettable(self, level: float) -> bool:
         return any(low < level < high for low, high in self.barred)
 
     def at_rest(self, seconds: float) -> tuple[Phase, ...]:
         """A rest; nothing where the machine cannot be stopped."""
         return (({self.switch: 0.0}, seconds),) if self.switch else ()
 
-    def turning(self, seconds: float, **settings: float) -> Phase:
+    def run_phase(self, seconds: float, **settings: float) -> Phase:
         """The machine running at its usual set-points but for `settings`."""
         usual = {name: self.running[name] for name in self.levels}
         begin = {self.switch: 1.0} if self.switch else {}
@@ -152,7 +152,7 @@ def machine_operation(model: Model, traces: Sequence[Trace], roles: Mapping[str,
     """What can be set and was seen, of the traces' rows; `roles` gives the signal of each role."""
     switch = first_switch(model.alphabet)
     names = dict.fromkeys(name for trace in traces for name in trace.signals if name != model.temperature)
-    columns = {name: np.concatenate([_held(trace, name) for trace in traces]) for name in names}
+    columns = {name: np.concatenate([_hold_signal(trace, name) for trace in traces]) for name in names}
     size = next(iter(columns.values())).size if columns else 0
     runs = columns[switch.signal] > 0.5 if switch is not None and switch.signal in columns else np.ones(size, bool)
     stops = switch.signal if switch is not None and not runs.all() else ""
@@ -167,10 +167,10 @@ def machine_operation(model: Model, traces: Sequence[Trace], roles: Mapping[str,
     changing = [name for name in columns if _changes(columns[name], runs)]
     resting = _usual({name: columns[name] for name in changing}, ~runs)
     follow = [
-        name for name in columns if load and name not in (*levels, stops) and _goes_with(columns, name, load, runs)
+        name for name in columns if load and name not in (*levels, stops) and _follows_load(columns, name, load, runs)
     ]
 
-    def near(level: float) -> Mapping[str, float]:
+    def usual_levels(level: float) -> Mapping[str, float]:
         if not load:
             return {}
         low, high = levels[load]
@@ -186,14 +186,14 @@ def machine_operation(model: Model, traces: Sequence[Trace], roles: Mapping[str,
         levels=levels,
         running=running,
         resting={**running, **resting},
-        near=near,
+        near=usual_levels,
         free={name: _free_course(times, columns[name]) for name in own},
         row=float(np.median(steps[steps > 0])),
         end=max(float(trace.times[-1]) for trace in traces),
     )
 
 
-def _held(trace: Trace, name: str) -> Array:
+def _hold_signal(trace: Trace, name: str) -> Array:
     """(n,) a signal held from each reading to the next, NaN where there is none."""
     column = trace.signals.get(name, np.full(trace.times.size, np.nan))
     last = np.maximum.accumulate(np.where(np.isnan(column), -1, np.arange(column.size)))
@@ -239,13 +239,13 @@ def _changes(column: Array, runs: Mask) -> bool:
     return not low <= float(np.median(still)) <= high
 
 
-def _goes_with(columns: Mapping[str, Array], name: str, load: str, runs: Mask) -> bool:
+def _follows_load(columns: Mapping[str, Array], name: str, load: str, runs: Mask) -> bool:
     """Whether a signal follows the load while the machine runs."""
     rows = runs & np.isfinite(columns[name]) & np.isfinite(columns[load])
     one, other = columns[name][rows], columns[load][rows]
     if one.size < 2 or np.ptp(one) == 0 or np.ptp(other) == 0:
         return False
-    return bool(abs(np.corrcoef(one, other)[0, 1]) >= FOLLOWS)
+    return bool(abs(np.corrcoef(one, other)[0, 1]) >= MIN_LOAD_CORRELATION)
 
 
 def barred_loads(operation: MachineOperation, record: Record) -> tuple[tuple[float, float], ...]:
@@ -284,7 +284,7 @@ def barred_loads(operation: MachineOperation, record: Record) -> tuple[tuple[flo
 def schedules(operation: MachineOperation, time_constant: float) -> tuple[ExperimentSchedule, ...]:
     """The schedules that are tried, for a running machine of that thermal time constant (s)."""
     found = []
-    for share in DWELLS:
+    for share in DWELL_TAUS:
         dwell = min(max(60.0 * round(share * time_constant / 60.0), SHORTEST_DWELL_S), LONGEST_DWELL_S)
         found += [*_of_the_load(operation, dwell), *_of_others(operation, dwell), *_of_starts(operation, dwell)]
     return tuple(found)
@@ -297,7 +297,9 @@ def _of_the_load(operation: MachineOperation, dwell: float) -> list[ExperimentSc
     rest = operation.at_rest(REST_S)
 
     def loads(*levels: float, seconds: float = dwell) -> tuple[Phase, ...]:
-        return tuple(operation.turning(seconds, **{operation.load: operation.allowed(level)}) for level in levels)
+        return tuple(
+            operation.run_phase(seconds, **{operation.load: operation.nearest_level(level)}) for level in levels
+        )
 
     middle = 0.5 * (low + high)
     ramp = np.linspace(low, high, RAMP_STEPS).tolist()
@@ -314,7 +316,7 @@ def _of_others(operation: MachineOperation, dwell: float) -> list[ExperimentSche
     return [
         ExperimentSchedule(
             f"{name} changed at a constant load",
-            (*rest, *(operation.turning(dwell, **{name: value}) for value in (low, high, low, high))),
+            (*rest, *(operation.run_phase(dwell, **{name: value}) for value in (low, high, low, high))),
         )
         for name, (low, high) in operation.levels.items()
         if name != operation.load
@@ -325,15 +327,15 @@ def _of_starts(operation: MachineOperation, dwell: float) -> list[ExperimentSche
     if not operation.switch:
         return []
     highest = {operation.load: operation.levels[operation.load][1]} if operation.load else {}
-    run, rest = operation.turning(dwell, **highest), operation.at_rest(REST_S)
-    long = operation.turning(3.0 * dwell, **highest)
+    run, rest = operation.run_phase(dwell, **highest), operation.at_rest(REST_S)
+    long = operation.run_phase(3.0 * dwell, **highest)
     return [
         ExperimentSchedule("a long run and a long rest", (*rest, long, *operation.at_rest(3.0 * dwell))),
         ExperimentSchedule("two starts that follow closely", (*rest, run, *operation.at_rest(PAUSE_S), run)),
     ]
 
 
-def steps_of(schedule: ExperimentSchedule) -> tuple[ExperimentStep, ...]:
+def schedule_steps(schedule: ExperimentSchedule) -> tuple[ExperimentStep, ...]:
     """The schedule as steps in which one signal is set: what is set at once has 0 seconds but for the last of it."""
     steps = []
     last: dict[str, float] = {}
@@ -348,7 +350,7 @@ def steps_of(schedule: ExperimentSchedule) -> tuple[ExperimentStep, ...]:
 def schedule_trace(schedule: ExperimentSchedule, operation: MachineOperation, begin: float) -> Trace:
     """The schedule as rows from `begin` (absolute s) on: what is set, what goes its own way, and of all other signals
     what is usual then."""
-    row = max(operation.row, schedule.seconds / MOST_ROWS)
+    row = max(operation.row, schedule.seconds / MAX_ROWS)
     times = np.arange(0.0, schedule.seconds, row)
     names = dict.fromkeys([*([operation.switch] if operation.switch else []), *operation.running])
     columns = {name: np.empty(times.size) for name in names}
@@ -378,7 +380,7 @@ def rivals_to_tell(path: NamingResult) -> tuple[EffectEvidence, ...]:
     """
     for step, refusal in path.steps:
         best = step.best
-        if best is None or not best.confirmed or best.gain < step.rules.least_gain_nats:
+        if best is None or not best.is_joint or best.gain < step.rules.least_gain_nats:
             continue
         close = margin_of_class(best.gain, step.rules)
         near = [
@@ -387,7 +389,7 @@ def rivals_to_tell(path: NamingResult) -> tuple[EffectEvidence, ...]:
             if each.entry.name in step.members or (refusal and best.gain - each.gain < close)
         ]
         if len(near) > 1:
-            return tuple(each if each.confirmed else confirm(step.before, each) for each in near[:MOST_RIVALS])
+            return tuple(each if each.is_joint else confirm(step.before, each) for each in near[:MAX_RIVALS])
     return ()
 
 
@@ -407,7 +409,7 @@ class _Alternative:
 def _alternative(evidence: EffectEvidence) -> _Alternative:
     if evidence.fitted is None:
         raise ValueError(f"{evidence.entry.name} was not fitted")
-    fitted = restored(evidence.fitted)
+    fitted = restore_fit(evidence.fitted)
     columns = _sensitivities(fitted.frame, fitted.state, fitted.start)
     # Of a parameter of the shape nothing is believed but that it stays near its own size.
     more = columns.shape[1] - fitted.prior.size
@@ -430,8 +432,8 @@ def _sensitivities(frame: Frame, state: CourseState, start: Array) -> Array:
         scale = max(abs(value), LEAST_SCALE) if name not in last.entry.candidate.widths else 10.0
         step = SHAPE_STEP * (scale if value + SHAPE_STEP * scale <= high else -scale)
         params = last.entry.candidate.settled({**last.params, name: value + step})
-        trial = at(frame, state.parameters, start, [*others, replace(last, params=params)], state.course)
-        columns.append(frame.record.windowed((trial.mean - state.mean) * (scale / step))[:, None])
+        trial = run_frame(frame, state.parameters, start, [*others, replace(last, params=params)], state.course)
+        columns.append(frame.record.window_means((trial.mean - state.mean) * (scale / step))[:, None])
     return np.column_stack(columns)
 
 
@@ -446,14 +448,14 @@ class _Trial:
 
 def _trial(one: _Alternative, record: Record, start: float) -> _Trial:
     fitted = one.fitted
-    frame = on(fitted.frame, record)
+    frame = move_frame(fitted.frame, record)
     begin = np.full(int(np.count_nonzero(record.window_first)), start)
-    state = at(frame, fitted.state.parameters, begin, fitted.state.named)
+    state = run_frame(frame, fitted.state.parameters, begin, fitted.state.named)
     # The noise was fitted to windows of the measured record, in which there may be more readings.
     share = readings_in_window(fitted.frame.record) / readings_in_window(record)
     noise = replace(fitted.noise, sensor=fitted.noise.sensor * sqrt(max(share, 1e-6)))
     return _Trial(
-        record.windowed(state.mean), _sensitivities(frame, state, begin), Whitener(grid_at(frame, state), noise)
+        record.window_means(state.mean), _sensitivities(frame, state, begin), Whitener(window_grid(frame, state), noise)
     )
 
 
@@ -503,21 +505,21 @@ def propose_experiment(
     alternatives = [_alternative(each) for each in rivals]
     start = resting_temperature(record)
 
-    def expected(schedule: ExperimentSchedule, repeats: int) -> dict[tuple[str, str], float] | None:
-        ahead = _record(path.base, schedule.repeated(repeats), operation, start)
+    def expected_gains(schedule: ExperimentSchedule, repeats: int) -> dict[tuple[str, str], float] | None:
+        ahead = _record(path.base, schedule.repeat(repeats), operation, start)
         return None if ahead is None else _pairs(alternatives, ahead, start)
 
     tried = []
     for schedule in schedules(operation, time_constant(path.base)):
         repeats = max(round(TRIED_S / schedule.seconds), 1)
-        nats = expected(schedule, repeats)
+        nats = expected_gains(schedule, repeats)
         if nats is not None:
             tried.append((schedule, repeats, nats))
     if not tried:
         return None
     pairs = list(tried[0][2])
     rules = path.steps[0][0].rules
-    least, needed = _least(rivals, rules), _needed(rivals, rules)
+    least, needed = _least(rivals, rules), _needed_nats(rivals, rules)
     # What a rival follows it follows the better the longer it lasts: no longer experiment gives more an hour.
     most = {pair: max(nats[pair] * _longest(plan) / repeats for plan, repeats, nats in tried) for pair in pairs}
     # A pair that nothing tells apart has no say in the choice, and is reported.
@@ -529,23 +531,23 @@ def propose_experiment(
 
     schedule, repeats, nats = max(tried, key=rate)
     longest = _longest(schedule)
-    for _ in range(GROWTHS):
+    for _ in range(MAX_GROWTHS):
         so_far = min(nats[pair] for pair in told)
         wanted = min(max(ceil(repeats * needed / max(so_far, 1e-9)), 1), longest)
         if wanted == repeats:
             break
-        repeats, nats = wanted, expected(schedule, wanted) or nats
+        repeats, nats = wanted, expected_gains(schedule, wanted) or nats
         if min(nats[pair] for pair in told) >= needed:
             break
     return ProposedExperiment(
         what=schedule.what,
-        steps=steps_of(schedule),
+        steps=schedule_steps(schedule),
         repeats=repeats,
         seconds=repeats * schedule.seconds,
         pairs=tuple(PairOfRivals(*pair, each, max(each, most[pair])) for pair, each in nats.items()),
         needed=needed,
         least=least,
-        trace=schedule_trace(schedule.repeated(repeats), operation, operation.end + REST_S),
+        trace=schedule_trace(schedule.repeat(repeats), operation, operation.end + REST_S),
     )
 
 
@@ -554,7 +556,7 @@ def _longest(schedule: ExperimentSchedule) -> int:
     return max(int(LONGEST_EXPERIMENT_S // schedule.seconds), 1)
 
 
-def _needed(rivals: Sequence[EffectEvidence], rules: DecisionRules) -> float:
+def _needed_nats(rivals: Sequence[EffectEvidence], rules: DecisionRules) -> float:
     """nats that an experiment must be expected to give: what a name needs, had in 95 % whichever rival is true."""
     # A log-likelihood ratio of mean m has the variance 2 m: m - 1.64 sqrt(2 m) = what a name needs.
     half = SURE_SIGMAS / sqrt(2.0)
@@ -570,7 +572,7 @@ def _least(rivals: Sequence[EffectEvidence], rules: DecisionRules) -> float:
 
 def resting_temperature(record: Record) -> float:
     """What is read at the end of rests, usually; of a machine that never rests, what is read at all."""
-    running = record.windowed(record.running)
+    running = record.window_means(record.running)
     ends = (running < 0.5) & np.append(running[1:] > 0.5, True)
     return float(np.median(record.reading[ends] if ends.any() else record.reading))
 
@@ -592,7 +594,7 @@ def _record(fitted: Fitted, schedule: ExperimentSchedule, operation: MachineOper
     rows = schedule_trace(schedule, operation, operation.end + REST_S)
     read = replace(rows, signals={**rows.signals, model.temperature: np.full(rows.times.size, start)})
     try:
-        ahead = record_of(model, [patiently(read, model.alphabet)], record.signals)
+        ahead = build_record(model, [patiently(read, model.alphabet)], record.signals)
     except LearningError:
         return None
     return ahead if np.isin(ahead.runs.place, record.runs.place).all() else None

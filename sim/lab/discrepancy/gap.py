@@ -12,18 +12,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
-from sim.effects import without
+from sim.effects import drop_features
 from sim.engine import open_loop
 from sim.lab.discrepancy.diagnosis import NoiseFloor
 from sim.lab.discrepancy.fitting import (
-    SLOW,
+    GAP_RATIO,
     Fitted,
     NoiseModel,
     Record,
     Whitener,
     averaged_readings,
-    on,
-    rounding,
+    move_frame,
+    rounding_error,
     unseen_switches,
     window_sensitivity,
 )
@@ -33,15 +33,15 @@ from sim.lab.discrepancy.rules import DecisionRules
 from sim.lab.learning import Indices
 from sim.sha import Array, Model, Trace
 
-LEAST_ROWS = 50
+MIN_REST_ROWS = 50
 """Rows at rest from which the sensor's noise is told by them alone."""
-DRAWS = 200
+FLOOR_DRAWS = 200
 """Draws of the noise from which a floor is told."""
-SIZES = 100
+NOISE_SIZES = 100
 """Sizes of the noise that each of these is taken at for the floor's interval."""
 EQUAL_DRAWS = 60
 """Draws of the noise by which the scatter of equal cycles is judged."""
-LEAST_READING = 1e-4
+MIN_READING_ERROR_DEGC = 1e-4
 """degC that no window's mean is nearer to the truth."""
 PHASES_S = (240.0, 900.0, 3600.0, 7200.0)
 """Seconds since the last start or stop between which cycles are held against one another."""
@@ -66,7 +66,7 @@ class Excess:
         return f"the free run is {self.median:.1f} times as far off as the model's own noise allows"
 
 
-def floor_of(stated: Array, explained: Fitted, record: Record, seed: int, rules: DecisionRules) -> NoiseFloor:
+def noise_floor(stated: Array, explained: Fitted, record: Record, seed: int, rules: DecisionRules) -> NoiseFloor:
     """The floor under free runs over a record cut by cycles (`Record.by_cycles`).
 
     `stated` (c,) degC is what the given model states of the fitted cycles (`stated_errors`), `explained` the fit with
@@ -79,24 +79,24 @@ def floor_of(stated: Array, explained: Fitted, record: Record, seed: int, rules:
     rng = np.random.default_rng(seed)
     # A fit errs less on what it was fitted to than on other cycles: what it takes from the noise is drawn too.
     whitener = Whitener(explained.grid, explained.noise)
-    noise = Whitener(explained.timed, explained.noise).draw(rng, DRAWS)
+    noise = Whitener(explained.timed_grid, explained.noise).draw(rng, FLOOR_DRAWS)
     precision = whitener.gram(explained.columns) + np.diag(np.maximum(explained.prior, 1e-12))
     taken = np.linalg.solve(precision, explained.columns.T @ whitener.weigh(noise))
     fitted = _rms(noise - explained.columns @ taken)
-    beyond = window_sensitivity(on(explained.frame, record), trial.state, trial.start)
-    alone = trial.whitener.draw(rng, DRAWS)
+    beyond = window_sensitivity(move_frame(explained.frame, record), trial.state, trial.start)
+    alone = trial.whitener.draw(rng, FLOOR_DRAWS)
     wrong = limit_parameter_errors(trial, beyond @ taken, alone, rules.floor_parameters_most_times)
-    own, drawn = predicted(trial, cycles, alone - wrong)
+    own, drawn = predict_errors(trial, cycles, alone - wrong)
     # Each tells how many times the noise of the fit there is; how cycles differ among themselves (how long they are,
     # how much is heated in them) that noise knows.
     told = {
-        "what is left of the fitted cycles": _rms(explained.left) / fitted,
+        "what is left of the fitted cycles": _rms(explained.turn_residual) / fitted,
         "what equal cycles differ by": size_by_equal_cycles(training, explained, rng, rules),
     }
     source = min(told, key=lambda name: told[name])
     # The noise itself is known from so many independent pieces: its standard error in logarithms is 1 / sqrt(2 n).
     pieces = np.unique(training.record.window_cycle[np.isin(training.record.window_whole, known)]).size
-    expected = _rms(predicted(training, known, training.whitener.draw(rng, DRAWS))[0])
+    expected = _rms(predict_errors(training, known, training.whitener.draw(rng, FLOOR_DRAWS))[0])
     said = _rms(stated) / expected
     size, unsure = believed_size(said, told[source], pieces, rules)
     if size > rules.stated_noise_most_times * said:
@@ -107,13 +107,13 @@ def floor_of(stated: Array, explained: Fitted, record: Record, seed: int, rules:
     floor = np.maximum(floor, least)
     error = float(np.sqrt(np.average(floor**2, weights=weights)))
     # Each draw of chance with many of the size that is not known: what is asked is far out.
-    wrong_by = np.exp(unsure * rng.standard_normal((SIZES, drawn.size)))
+    wrong_by = np.exp(unsure * rng.standard_normal((NOISE_SIZES, drawn.size)))
     beyond_each = 0.5 * (1.0 - rules.floor_interval_share)
     low, high = np.quantile(drawn / _rms(drawn) * wrong_by, [beyond_each, 1.0 - beyond_each])
     return NoiseFloor(error, (float(error * low), float(error * high)), cycles, floor, source)
 
 
-def with_what_is_left(floor: NoiseFloor, left: float, rules: DecisionRules) -> NoiseFloor:
+def add_leftover(floor: NoiseFloor, left: float, rules: DecisionRules) -> NoiseFloor:
     """The floor with what names leave (degC rms) of held-out cycles that they foresee better.
 
     What is left of cycles that nothing was fitted to is their noise and what the names' shapes err by: noise alone is
@@ -174,10 +174,10 @@ def size_by_equal_cycles(trial: HeldOutRun, explained: Fitted, rng: np.random.Ge
     scatter = scatter_of_equal_cycles(trial.record, trial.residual, rules)
     if not np.isfinite(scatter):
         return scatter
-    columns = window_sensitivity(on(explained.frame, trial.record), trial.state, trial.start)
+    columns = window_sensitivity(move_frame(explained.frame, trial.record), trial.state, trial.start)
     noise = trial.whitener.draw(rng, EQUAL_DRAWS)
     precision = trial.whitener.gram(columns) + np.diag(np.maximum(explained.prior, 1e-12))
-    left = trial.started(noise - columns @ np.linalg.solve(precision, columns.T @ trial.whitener.weigh(noise)))
+    left = trial.restart_residual(noise - columns @ np.linalg.solve(precision, columns.T @ trial.whitener.weigh(noise)))
     return scatter / _rms(np.array([scatter_of_equal_cycles(trial.record, one, rules) for one in left.T]))
 
 
@@ -189,7 +189,7 @@ def limit_parameter_errors(trial: HeldOutRun, taken: Array, alone: Array, most: 
     share for all draws of a cycle, so that the floor and its interval are told from the same errors.
     """
     cycle = np.unique(trial.record.window_whole, return_inverse=True)[1]
-    noise, wrong = trial.started(alone), trial.started(taken)
+    noise, wrong = trial.restart_residual(alone), trial.restart_residual(taken)
     own, both, by = (
         np.bincount(cycle, np.sum(one * other, axis=1))
         for one, other in ((noise, noise), (noise, wrong), (wrong, wrong))
@@ -218,10 +218,10 @@ def stated_errors(model: Model, laid_out: Sequence[Trace], fitted: Fitted) -> Ar
         # Stated of single readings: their noise gives way to that of a window's mean.
         own = np.full(cycles.size, np.sqrt(max(stated**2 - sensor_noise(record) ** 2, 0.0)))
     else:
-        own = spread_of(model, laid_out, record, cycles)
+        own = model_spread(model, laid_out, record, cycles)
     trial = let_run(fitted, record.by_cycles())
-    known_s, unsure = record.model.alphabet.gap / SLOW, fitted.behind[1]
-    unseen = unseen_switches(on(fitted.frame, trial.record), trial.state, known_s, unsure)
+    known_s, unsure = record.model.alphabet.gap / GAP_RATIO, fitted.behind[1]
+    unseen = unseen_switches(move_frame(fitted.frame, trial.record), trial.state, known_s, unsure)
     place = np.searchsorted(cycles, trial.record.window_whole)
     sums, counts = (np.bincount(place, weights, minlength=cycles.size) for weights in (unseen, None))
     return np.asarray(np.sqrt(own**2 + sensor**2 + sums / np.maximum(counts, 1)))
@@ -231,15 +231,15 @@ def read_alone(trial: HeldOutRun, cycles: Indices, sensor: NoiseModel, rng: np.r
     """(c,) degC rms of each cycle's free run where only the reading errs: in its windows, and at its start."""
     grid = trial.whitener.grid
     sharp = replace(grid, late=0.0 * grid.late, shared=0.0 * grid.shared, inrush=0.0 * grid.inrush)
-    return predicted(trial, cycles, Whitener(sharp, sensor).draw(rng, DRAWS))[0]
+    return predict_errors(trial, cycles, Whitener(sharp, sensor).draw(rng, FLOOR_DRAWS))[0]
 
 
-def predicted(trial: HeldOutRun, cycles: Indices, drawn: Array) -> tuple[Array, Array]:
+def predict_errors(trial: HeldOutRun, cycles: Indices, drawn: Array) -> tuple[Array, Array]:
     """(degC rms of each cycle (c,), of all of them in each draw (d,)) of free runs that err by residuals drawn (m, d).
 
     Parametric bootstrap: residuals are begun as measured ones are.
     """
-    residual, number = trial.started(drawn), trial.record.window_whole
+    residual, number = trial.restart_residual(drawn), trial.record.window_whole
     kept = np.isin(number, cycles)
     place = np.searchsorted(cycles, number[kept])
     sums = np.zeros((cycles.size, drawn.shape[1]))
@@ -252,7 +252,7 @@ def sensor_alone(fitted: Fitted) -> NoiseModel:
     """The noise of a plant that is exact but for what is read of it: the sensor's, and its rounding."""
     record = fitted.frame.record
     in_window = sensor_noise(record) / float(np.sqrt(averaged_readings(record)))
-    in_window = max(in_window, rounding(record.model, record), LEAST_READING)
+    in_window = max(in_window, rounding_error(record.model, record), MIN_READING_ERROR_DEGC)
     return NoiseModel(sensor=in_window, process=0.0, rough=0.0, cycle=0.0)
 
 
@@ -265,7 +265,7 @@ def scatter_of_equal_cycles(record: Record, residual: Array, rules: DecisionRule
     cause that is missing does the same in equal cycles, and noise does not.
     """
     place = record.runs.place[record.rows[record.begins]]
-    phase = np.searchsorted(PHASES_S, record.windowed(since_switch(record)), side="right")
+    phase = np.searchsorted(PHASES_S, record.window_means(since_switch(record)), side="right")
     cell = np.unique(np.column_stack([place, phase]), axis=0, return_inverse=True)[1].ravel()
     cycle = np.unique(record.window_whole, return_inverse=True)[1]
     pairs, member = np.unique(np.column_stack([cell, cycle]), axis=0, return_inverse=True)
@@ -292,7 +292,7 @@ def sensor_noise(record: Record) -> float:
     step = np.diff(time)
     together = (run[2:] == run[:-2]) & (np.abs(step[1:] - step[:-1]) < 0.1 * np.median(step))
     resting = together & (np.maximum(record.running[rows][2:], record.running[rows][:-2]) < 0.5)
-    chosen = resting if int(resting.sum()) >= LEAST_ROWS else together
+    chosen = resting if int(resting.sum()) >= MIN_REST_ROWS else together
     second = (reading[2:] - 2.0 * reading[1:-1] + reading[:-2])[chosen]
     # Var(a - 2 b + c) is 6 of one reading's.
     return float(np.sqrt(np.mean(second**2) / 6.0)) if second.size else 0.0
@@ -307,11 +307,11 @@ def excess(stated: Array, fitted: Fitted, rules: DecisionRules) -> Excess | None
     return Excess(float(np.median(ratio)), float(np.quantile(ratio, rules.wide_low_share)))
 
 
-def spread_of(model: Model, traces: Sequence[Trace], record: Record, cycles: Indices) -> Array:
+def model_spread(model: Model, traces: Sequence[Trace], record: Record, cycles: Indices) -> Array:
     """(c,) degC rms of the given model's own spread on these cycles, the median of all where it says nothing of one;
     infinite where it says nothing at all."""
     # The fit's targets are those of this machine: what the model allows one machine to lie off is no allowance beside.
-    model = replace(model, sha=without(model.sha, "machine offset"))
+    model = replace(model, sha=drop_features(model.sha, "machine offset"))
     spreads = np.full(cycles.size, np.nan)
     for number, pieces in enumerate(_cycles(record, cycles, traces)):
         for piece in pieces:

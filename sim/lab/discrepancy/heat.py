@@ -4,15 +4,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sim.lab.discrepancy.fitting import Fitted, Record, Whitener, as_read, decay_and_pull
+from sim.lab.discrepancy.fitting import Fitted, Record, Whitener, decay_and_pull, sensor_view
 from sim.lab.discrepancy.screen import Projector
 from sim.lab.learning import Indices, first_switch
 from sim.sha import Array
 
-BLOCK = 600.0
+BLOCK_S = 600.0
 """Seconds over which the heat is averaged: shorter, the sensor's noise hides it."""
-HOUR = 3600.0
-REACH = 3.0
+HOUR_S = 3600.0
+REACH_DELAYS = 3.0
 """Mean delays after which a change has reached the reading."""
 
 
@@ -46,7 +46,7 @@ def implied_heat(fitted: Fitted) -> Array:
     """
     # The smoothed residual is an estimate of x in dx/dt = -k x + h; solved for h over each step, held constant in it.
     left = Projector(fitted).residual
-    smoothed = Whitener(fitted.grid, fitted.noise).smoothed(left)
+    smoothed = Whitener(fitted.grid, fitted.noise).smooth(left)
     grid = fitted.grid
     decay, pull = decay_and_pull(grid.k, grid.dt)
     before = np.concatenate([smoothed[:1], smoothed[:-1]])
@@ -56,10 +56,10 @@ def implied_heat(fitted: Fitted) -> Array:
     record = fitted.frame.record
     runs = record.runs
     clock = runs.time - runs.time[0]
-    late = float(np.max(clock - as_read(fitted.frame, fitted.state, clock)))
+    late = float(np.max(clock - sensor_view(fitted.frame, fitted.state, clock)))
     changed = runs.first | (np.diff(runs.place, prepend=-1) != 0)
     since = runs.time - (runs.time - runs.dt)[changed][np.cumsum(changed) - 1]
-    unknown = grid.first | (record.windowed(since) < REACH * late) | (grid.late > fitted.noise.sensor**2)
+    unknown = grid.first | (record.window_means(since) < REACH_DELAYS * late) | (grid.late > fitted.noise.sensor**2)
     return np.where(unknown, np.nan, heat)
 
 
@@ -71,7 +71,7 @@ def since_switch(record: Record) -> Array:
     return np.asarray(runs.time - runs.dt - moment)
 
 
-def blocks_of(fitted: Fitted, length: float = BLOCK) -> Blocks:
+def heat_blocks(fitted: Fitted, length: float = BLOCK_S) -> Blocks:
     """The implied heat of a fit in blocks of at most `length` seconds."""
     record = fitted.frame.record
     runs = record.runs
@@ -87,7 +87,7 @@ def blocks_of(fitted: Fitted, length: float = BLOCK) -> Blocks:
     begins = np.flatnonzero(new)
     weight = np.where(np.isnan(heat), 0.0, fitted.grid.dt)
     total = np.add.reduceat(weight, begins)
-    signals = record.windowed(np.nan_to_num(runs.inputs)) if runs.inputs.shape[1] else np.empty((times.size, 0))
+    signals = record.window_means(np.nan_to_num(runs.inputs)) if runs.inputs.shape[1] else np.empty((times.size, 0))
 
     def mean(column: Array) -> Array:
         weights = weight if column.ndim == 1 else weight[:, None]
@@ -98,9 +98,9 @@ def blocks_of(fitted: Fitted, length: float = BLOCK) -> Blocks:
         )
 
     kept = total > 0
-    on = record.windowed(record.running)
-    stopped = np.where(on > 0.5, 0.0, record.windowed(since_switch(record)))
-    columns = (heat * HOUR, times, record.windowed(np.minimum(record.since, 1e6)), stopped, on, record.reading)
+    on = record.window_means(record.running)
+    stopped = np.where(on > 0.5, 0.0, record.window_means(since_switch(record)))
+    columns = (heat * HOUR_S, times, record.window_means(np.minimum(record.since, 1e6)), stopped, on, record.reading)
     implied, middle, started, stop, running, course = (mean(column)[kept] for column in columns)
     return Blocks(
         heat=implied,

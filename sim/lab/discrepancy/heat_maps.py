@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 from sim.lab.discrepancy.diagnosis import DiagnosisCourse
 from sim.sha import Array, Mask
 
-EDGES = (0.0, 60.0, 120.0, 300.0, 600.0, 1200.0, 2400.0, 4800.0, 9600.0, 19200.0)
+PHASE_EDGES_S = (0.0, 60.0, 120.0, 300.0, 600.0, 1200.0, 2400.0, 4800.0, 9600.0, 19200.0)
 """Seconds since the last start or stop at which columns begin; the last one has no end."""
-LONGEST = 30 * 86_400.0
+MAX_PHASE_S = 30 * 86_400.0
 """Seconds beyond which the last start or stop counts as not seen."""
-FEW = 3
+MIN_CYCLES_SOLID = 3
 """Cycles below which a mean is shown but not relied on."""
-ROWS = 24
+MAX_ROWS = 24
 """Locations at most: those with the most windows."""
 
 
@@ -25,7 +25,7 @@ class HeatMap:
 
     `edges` (c + 1,) are seconds, the last inf. `before` and `after` are (r, c), NaN where nothing was seen; `after` is
     None where there is no model after. `cycles` (r, c) counts those that a mean is taken over; `left_out` are locations
-    beyond ROWS.
+    beyond MAX_ROWS.
     """
 
     locations: tuple[str, ...]
@@ -50,22 +50,22 @@ class HeatMap:
 
     @property
     def few(self) -> Mask:
-        """(r, c) True where a mean is taken over fewer than FEW cycles, so that it says little."""
-        return np.asarray(self.cycles < FEW)
+        """(r, c) True where a mean is taken over fewer than MIN_CYCLES_SOLID cycles, so that it says little."""
+        return np.asarray(self.cycles < MIN_CYCLES_SOLID)
 
 
 def heat_map(course: DiagnosisCourse) -> HeatMap | None:
     """The map of a course; None where no window has a heat and a start or stop before it."""
     since = np.asarray(course.since_event, dtype=float)
-    known = np.isfinite(course.heat_before) & np.isfinite(since) & (since >= 0) & (since <= LONGEST)
+    known = np.isfinite(course.heat_before) & np.isfinite(since) & (since >= 0) & (since <= MAX_PHASE_S)
     if not known.any():
         return None
     names, place = np.unique(np.array(course.location)[known], return_inverse=True)
     counts = np.bincount(place, minlength=names.size)
-    kept = np.argsort(-counts, kind="stable")[:ROWS]
+    kept = np.argsort(-counts, kind="stable")[:MAX_ROWS]
     order = sorted(kept.tolist(), key=lambda number: natural(str(names[number])))
-    column = np.searchsorted(EDGES, since[known], side="right") - 1
-    shape = (names.size, len(EDGES))
+    column = np.searchsorted(PHASE_EDGES_S, since[known], side="right") - 1
+    shape = (names.size, len(PHASE_EDGES_S))
     # Cycles, not windows, are what a mean rests on: each counts once in a cell, however many windows it has there.
     seen = np.unique(np.column_stack([place, column, course.cycle[known].astype(np.intp)]), axis=0)
     cycles = np.zeros(shape, dtype=np.intp)
@@ -76,7 +76,7 @@ def heat_map(course: DiagnosisCourse) -> HeatMap | None:
     after = None
     if np.isfinite(course.heat_after).any():
         after = _means(course.heat_after[known], place, column, shape)[order, spans]
-    edges = (*EDGES, np.inf)[: int(used[-1]) + 2]
+    edges = (*PHASE_EDGES_S, np.inf)[: int(used[-1]) + 2]
     locations = tuple(str(names[number]) for number in order)
     return HeatMap(
         locations=locations,

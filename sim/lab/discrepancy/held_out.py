@@ -1,7 +1,7 @@
 """Free runs over cycles that were never fitted: before and after, beside the error that is nobody's fault.
 
 One free run goes through each cycle, from the temperature that its first readings say; nothing else is fitted to it.
-The floor that both are held against is not theirs to choose (`gap.floor_of`).
+The floor that both are held against is not theirs to choose (`gap.noise_floor`).
 """
 
 from dataclasses import dataclass, replace
@@ -16,22 +16,22 @@ from sim.lab.discrepancy.fitting import (
     Fitted,
     Record,
     Whitener,
-    at,
-    grid_at,
-    named_of,
-    on,
+    model_effects,
+    move_frame,
     row_later,
+    run_frame,
+    window_grid,
     window_sensitivity,
 )
 from sim.lab.learning import Indices
 from sim.sha import Array, Mask
 
 RESAMPLES = 2000
-STARTS = 3
+START_ROUNDS = 3
 """Rounds in which the start temperatures are fitted (effects on the sensor make them slightly non-linear)."""
 START_S, START_WINDOWS = 300.0, 2
 """Seconds of a cycle (or its first windows, where these take longer) whose readings say where its run begins."""
-LEAST_WINDOWS = 3
+MIN_WINDOWS = 3
 """Windows of a cycle below which its start explains it: it proves nothing."""
 
 
@@ -54,7 +54,7 @@ class HeldOutRun:
     order: Indices
     whitener: Whitener
 
-    def started(self, residual: Array) -> Array:
+    def restart_residual(self, residual: Array) -> Array:
         """(m,) or (m, c) residuals with each run begun where its own first readings say."""
         columns = residual if residual.ndim == 2 else residual[:, None]
         begun = np.where(self.early, self.begun, 0.0)[:, None]
@@ -66,27 +66,27 @@ class HeldOutRun:
 
 def let_run(fitted: Fitted, record: Record) -> HeldOutRun:
     """The fit's parameters over another record, each run from the start that its first readings say."""
-    frame = on(fitted.frame, record)
+    frame = move_frame(fitted.frame, record)
     reading, first, times = record.reading, record.window_first, record.times
     order = np.cumsum(first) - 1
     number = np.arange(order.size) - np.flatnonzero(first)[order]
     early = (times - times[first][order] <= START_S) | (number < START_WINDOWS)
     start = reading[first]
     behind, unsure = fitted.behind
-    state = at(frame, fitted.state.parameters, start, fitted.state.named)
-    residual = reading - record.windowed(state.mean + behind * row_later(frame, state))
+    state = run_frame(frame, fitted.state.parameters, start, fitted.state.named)
+    residual = reading - record.window_means(state.mean + behind * row_later(frame, state))
     # Least squares in one unknown a run: the first residuals on `begun`, how a degree at the start dies away.
-    for _ in range(STARTS):
+    for _ in range(START_ROUNDS):
         decay = np.where(record.runs.first, 0.0, np.exp(-(state.k + state.loss) * record.runs.dt))
-        begun = record.windowed(linear_recursion(decay, record.runs.first.astype(float), 0.0))
+        begun = record.window_means(linear_recursion(decay, record.runs.first.astype(float), 0.0))
         known = np.where(early, begun, 0.0)
         moved = np.bincount(order, known * residual) / np.maximum(np.bincount(order, known**2), 1e-12)
         start = start + moved
-        state = at(frame, fitted.state.parameters, start, fitted.state.named, state.course)
-        residual = reading - record.windowed(state.mean + behind * row_later(frame, state))
+        state = run_frame(frame, fitted.state.parameters, start, fitted.state.named, state.course)
+        residual = reading - record.window_means(state.mean + behind * row_later(frame, state))
         if np.max(np.abs(moved)) < 1e-3:
             break
-    grid = grid_at(frame, state)
+    grid = window_grid(frame, state)
     whitener = Whitener(replace(grid, shared=unsure / LATE_TOGETHER * grid.shared), fitted.noise)
     return HeldOutRun(
         record=record,
@@ -103,7 +103,7 @@ def let_run(fitted: Fitted, record: Record) -> HeldOutRun:
 def foretold(fitted: Fitted, run: HeldOutRun, whitener: Whitener) -> float:
     """nats of the held-out record, but for a constant, as a fit foretells it: under the noise of `whitener`, the fit's
     parameters being as sure as the cycles that it was made of know them."""
-    columns = run.started(window_sensitivity(on(fitted.frame, run.record), run.state, run.start))
+    columns = run.restart_residual(window_sensitivity(move_frame(fitted.frame, run.record), run.state, run.start))
     gram = whitener.gram(np.column_stack([run.residual, columns]))
     # Woodbury: the residual's covariance is that of the noise and of what the parameters' errors do.
     root = np.linalg.cholesky(fitted.covariance)
@@ -113,12 +113,12 @@ def foretold(fitted: Fitted, run: HeldOutRun, whitener: Whitener) -> float:
     return -0.5 * (misfit + float(np.linalg.slogdet(inner)[1]))
 
 
-def as_given(fitted: Fitted) -> Fitted:
+def given_model_run(fitted: Fitted) -> Fitted:
     """The model before any fit: its own numbers over the same record."""
     frame = fitted.frame
-    named = named_of(frame.record.model)
+    named = model_effects(frame.record.model)
     point = np.concatenate([frame.centre, *(np.array(each.point) for each in named)])
-    return replace(fitted, state=at(frame, point, fitted.start, named))
+    return replace(fitted, state=run_frame(frame, point, fitted.start, named))
 
 
 def mean_squares(trial: HeldOutRun) -> tuple[Array, Array, Indices]:
@@ -126,7 +126,7 @@ def mean_squares(trial: HeldOutRun) -> tuple[Array, Array, Indices]:
     cycles, place = np.unique(trial.record.window_whole, return_inverse=True)
     counts = np.bincount(place)
     squares = np.bincount(place, trial.residual**2) / counts
-    enough = counts >= LEAST_WINDOWS if (counts >= LEAST_WINDOWS).any() else counts > 0
+    enough = counts >= MIN_WINDOWS if (counts >= MIN_WINDOWS).any() else counts > 0
     return squares[enough], counts[enough].astype(float), cycles[enough]
 
 
@@ -146,12 +146,12 @@ class RunsBefore:
     given: HeldOutRun
 
 
-def runs_before(fitted: Fitted, record: Record) -> RunsBefore:
+def reference_runs(fitted: Fitted, record: Record) -> RunsBefore:
     """The runs of a refit and of its model as given."""
-    return RunsBefore(let_run(fitted, record), let_run(as_given(fitted), record))
+    return RunsBefore(let_run(fitted, record), let_run(given_model_run(fitted), record))
 
 
-def compared(
+def compare_fits(
     before: Fitted,
     after: Fitted,
     record: Record,
@@ -166,7 +166,7 @@ def compared(
     Where the error before is no greater than the floor there is no excess, and none of it can have been removed; no
     more than all of it can be. `runs` are those of `before`, and `second` is that of `after`, where they are at hand.
     """
-    runs = runs_before(before, record) if runs is None else runs
+    runs = reference_runs(before, record) if runs is None else runs
     first, given = runs.refit, runs.given
     second = second or (first if after is before else let_run(after, record))
     old, counts, cycles = mean_squares(first)
@@ -176,7 +176,7 @@ def compared(
     pieces = np.unique(record.window_cycle[kept], return_inverse=True)[1]
     rows = np.column_stack([np.bincount(pieces, trial.residual[kept] ** 2) for trial in (first, second)])
     weights = np.bincount(pieces).astype(float)
-    allowed = np.bincount(pieces, floor.at(record.window_whole[kept]) ** 2)
+    allowed = np.bincount(pieces, floor.cycle_floors(record.window_whole[kept]) ** 2)
     whole = (rows - allowed[:, None]).sum(axis=0)
     removed, interval = None, None
     if before is not after and whole[0] > 0:
@@ -198,7 +198,8 @@ def compared(
         excess_removed=removed,
         ci95=interval,
         per_cycle=tuple(
-            (float(a), float(b), float(c)) for a, b, c in zip(old**0.5, new**0.5, floor.at(cycles), strict=True)
+            (float(a), float(b), float(c))
+            for a, b, c in zip(old**0.5, new**0.5, floor.cycle_floors(cycles), strict=True)
         ),
     )
     return held, first, second

@@ -6,14 +6,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from sim.lab.discrepancy.diagnosis import Ceiling, HeldOutProof, NoiseFloor
-from sim.lab.discrepancy.fitting import CatalogueEntry, Fitted, Named, effects_of, net_heat, on_sensor
+from sim.lab.discrepancy.fitting import CatalogueEntry, Fitted, Named, automaton_effects, net_heat, on_sensor
 from sim.lab.discrepancy.gap import Excess, sensor_noise
-from sim.lab.discrepancy.heat import HOUR
+from sim.lab.discrepancy.heat import HOUR_S
 from sim.lab.discrepancy.held_out import HeldOutRun
 from sim.lab.discrepancy.naming import NamingStep, likeness
 from sim.lab.discrepancy.rules import DecisionRules
-from sim.lab.discrepancy.screen import TIMES, shortest_visible, smooth_course
-from sim.sha import Array, shown_unit
+from sim.lab.discrepancy.screen import TIME_PARAMETERS, shortest_visible, smooth_course
+from sim.sha import Array, display_unit
 
 TOO_SMALL = "is certain, and too small to matter"
 """Why what is beyond chance is fitted along and gets no name."""
@@ -38,12 +38,12 @@ class NamingResult:
         return (*self.steps, *((step, TOO_SMALL) for step in self.nuisances))
 
     @property
-    def taken(self) -> tuple[NamingStep, ...]:
+    def accepted_steps(self) -> tuple[NamingStep, ...]:
         """The steps whose best entry was taken."""
         return tuple(step for step, refusal in self.steps if not refusal)
 
     @property
-    def explained(self) -> Fitted:
+    def best_fit(self) -> Fitted:
         """The fit with the best explanation that was found, whether or not it deserves a name."""
         step, refusal = self.steps[-1]
         best = step.best
@@ -57,7 +57,7 @@ def insignificant(step: NamingStep, earlier: Sequence[NamingStep] = ()) -> str:
     `earlier` are the steps whose best entries are in the model already.
     """
     best, rules = step.best, step.rules
-    if best is None or not best.confirmed or best.gain < step.rules.least_gain_nats:
+    if best is None or not best.is_joint or best.gain < step.rules.least_gain_nats:
         gain = best.gain if best is not None else 0.0
         return f"adds {gain:.1f} nats, and a name needs {rules.least_gain_nats:.1f}"
     if immaterial(step):
@@ -65,7 +65,7 @@ def insignificant(step: NamingStep, earlier: Sequence[NamingStep] = ()) -> str:
     # A further name must stand out of what the earlier ones' imperfect shapes leave behind, in degrees and in nats.
     before = max((other.best.amplitude for other in earlier if other.best is not None), default=0.0)
     if best.gain < rules.further_clear_nats and best.amplitude < rules.further_least_size_share * before:
-        unit = shown_unit(step.before.frame.record.model.unit)
+        unit = display_unit(step.before.frame.record.model.unit)
         return f"moves the temperature by {best.amplitude:.3f} {unit}, no more than the shapes before may have left"
     needed, near = 0.0, rules.near_least_cosine
     least, most = rules.leftover_share, rules.leftover_of_rival_share
@@ -81,17 +81,17 @@ def insignificant(step: NamingStep, earlier: Sequence[NamingStep] = ()) -> str:
 def immaterial(step: NamingStep) -> bool:
     """True where the best entry is beyond chance, yet moves the temperature by less than could be felt."""
     best = step.best
-    if best is None or not best.confirmed or best.gain < step.rules.least_gain_nats:
+    if best is None or not best.is_joint or best.gain < step.rules.least_gain_nats:
         return False
     return best.amplitude < step.rules.material_sigmas * sensor_noise(step.before.frame.record)
 
 
 def dubious(step: NamingStep) -> str:
     """Why the best entry of a step does not deserve its name though something is missing; "" where it does."""
-    return contradicted(step) or undeserved(step)
+    return contradiction(step) or refusal_reason(step)
 
 
-def contradicted(step: NamingStep) -> str:
+def contradiction(step: NamingStep) -> str:
     """Why the fitted cycles do not agree about the best entry of a step; "" where they do, or cannot be asked."""
     best, rules = step.best, step.rules
     # Where the information lies in fewer than three cycles, single cycles cannot be asked to agree.
@@ -102,7 +102,7 @@ def contradicted(step: NamingStep) -> str:
     return "does not carry over from cycle to cycle" if best.carried <= 0 else ""
 
 
-def undeserved(step: NamingStep) -> str:
+def refusal_reason(step: NamingStep) -> str:
     """Why the best entry of a step is no name, whatever the cycles say of it; "" where it is one."""
     best, rules = step.best, step.rules
     if best is None:
@@ -121,15 +121,15 @@ def unbelievable(step: NamingStep) -> str:
         return ""
     record = step.before.frame.record
     named, shortest = best.fitted.state.named[-1], shortest_visible(record)
-    for time in (named.params[name] for name in TIMES if name in named.params):
+    for time in (named.params[name] for name in TIME_PARAMETERS if name in named.params):
         if 0 < time < shortest:
             return f"lasts {time:.3g} s, and nothing shorter than {shortest:.3g} s is visible in these rows"
     most, fastest = greatest_heat(step.before, named), fastest_movement(step.before)
     if most > step.rules.most_heat_times * fastest:
-        unit = shown_unit(record.model.unit)
+        unit = display_unit(record.model.unit)
         return (
-            f"would heat or cool by up to {most * HOUR:.3g} {unit}/h, and the fastest movement in these data is "
-            f"{fastest * HOUR:.3g} {unit}/h"
+            f"would heat or cool by up to {most * HOUR_S:.3g} {unit}/h, and the fastest movement in these data is "
+            f"{fastest * HOUR_S:.3g} {unit}/h"
         )
     return ""
 
@@ -137,7 +137,7 @@ def unbelievable(step: NamingStep) -> str:
 def greatest_heat(fitted: Fitted, named: Named) -> float:
     """degC/s the greatest heat or cooling of an effect along the course of a fit; 0 of what acts on the reading."""
     record, smooth = fitted.frame.record, smooth_course(fitted)
-    heating = [effect for effect in effects_of(named, record.model) if not on_sensor(effect)]
+    heating = [effect for effect in automaton_effects(named, record.model) if not on_sensor(effect)]
     return float(np.max(np.abs(net_heat(record, heating, smooth))))
 
 
@@ -151,7 +151,7 @@ def fastest_movement(fitted: Fitted) -> float:
 
 def description(path: NamingResult) -> str:
     """What has no name and goes best with the data, in the plant's words; "" where there is no such thing."""
-    best = path.steps[0][0].best if path.steps and not path.taken else None
+    best = path.steps[0][0].best if path.steps and not path.accepted_steps else None
     if best is None or best.fitted is None or not best.entry.rival or insignificant(path.steps[0][0]):
         return ""
     words = best.entry.candidate.words
@@ -202,9 +202,9 @@ def doubts(
 
     `shorter` is the run without the last name, where there is more than one.
     """
-    if not path.taken:
+    if not path.accepted_steps:
         return ()
-    reasons, rules = [], path.taken[0].rules
+    reasons, rules = [], path.accepted_steps[0].rules
     if held.rmse_before <= held.noise_floor:
         reasons.append("the free run over the held-out cycles is no further off than noise alone: there is no gap")
     if shorter is not None and foreseen_better(shorter, second) <= 0:
@@ -214,7 +214,7 @@ def doubts(
         reasons.append("the held-out cycles are not better foreseen with it")
     if held.rmse_after > held.rmse_before:
         reasons.append("the free run over the held-out cycles is further off with it")
-    elif felt(held.rmse_after, held.rmse_given, sensor_noise(path.base.frame.record), rules):
+    elif is_noticeable(held.rmse_after, held.rmse_given, sensor_noise(path.base.frame.record), rules):
         reasons.append("the free run over the held-out cycles is further off with it than the model as it was given")
     elif _hardly_smaller(path, held):
         reasons.append(f"it removes {held.excess_removed:.0%} of what the free run over the held-out cycles is off by")
@@ -230,20 +230,22 @@ def doubts(
 
 def _hardly_smaller(path: NamingResult, held: HeldOutProof) -> bool:
     """True where there is a held-out excess that could be felt, and nearly all of it is left."""
-    removed, rules = held.excess_removed, path.taken[0].rules
+    removed, rules = held.excess_removed, path.accepted_steps[0].rules
     if removed is None or removed >= rules.removed_least_share:
         return False
     return matters(held, sensor_noise(path.base.frame.record), rules)
 
 
-def left_over(path: NamingResult, foreseen: float, before: Excess | None, after: Excess | None) -> tuple[str, ...]:
+def leftover_reasons(
+    path: NamingResult, foreseen: float, before: Excess | None, after: Excess | None
+) -> tuple[str, ...]:
     """Why names without a clear gain are withheld: the model's own noise did not cover its errors, nor does it now.
 
     `foreseen` are the nats by which held-out cycles are better foreseen with them.
     """
-    if not path.taken or before is None or after is None or not before.wide(path.taken[0].rules):
+    if not path.accepted_steps or before is None or after is None or not before.wide(path.accepted_steps[0].rules):
         return ()
-    rules = path.taken[0].rules
+    rules = path.accepted_steps[0].rules
     if max(foreseen, _gain(path)) >= rules.beyond_doubt_nats or after.median < rules.covered_most_times:
         return ()
     return (f"with it the free run is still {after.median:.1f} times as far off as the model's own noise allows",)
@@ -251,7 +253,7 @@ def left_over(path: NamingResult, foreseen: float, before: Excess | None, after:
 
 def _gain(path: NamingResult) -> float:
     """nats of the names together."""
-    return sum(step.best.gain for step in path.taken if step.best is not None)
+    return sum(step.best.gain for step in path.accepted_steps if step.best is not None)
 
 
 def matters(held: HeldOutProof, sensor: float, rules: DecisionRules) -> bool:
@@ -259,26 +261,28 @@ def matters(held: HeldOutProof, sensor: float, rules: DecisionRules) -> bool:
 
     `sensor` (degC) is what one reading errs by.
     """
-    return felt(held.rmse_before, held.noise_floor, sensor, rules)
+    return is_noticeable(held.rmse_before, held.noise_floor, sensor, rules)
 
 
-def felt(error: float, other: float, sensor: float, rules: DecisionRules) -> bool:
+def is_noticeable(error: float, other: float, sensor: float, rules: DecisionRules) -> bool:
     """True where an error (degC rms) is greater than another one by what could be felt."""
     return error**2 - other**2 >= (rules.material_sigmas * sensor) ** 2
 
 
-def above(held: HeldOutProof, floor: NoiseFloor, sensor: float, rules: DecisionRules) -> bool:
+def is_gap(held: HeldOutProof, floor: NoiseFloor, sensor: float, rules: DecisionRules) -> bool:
     """True where the held-out error is a gap: beyond what chance makes of the noise, and by what could be felt."""
     return held.rmse_before > floor.interval[1] and matters(held, sensor, rules)
 
 
-def least_told(readings: Array, sensor: float, rules: DecisionRules) -> float:
+def min_noticeable_error(readings: Array, sensor: float, rules: DecisionRules) -> float:
     """degC of an error that agreement must exclude in order to say anything: a share of what the temperature varies by,
     and at least what could be felt."""
     return max(rules.floor_blind_from_share * float(np.std(readings)), rules.material_sigmas * sensor)
 
 
-def evidence_of(path: NamingResult, before: Ceiling | None, beyond: Excess | None, *, covered: bool) -> tuple[str, ...]:
+def gap_evidence(
+    path: NamingResult, before: Ceiling | None, beyond: Excess | None, *, covered: bool
+) -> tuple[str, ...]:
     """What speaks for a gap to which no name was given, the strongest first; nothing where nothing does.
 
     `covered`: the held-out error is about what noise makes, so that the model's own noise says nothing against it.
@@ -293,7 +297,7 @@ def evidence_of(path: NamingResult, before: Ceiling | None, beyond: Excess | Non
     return (beyond.words(),) if beyond is not None and beyond.wide(rules) and not covered else ()
 
 
-def untested(
+def untested_effects(
     entries: Sequence[CatalogueEntry],
     present: Mapping[str, str],
     roles: Mapping[str, str],
@@ -321,6 +325,6 @@ def too_short(entries: Sequence[CatalogueEntry], path: NamingResult) -> dict[str
     """The effects over some time of which no shape was looked for though their signals are there, with the reason."""
     tried = path.steps[0][0].tried
     shortest = shortest_visible(path.base.frame.record)
-    timed = [entry for entry in entries if any(name in TIMES for name in entry.kind.parameters)]
+    timed = [entry for entry in entries if any(name in TIME_PARAMETERS for name in entry.kind.parameters)]
     reason = f"is looked for up to less than {shortest:.3g} s only, and nothing shorter is visible in these rows"
     return {entry.name: reason for entry in timed if entry.name not in tried}

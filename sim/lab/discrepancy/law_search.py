@@ -12,36 +12,36 @@ from math import inf
 
 import numpy as np
 
-from sim.effects import SINCE, TEMPERATURE, LineError, compiled, names_in, own_kind, parse
+from sim.effects import SINCE, TEMPERATURE, LineError, compile_expression, names_in, own_kind, parse
 from sim.lab.discrepancy.diagnosis import CandidateLaw
 from sim.lab.discrepancy.fitting import (
     Fitted,
     NoiseModel,
     Record,
     Whitener,
-    as_read,
-    effects_of,
+    automaton_effects,
     heat_filter,
+    move_frame,
     net_heat,
-    on,
+    sensor_view,
     window_sensitivity,
     with_column,
 )
 from sim.lab.discrepancy.held_out import HeldOutRun, let_run
 from sim.lab.discrepancy.law_family import (
-    EVENT,
+    EVENT_RIVAL,
     LawColumns,
     LawForm,
-    columns_on,
-    dated,
+    dated_rivals,
     family,
+    law_columns,
     of_shapes,
     products,
-    repeated,
+    repeat_events,
     signal_names,
 )
 from sim.lab.discrepancy.rules import DecisionRules
-from sim.lab.discrepancy.screen import Projector, Shape, alone, refined, smooth_course
+from sim.lab.discrepancy.screen import Projector, Shape, alone, refine_shape, smooth_course
 from sim.sha import Array, EffectLine, LineParameter
 
 MOST, BEST = 3, 6
@@ -50,7 +50,7 @@ TRIED_LATER, OF_A_KIND = 8, 2
 """Laws that the held-out cycles are asked about at most, and those among them that differ in numbers alone."""
 SHORTEST, LONGEST, RHYTHMS = 1200.0, 48 * 3600.0, 2
 """Seconds between which rhythms are looked for, and how many of them become expressions."""
-CHUNK = 64
+CHUNK_FORMS = 64
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,7 +63,7 @@ class _ScoredForms:
     columns: Array
     weighed: Array
 
-    def joined(self, more: "_ScoredForms") -> "_ScoredForms":
+    def concatenate(self, more: "_ScoredForms") -> "_ScoredForms":
         return _ScoredForms(
             forms=[*self.forms, *more.forms],
             gain=np.append(self.gain, more.gain),
@@ -109,36 +109,36 @@ def candidate_laws(
     are held out, but for those from `fitted_again` on. `floor` (degC) is the error that the given model allows itself.
     """
     held_out = (record.cycle >= fitted_until) & (record.cycle < fitted_again)
-    training, later = record.where(~held_out), record.where(held_out)
+    training, later = record.select(~held_out), record.select(held_out)
     if not later.rows.size or training.runs.time.shape != base.frame.record.runs.time.shape:
         return ()
-    fitted = replace(base, frame=on(base.frame, training))
+    fitted = replace(base, frame=move_frame(base.frame, training))
     names, begin = signal_names(fitted), float(training.runs.time[0])
     projector = Projector(fitted)
     periods, scanned = _rhythms(training.times, projector.weighed_residual)
-    columns = columns_on(fitted, smooth_course(fitted), names, begin, periods)
-    by_date = dated(fitted, columns.values[TEMPERATURE])
-    scored = _scored(fitted, projector, columns, [*family(columns, training.running, begin), *by_date])
+    columns = law_columns(fitted, smooth_course(fitted), names, begin, periods)
+    by_date = dated_rivals(fitted, columns.values[TEMPERATURE])
+    scored = _score_forms(fitted, projector, columns, [*family(columns, training.running, begin), *by_date])
     best = [scored.forms[number] for number in np.argsort(-scored.gain, kind="stable")[:BEST].tolist()]
-    scored = scored.joined(_scored(fitted, projector, columns, products(best, columns)))
+    scored = scored.concatenate(_score_forms(fitted, projector, columns, products(best, columns)))
     tried = len(scored.forms) + scanned
 
     trial = let_run(base, later.by_cycles())
     unseen = replace(
         base,
-        frame=on(base.frame, trial.record),
+        frame=move_frame(base.frame, trial.record),
         state=trial.state,
         grid=trial.whitener.grid,
         residual=trial.residual,
     )
-    there = columns_on(unseen, smooth_course(unseen), names, begin, periods)
+    there = law_columns(unseen, smooth_course(unseen), names, begin, periods)
     own = window_sensitivity(unseen.frame, trial.state, trial.record.reading[trial.record.window_first])
     chosen = _distinct(scored, rules)
-    sharper = _sharpened(fitted, scored, chosen)
+    sharper = _sharpen_rivals(fitted, scored, chosen)
     chosen += range(len(scored.forms), len(scored.forms) + len(sharper))
-    scored = scored.joined(_scored(fitted, projector, columns, sharper))
+    scored = scored.concatenate(_score_forms(fitted, projector, columns, sharper))
 
-    def judged(number: int) -> _JudgedLaw:
+    def judge_form(number: int) -> _JudgedLaw:
         form, column = scored.forms[number], scored.columns[:, number]
         # The noise was fitted without the law and has swallowed some of it: it is fitted anew beside it.
         beside, strength = with_column(fitted, column)
@@ -147,7 +147,7 @@ def candidate_laws(
         moved = room.made_room(strength * column) - room.made_room(np.zeros_like(column))
         unit = _reading(unseen, there, [form])[:, 0]
         after = trial.residual - strength * unit - own[:, : moved.size] @ moved
-        share, better, cycles = _held_out(trial, after, floor)
+        share, better, cycles = _held_out_score(trial, after, floor)
         return _JudgedLaw(
             number=number,
             noise=beside.noise,
@@ -158,17 +158,19 @@ def candidate_laws(
             cycles=(better, cycles),
         )
 
-    laws = [judged(number) for number in chosen]
+    laws = [judge_form(number) for number in chosen]
     events = [
-        law for law in laws if scored.forms[law.number].kind == EVENT and law.fitted >= rules.law_fitted_least_nats
+        law
+        for law in laws
+        if scored.forms[law.number].kind == EVENT_RIVAL and law.fitted >= rules.law_fitted_least_nats
     ]
     if events:
         # What was done once may have been done twice; the second time is looked for beside the first.
         first = max(events, key=lambda law: law.fitted)
         with_first = Projector(replace(fitted, noise=first.noise))
-        again = _scored(fitted, with_first, columns, repeated(scored.forms[first.number], by_date))
-        scored = scored.joined(again)
-        laws += [judged(len(scored.forms) - len(again.forms) + int(np.argmax(again.gain)))] if again.forms else []
+        again = _score_forms(fitted, with_first, columns, repeat_events(scored.forms[first.number], by_date))
+        scored = scored.concatenate(again)
+        laws += [judge_form(len(scored.forms) - len(again.forms) + int(np.argmax(again.gain)))] if again.forms else []
     found = [
         law for law in laws if law.holds(tried, rules) and (law.strength > 0 or not scored.forms[law.number].exchange)
     ]
@@ -178,10 +180,12 @@ def candidate_laws(
         surest.setdefault(scored.forms[law.number].kind, law)
     most = max((law.gain for law in found), default=0.0)
     told = [law for law in surest.values() if law.gain >= rules.law_further_least_share * most][:MOST]
-    return tuple(_told(scored, law, names, tried, place=place, rules=rules) for place, law in enumerate(told, start=1))
+    return tuple(
+        _describe_law(scored, law, names, tried, place=place, rules=rules) for place, law in enumerate(told, start=1)
+    )
 
 
-def _told(
+def _describe_law(
     scored: _ScoredForms, law: _JudgedLaw, names: dict[str, str], tried: int, *, place: int, rules: DecisionRules
 ) -> CandidateLaw:
     form = scored.forms[law.number]
@@ -195,12 +199,12 @@ def _told(
         cycles=law.cycles,
         tried=tried,
         experiment=form.experiment,
-        alike=_alike(scored, law.number, rules),
+        alike=_similar_laws(scored, law.number, rules),
         line=_line(form, names, law.strength, place),
     )
 
 
-def _sharpened(fitted: Fitted, scored: _ScoredForms, chosen: Sequence[int]) -> list[LawForm]:
+def _sharpen_rivals(fitted: Fitted, scored: _ScoredForms, chosen: Sequence[int]) -> list[LawForm]:
     """Those of the chosen forms that are rivals', with their dates and times where the gain is greatest.
 
     A date that is driven to an end of the record is none.
@@ -210,7 +214,7 @@ def _sharpened(fitted: Fitted, scored: _ScoredForms, chosen: Sequence[int]) -> l
     for number in (each for each in chosen if scored.forms[each].shapes):
         (shape,) = scored.forms[number].shapes
         if shape.entry.candidate.refine:
-            params = refined(fitted, shape, float(scored.strength[number])).params
+            params = refine_shape(fitted, shape, float(scored.strength[number])).params
             if any(params[name] in ends and params[name] != value for name, value in shape.params.items()):
                 continue
             shape = Shape(shape.entry, shape.signals, {name: params[name] for name in shape.params})
@@ -239,9 +243,9 @@ def _heat(fitted: Fitted, columns: LawColumns, form: LawForm) -> Array:
     record, smooth = fitted.frame.record, columns.values[TEMPERATURE]
     running = record.running
     if not form.shapes:
-        heat = np.broadcast_to(compiled(parse(form.text))(columns.values), running.shape)
+        heat = np.broadcast_to(compile_expression(parse(form.text))(columns.values), running.shape)
         return np.asarray(np.where(np.isfinite(heat), heat, 0.0) * (running if form.running else 1.0))
-    effects = [effect for shape in form.shapes for effect in effects_of(shape.named(1.0), record.model)]
+    effects = [effect for shape in form.shapes for effect in automaton_effects(shape.with_strength(1.0), record.model)]
     return net_heat(record, effects, smooth)
 
 
@@ -250,13 +254,13 @@ def _reading(fitted: Fitted, columns: LawColumns, forms: Sequence[LawForm]) -> A
     frame, state = fitted.frame, fitted.state
     added = heat_filter(frame, state)
     heats = (_heat(fitted, columns, form) for form in forms)
-    return np.column_stack([frame.record.windowed(as_read(frame, state, added(heat))) for heat in heats])
+    return np.column_stack([frame.record.window_means(sensor_view(frame, state, added(heat))) for heat in heats])
 
 
-def _scored(fitted: Fitted, projector: Projector, columns: LawColumns, forms: list[LawForm]) -> _ScoredForms:
+def _score_forms(fitted: Fitted, projector: Projector, columns: LawColumns, forms: list[LawForm]) -> _ScoredForms:
     gains, strengths, kept, weights = [], [], [], []
-    for begin in range(0, len(forms), CHUNK):
-        part = forms[begin : begin + CHUNK]
+    for begin in range(0, len(forms), CHUNK_FORMS):
+        part = forms[begin : begin + CHUNK_FORMS]
         made = _reading(fitted, columns, part)
         gain, strength, weighed = alone(projector, made, np.array([float(form.exchange) for form in part]))
         gains.append(gain)
@@ -299,7 +303,7 @@ def _distinct(scored: _ScoredForms, rules: DecisionRules) -> list[int]:
     return chosen
 
 
-def _alike(scored: _ScoredForms, number: int, rules: DecisionRules) -> tuple[str, ...]:
+def _similar_laws(scored: _ScoredForms, number: int, rules: DecisionRules) -> tuple[str, ...]:
     """Other laws that these data cannot tell from one, within a tenth of its gain, three at most."""
     near = np.abs(_cosines(scored, number)) >= rules.law_same_least_cosine
     near &= scored.gain >= 0.9 * scored.gain[number]
@@ -311,10 +315,10 @@ def _alike(scored: _ScoredForms, number: int, rules: DecisionRules) -> tuple[str
     return tuple(dict.fromkeys(scored.forms[other].said(float(scored.strength[other])) for other in others))[:3]
 
 
-def _held_out(trial: HeldOutRun, after: Array, floor: float) -> tuple[float, int, int]:
+def _held_out_score(trial: HeldOutRun, after: Array, floor: float) -> tuple[float, int, int]:
     """(share of the error above the floor that is gone, pieces that are better foreseen, pieces)."""
     pieces = np.unique(trial.record.window_cycle, return_inverse=True)[1]
-    old, new = np.bincount(pieces, trial.residual**2), np.bincount(pieces, trial.started(after) ** 2)
+    old, new = np.bincount(pieces, trial.residual**2), np.bincount(pieces, trial.restart_residual(after) ** 2)
     counts = np.bincount(pieces)
     excess = float(np.sum(old) - floor**2 * np.sum(counts))
     share = float(np.sum(old) - np.sum(new)) / excess if excess > 0 else 0.0
@@ -323,7 +327,7 @@ def _held_out(trial: HeldOutRun, after: Array, floor: float) -> tuple[float, int
 
 def _foreseen(trial: HeldOutRun, after: Array, noise: NoiseModel) -> float:
     """nats by which residuals `after` a law are likelier than those before on the held-out cycles, under one noise."""
-    old, new = trial.started(trial.residual), trial.started(after)
+    old, new = trial.restart_residual(trial.residual), trial.restart_residual(after)
     weighed = Whitener(trial.whitener.grid, noise).weigh(np.column_stack([old, new]))
     return 0.5 * float(old @ weighed[:, 0] - new @ weighed[:, 1])
 

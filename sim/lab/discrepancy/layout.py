@@ -5,22 +5,22 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sim.effects import in_sensor_scale, signals_of
+from sim.effects import effect_signals, in_sensor_scale
 from sim.lab.discrepancy.consequence import follows
 from sim.lab.discrepancy.fitting import (
     Frame,
     Record,
-    anchored,
-    first_cycle_after,
-    frame_of,
+    build_frame,
+    build_record,
+    first_new_cycle,
     in_order,
-    on,
+    move_frame,
     patiently,
-    record_of,
+    with_priors,
 )
 from sim.lab.discrepancy.rules import DecisionRules
 from sim.lab.learning import Indices
-from sim.sha import Model, Trace, unit_of
+from sim.sha import Model, Trace, signal_unit
 
 TEMPERATURE_ROLES = ("ambient", "feed", "sink")
 """Roles of temperatures, which may as well be warmed by the machine as warm it."""
@@ -55,18 +55,18 @@ class SplitCycles:
     first: int
 
 
-def lay_out(
+def build_layout(
     model: Model, traces: Sequence[Trace], experiments: Sequence[Trace], roles: Mapping[str, str], rules: DecisionRules
 ) -> DataLayout:
     """The layout of traces, with those of experiments behind them. Raises ValueError where they cannot be followed."""
     # Artefacts of the public learner know no unit: then that of the traces is the model's.
-    model = replace(in_sensor_scale(model), unit=unit_of(traces, model.temperature, model.unit))
+    model = replace(in_sensor_scale(model), unit=signal_unit(traces, model.temperature, model.unit))
     usual = in_order(traces)
     laid_out = [patiently(trace, model.alphabet) for trace in (*usual, *in_order(experiments))]
     following = following_roles(model, laid_out, roles, rules)
     present = present_roles(laid_out, {role: each for role, each in roles.items() if role not in following})
-    record = record_of(model, laid_out, signals_needed(model, present))
-    first_made = first_cycle_after(record, usual)
+    record = build_record(model, laid_out, required_signals(model, present))
+    first_made = first_new_cycle(record, usual)
     cycles = np.unique(record.window_cycle)  # those in which something was read
     return DataLayout(
         model=model,
@@ -85,8 +85,8 @@ def split_cycles(layout: DataLayout, rules: DecisionRules) -> SplitCycles:
     record, cycles = layout.record, layout.cycles
     first = cycles[max(round((1.0 - rules.held_out_share) * cycles.size), rules.least_cycles - 1)]
     to_fit = (record.cycle < first) | (record.cycle >= layout.first_made)
-    training = anchored(on(frame_of(record), record.where(to_fit)))
-    return SplitCycles(training, record.where(~to_fit).by_cycles(), int(first))
+    training = with_priors(move_frame(build_frame(record), record.select(to_fit)))
+    return SplitCycles(training, record.select(~to_fit).by_cycles(), int(first))
 
 
 def present_roles(traces: Sequence[Trace], roles: Mapping[str, str]) -> dict[str, str]:
@@ -104,7 +104,7 @@ def following_roles(
     model: Model, traces: Sequence[Trace], roles: Mapping[str, str], rules: DecisionRules
 ) -> frozenset[str]:
     """The roles of temperatures whose signal follows the model's own (`follows`); one that the model reads is kept."""
-    read = set(_inputs(model)) | {*signals_of(model.sha)}
+    read = set(_inputs(model)) | {*effect_signals(model.sha)}
     asked = {role: roles[role] for role in TEMPERATURE_ROLES if role in roles and roles[role] not in read}
     return frozenset(role for role, signal in asked.items() if follows(traces, model.temperature, signal, rules))
 
@@ -114,7 +114,7 @@ def _inputs(model: Model) -> tuple[str, ...]:
     return tuple(driving.signal for location in model.sha.locations for driving in location.flow.inputs)
 
 
-def signals_needed(model: Model, present: Mapping[str, str]) -> tuple[str, ...]:
+def required_signals(model: Model, present: Mapping[str, str]) -> tuple[str, ...]:
     """The inputs of the model's flows and the signals of the roles, each once."""
     return tuple(dict.fromkeys([*_inputs(model), *present.values()]))
 

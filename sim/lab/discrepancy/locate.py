@@ -12,13 +12,13 @@ import numpy as np
 
 from sim.lab.discrepancy.diagnosis import HeatPlace
 from sim.lab.discrepancy.fitting import Fitted, Record
-from sim.lab.discrepancy.heat import Blocks, blocks_of, event_names, flips
+from sim.lab.discrepancy.heat import Blocks, event_names, flips, heat_blocks
 from sim.lab.discrepancy.rules import DecisionRules
 from sim.sha import Array, Mask
 
-PHASES = (0.0, 240.0, 900.0, 3600.0, np.inf)
+PHASE_EDGES_S = (0.0, 240.0, 900.0, 3600.0, np.inf)
 """Seconds since a start or a stop at which cells are cut."""
-DRAWS = 4000
+NULL_DRAWS = 4000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -34,7 +34,7 @@ class _Cell:
 def places(fitted: Fitted, seed: int, rules: DecisionRules) -> tuple[HeatPlace, ...]:
     """The cells in which the heat is not chance, the greatest share first."""
     record = fitted.frame.record
-    blocks = blocks_of(fitted, 240.0)
+    blocks = heat_blocks(fitted, 240.0)
     cells = _cells(blocks, record)
     if not cells:
         return ()
@@ -46,7 +46,7 @@ def places(fitted: Fitted, seed: int, rules: DecisionRules) -> tuple[HeatPlace, 
     # Each cycle's sum is one number of unknown scatter, and under "no heat here" as likely of either sign: z is the sum
     # over its root sum of squares, and the flips give the law of the greatest |z| of all cells at once.
     z = _z(sums, np.ones((1, numbers.size)))[0]
-    signs = flips(numbers.size, seed, DRAWS)
+    signs = flips(numbers.size, seed, NULL_DRAWS)
     greatest = np.max(np.abs(_z(sums, signs)), axis=1)
     total = float(np.sum(blocks.heat**2 * blocks.seconds))
     significant = []
@@ -87,7 +87,7 @@ def _cells(blocks: Blocks, record: Record) -> list[_Cell]:
         in_location = blocks.location == location
         running = bool(np.median(blocks.running[in_location]) > 0.5)
         phase, after = (blocks.since_start, start) if running else (blocks.since_stop, stop)
-        for low, high in pairwise(PHASES):
+        for low, high in pairwise(PHASE_EDGES_S):
             rows = in_location & (phase >= low) & (phase < high)
             if rows.any():
                 cells.append(_Cell(location=location, after=after, seconds=(low, high), rows=rows))

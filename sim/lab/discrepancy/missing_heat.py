@@ -11,7 +11,7 @@ import numpy as np
 from sim.effects import disturbance_step
 from sim.lab.discrepancy.diagnosis import MissingHeat
 from sim.lab.discrepancy.fitting import Fitted, NoiseModel, Record, Whitener, friction_heat
-from sim.lab.discrepancy.heat import HOUR
+from sim.lab.discrepancy.heat import HOUR_S
 from sim.lab.discrepancy.held_out import let_run
 from sim.lab.learning import Indices
 
@@ -28,7 +28,7 @@ def missing_heat(base: Fitted, record: Record, held_out: Indices) -> MissingHeat
     trial = let_run(base, record)
     noise = as_one_heat(base)
     grid = replace(trial.whitener.grid, heats=np.empty((record.times.size, 0)))
-    running = record.windowed(record.running) > 0.5
+    running = record.window_means(record.running) > 0.5
     # What heats at rest and what heats while the machine runs are two: neither is foreseen by the other, so that a heat
     # that begins with a start or ends with a stop does so at once.
     step = disturbance_step(noise.memory, grid.k, grid.dt)
@@ -40,7 +40,7 @@ def missing_heat(base: Fitted, record: Record, held_out: Indices) -> MissingHeat
         dd=np.where(switched, 1.0, step.dd),
     )
     mean, variance = Whitener(grid, noise, step).heat(trial.residual)
-    acts = HOUR * np.where(running, 1.0, noise.rest)
+    acts = HOUR_S * np.where(running, 1.0, noise.rest)
     half = SIGMAS_95 * acts * np.sqrt(variance)
     return MissingHeat(
         times=record.times,

@@ -6,10 +6,10 @@ from sim.effects import of_feature
 from sim.lab.discrepancy.diagnosis import Shift
 from sim.lab.discrepancy.fitting import Fitted, shown_locations
 from sim.lab.discrepancy.rules import DecisionRules
-from sim.lab.learning import RATES
-from sim.sha import RELAXING
+from sim.lab.learning import RATE_PARAMETERS
+from sim.sha import RELAXING_FLOWS
 
-BOTH = 2.0
+DIFFERENCE_VARIANCE_RATIO = 2.0
 """Variance of the difference over that of one fit: the given value is as uncertain as the fitted one."""
 
 
@@ -20,11 +20,11 @@ def shifts(fitted: Fitted, rules: DecisionRules) -> tuple[Shift, ...]:
     fitted elsewhere than the model says is the belief's doing, or that of what else it is tied to.
     """
     frame = fitted.frame
-    where = told_in(fitted)
+    where = first_locations(fitted)
     sha = frame.record.model.sha
     p, r = frame.count
-    variance = np.maximum(np.diag(fitted.covariance)[: p + r], 1e-300) * BOTH
-    targets = [n for n, name in enumerate(frame.names.targets) if sha.by_name[name].flow.kind in RELAXING]
+    variance = np.maximum(np.diag(fitted.covariance)[: p + r], 1e-300) * DIFFERENCE_VARIANCE_RATIO
+    targets = [n for n, name in enumerate(frame.names.targets) if sha.by_name[name].flow.kind in RELAXING_FLOWS]
     for machine in of_feature(sha, "machine offset"):
         variance[targets] += machine.params["sigma"] ** 2
     errors = np.sqrt(variance)
@@ -43,7 +43,7 @@ def _matters(shift: Shift, least: float) -> bool:
     return abs(change) >= least
 
 
-def told_in(fitted: Fitted) -> dict[int, str]:
+def first_locations(fitted: Fitted) -> dict[int, str]:
     """number of a parameter, counted as the fit lays them out -> the first location that has it and is shown."""
     frame = fitted.frame
     shape, linear = frame.shape, frame.shape.centre.size
@@ -68,7 +68,7 @@ def _shift(fitted: Fitted, number: int, location: str, off: float, sigma: float)
         kind = by_name[name].flow.kind
         unit = f"{model.unit}/s" if kind == "linear" else model.unit
         size = before
-        if RATES.get(kind) == "k":
+        if RATE_PARAMETERS.get(kind) == "k":
             # A target stands for the heat that holds it above rest, so its change is told as a share of that height:
             # of the zero of degC it would say nothing. Within a degree of the lowest there is no height to speak of.
             height = before - float(np.min(frame.shape.centre[: len(targets)]))
@@ -95,7 +95,7 @@ def _shift(fitted: Fitted, number: int, location: str, off: float, sigma: float)
             sigma=sigma,
         )
     group = rates[number - len(targets) - len(gains)]
-    rate = RATES[by_name[group].flow.kind]
+    rate = RATE_PARAMETERS[by_name[group].flow.kind]
     old, new = float(np.exp(before)), float(np.exp(before + off))
     return Shift(
         location=location,

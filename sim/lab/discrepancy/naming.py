@@ -7,15 +7,15 @@ from itertools import product
 import numpy as np
 import scipy
 
-from sim.effects import UNMEASURED
+from sim.effects import UNMEASURED_NEIGHBOUR
 from sim.lab.discrepancy.fitting import (
     CatalogueEntry,
     Fitted,
     Named,
+    automaton_effects,
     catalogue,
-    effects_of,
     fit,
-    restored,
+    restore_fit,
     rivals,
     slim,
     with_heats,
@@ -25,11 +25,11 @@ from sim.lab.discrepancy.screen import (
     Projector,
     Screen,
     Shape,
-    columns_of,
-    judged,
     quieter,
-    refined,
+    refine_shape,
     screen,
+    screen_shapes,
+    shape_columns,
     smooth_course,
 )
 from sim.lab.discrepancy.unmeasured import slow_heat
@@ -39,9 +39,9 @@ CONFIRMED, WORTH = 4, 1.0
 """Entries that are confirmed at most, and the screen's gain (nats) from which it is worth while."""
 ONE_CHAIN = frozenset({"dead-time", "sensor-lag", "late-current-heating"})
 """What lies between what is done and the reading is named once: a second name would mend the first one's shape."""
-SCATTERED = 2
+EXTRA_CONFIRMED = 2
 """Entries that would lead under less scatter of cycles, which are confirmed as well."""
-RIVALLED = 2
+NEIGHBOUR_RIVALS = 2
 """The likeliest of the others that an unmeasured neighbour is held against together."""
 
 
@@ -68,7 +68,7 @@ class EffectEvidence:
     fitted: Fitted | None
 
     @property
-    def confirmed(self) -> bool:
+    def is_joint(self) -> bool:
         """True when the gain is that of the joint refit."""
         return self.fitted is not None
 
@@ -138,17 +138,17 @@ def step(
     # What would lead if the cycles scattered less is fitted too, and what it is a special case of: it may be what they
     # differ by. The joint fit decides.
     differing = [_evidence(quiet, number) for number in quiet.best().values()]
-    leading = {each.entry.name for each in differing[:SCATTERED]}
+    leading = {each.entry.name for each in differing[:EXTRA_CONFIRMED]}
     done = {each.entry.name for each in confirmed}
     wider = [
         each
-        for each in differing[SCATTERED:]
+        for each in differing[EXTRA_CONFIRMED:]
         if each.entry.name not in done and leading & {*each.entry.candidate.special}
     ]
-    for each in (*differing[:SCATTERED], *wider):
+    for each in (*differing[:EXTRA_CONFIRMED], *wider):
         if each.gain >= WORTH:
             told(each.entry.name)
-            confirmed = _slim_but_best(_with(confirmed, confirm(quieter(before), each)))
+            confirmed = _slim_but_best(_replace_evidence(confirmed, confirm(quieter(before), each)))
     # What could win is weighed against its special cases: they are fitted too, wherever the screen has them.
     top = max((each.gain for each in confirmed), default=0.0)
     near = top - margin_of_class(top, rules)
@@ -159,16 +159,16 @@ def step(
             confirmed = _slim_but_best([*confirmed, confirm(before, each)])
     done = {each.entry.name for each in confirmed}
     rest = [other for other in evidence if other.entry.name not in done]
-    everything = [*confirmed, *rest, *_unmeasured(before, confirmed, entries, rules.least_gain_nats)]
+    everything = [*confirmed, *rest, *_neighbour_evidence(before, confirmed, entries, rules.least_gain_nats)]
     order = tuple(sorted(without_idle(everything, rules), key=lambda each: -each.gain))
     if order and order[0].fitted is not None:
-        order = (replace(order[0], fitted=restored(order[0].fitted)), *order[1:])
+        order = (replace(order[0], fitted=restore_fit(order[0].fitted)), *order[1:])
     nameless = {each.entry.name: each.gain for each in everything if each.entry.rival}
     tried = frozenset(each.entry.name for each in everything)
     return NamingStep(before, order, _cosines(before, order), rules, nameless, tried)
 
 
-def _with(confirmed: Sequence[EffectEvidence], again: EffectEvidence) -> list[EffectEvidence]:
+def _replace_evidence(confirmed: Sequence[EffectEvidence], again: EffectEvidence) -> list[EffectEvidence]:
     """The evidence with one more refit, in the place of the other one of its entry if that has gained less."""
     old = next((each for each in confirmed if each.entry.name == again.entry.name), again)
     others = [each for each in confirmed if each.entry.name != again.entry.name]
@@ -184,14 +184,14 @@ def _slim_but_best(confirmed: Sequence[EffectEvidence]) -> list[EffectEvidence]:
     ]
 
 
-def _unmeasured(
+def _neighbour_evidence(
     before: Fitted, confirmed: Sequence[EffectEvidence], entries: Sequence[CatalogueEntry], threshold: float
 ) -> list[EffectEvidence]:
     """The evidence of a neighbour that nobody measures, where it explains more than anything else, and all of that.
 
     What is beyond chance beside it, too, is no part of it: a heat that may be anything takes nothing's place.
     """
-    entry = next((each for each in entries if each.name == UNMEASURED), None)
+    entry = next((each for each in entries if each.name == UNMEASURED_NEIGHBOUR), None)
     # Beside a name it would take up what the name's shape, which is never quite the plant's, leaves behind.
     if entry is None or any(named.existing is None for named in before.state.named):
         return []
@@ -200,13 +200,13 @@ def _unmeasured(
     others = sorted((each for each in confirmed if each.gain >= threshold), key=lambda each: -each.gain)
     if gain < max([threshold, *(each.gain for each in others)]):
         return []
-    for other in others[:RIVALLED]:
+    for other in others[:NEIGHBOUR_RIVALS]:
         if other.fitted is not None:
-            both = with_heats(restored(other.fitted), found.heats).likelihood - other.entry.burden
+            both = with_heats(restore_fit(other.fitted), found.heats).likelihood - other.entry.burden
             if both - found.fitted.likelihood >= threshold:
                 return []
     shape = Shape(entry, {}, {"memory": found.spacing})
-    named = shape.named(found.sigma)
+    named = shape.with_strength(found.sigma)
     z = float(np.sqrt(2.0 * gain))
     return [
         EffectEvidence(
@@ -277,7 +277,7 @@ def _evidence(screened: Screen, number: int) -> EffectEvidence:
         shape=shape,
         gain=float(screened.gain[number]),
         visible=float(screened.visible[number]),
-        z=float(screened.signed[number]),
+        z=float(screened.standardised_strengths[number]),
         robust=total / max(float(np.sqrt(np.sum(parts**2))), 1e-300),
         cycles=(int(same.sum()), int(speaking.sum())),
         spread=float(spread),
@@ -296,10 +296,10 @@ def confirm(before: Fitted, evidence: EffectEvidence) -> EffectEvidence:
     rates = before.own - before.frame.count[1]
     alternatives = []
     for shape in shapes:
-        strength = float(judged(before, (shape,), columns_of(before, (shape,), smooth)).strength[0])
-        named = refined(before, shape, strength)
+        strength = float(screen_shapes(before, (shape,), shape_columns(before, (shape,), smooth)).strength[0])
+        named = refine_shape(before, shape, strength)
         unit = Shape(named.entry, named.signals, _without_strength(named))
-        column = columns_of(before, (unit,), smooth)[:, 0] * (1.0 if named.entry.whole else named.strength)
+        column = shape_columns(before, (unit,), smooth)[:, 0] * (1.0 if named.entry.whole else named.strength)
         moved = projector.made_room(column)[: before.own]
         # The linear problem does not hold for a rate that changes by more than a factor e; Newton's steps go on.
         moved[rates:] = np.clip(moved[rates:], -1.0, 1.0)
@@ -326,7 +326,7 @@ def _alternatives(before: Fitted, evidence: EffectEvidence) -> list[Shape]:
     seen = list[tuple[Effect, ...]]()
     for values in product(*either.values()):
         shape = replace(evidence.shape, params={**evidence.shape.params, **dict(zip(either, values, strict=True))})
-        effects = effects_of(shape.named(1.0), before.frame.record.model)
+        effects = automaton_effects(shape.with_strength(1.0), before.frame.record.model)
         if effects not in seen:
             seen.append(effects)
             shapes.append(shape)
@@ -350,7 +350,7 @@ def begins(before: Fitted) -> tuple[Fitted, ...]:
 
 def amplitude(before: Fitted, shape: Shape, named: Named) -> float:
     """degC rms over the windows of what an effect does that the parameters of the fit before cannot imitate."""
-    column = columns_of(before, (shape,), smooth_course(before))[:, 0]
+    column = shape_columns(before, (shape,), smooth_course(before))[:, 0]
     return abs(1.0 if named.entry.whole else named.strength) * _visible_size(before, column)
 
 
@@ -377,7 +377,7 @@ def _cosines(before: Fitted, evidence: Sequence[EffectEvidence]) -> dict[str, fl
     around = before if top.fitted is None else replace(before, noise=top.fitted.noise)
     smooth = smooth_course(around)
     shapes = tuple(each.shape for each in evidence)
-    normal = judged(around, shapes, columns_of(around, shapes, smooth)).normal
+    normal = screen_shapes(around, shapes, shape_columns(around, shapes, smooth)).normal
     size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
     cosine: Array = normal[0] / (size * size[0])
     return {each.entry.name: float(cosine[number]) for number, each in enumerate(evidence) if number}

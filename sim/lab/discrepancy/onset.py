@@ -16,24 +16,32 @@ from sim.lab.discrepancy.diagnosis import GapBeginning
 from sim.lab.discrepancy.fitting import (
     CatalogueEntry,
     Fitted,
-    as_read,
-    effects_of,
+    automaton_effects,
     heat_filter,
     net_heat,
     rivals,
+    sensor_view,
     stated_rate,
 )
 from sim.lab.discrepancy.rules import DecisionRules
-from sim.lab.discrepancy.screen import Projector, Shape, alone, columns_of, judged, shapes_of, smooth_course
+from sim.lab.discrepancy.screen import (
+    Projector,
+    Shape,
+    alone,
+    candidate_shapes,
+    screen_shapes,
+    shape_columns,
+    smooth_course,
+)
 from sim.lab.learning import Indices
 from sim.sha import Array
 
 FIRST, BORDERS = 5, 24
 """Borders between cycles at which every shape of every effect is tried, and at most those at which the best shape of
 each is; in a longer record the best of all alone is tried at every one."""
-CHUNK = 16
+CHUNK_SHAPES = 16
 """Shapes whose heats at the knots are held at a time: in a long record each is some megabytes."""
-LIKELY = 1.92
+INTERVAL_NATS = 1.92
 """Nats below the best date up to which a date is in its 95 % interval: half the quantile of chi-square."""
 MOMENT, LATE = "since", "lag"
 """The parameter of what has a moment of its own from which it grows, and that of what comes late: it has a state."""
@@ -52,7 +60,7 @@ class _MayBegin:
     reading: bool = False
 
 
-def acting_since(
+def find_onset(
     fitted: Fitted, entries: Sequence[CatalogueEntry], roles: Mapping[str, str], least: float, rules: DecisionRules
 ) -> GapBeginning | None:
     """The cycle with which an effect begins to act; None where none surely does.
@@ -67,9 +75,9 @@ def acting_since(
     if not borders.size:
         return None
     smooth, projector = smooth_course(fitted), Projector(fitted)
-    every = shapes_of(fitted, (*entries, *rivals()), roles, smooth)
+    every = candidate_shapes(fitted, (*entries, *rivals()), roles, smooth)
     lasting = tuple(shape for shape in every if DATE not in shape.params or _by_the_clock(shape))
-    all_along = judged(fitted, lasting, columns_of(fitted, lasting, smooth)).gain.max() if lasting else 0.0
+    all_along = screen_shapes(fitted, lasting, shape_columns(fitted, lasting, smooth)).gain.max() if lasting else 0.0
     shapes = [shape for shape in lasting if _stateless(shape)]
     begins = _best_of_each(projector, shapes, smooth, starts[_evenly(borders, FIRST)])
     gains = np.array([_gains(projector, begins, start) for start in starts[_evenly(borders, BORDERS)]])
@@ -82,14 +90,14 @@ def acting_since(
     p = min(float(scipy.stats.chi2.sf(2.0 * gain, 1)) * looks, 1.0)
     if p > rules.beginning_most_p or gain < rules.least_gain_nats or gain - float(all_along) < rules.margin_nats:
         return None
-    column = _columns_since(fitted, [best], starts[before])
+    column = _onset_columns(fitted, [best], starts[before])
     strength, carried = _agreement(projector, column)
     # What the model's own parameters imitate would be fitted away, as where an effect is named.
     left = column[:, 0] - fitted.columns @ np.linalg.lstsq(fitted.columns, column[:, 0], rcond=None)[0]
     if carried < rules.beginning_carried_share * gain or abs(strength) * float(np.sqrt(np.mean(left**2))) < least:
         return None
-    running, moves = _phase_moved(fitted, strength * column[:, 0], cycles[before])
-    likely = borders[np.flatnonzero(profile >= gain - LIKELY)]
+    running, moves = _phase_shift(fitted, strength * column[:, 0], cycles[before])
+    likely = borders[np.flatnonzero(profile >= gain - INTERVAL_NATS)]
     # What begins with a cycle may have begun at any time since the cycle before it did.
     return GapBeginning(
         time=float(starts[before]),
@@ -122,8 +130,8 @@ def _evenly(borders: Indices, most: int) -> Indices:
 def _best_of_each(projector: Projector, shapes: Sequence[Shape], smooth: Array, starts: Array) -> list[_MayBegin]:
     """Of each effect the shape of the greatest gain at some of the `starts`; heat without a signal; and an offset."""
     record, best = projector.fitted.frame.record, dict[str, tuple[float, _MayBegin]]()
-    for first in range(0, len(shapes), CHUNK):
-        some = [_heat_of(projector.fitted, shape, smooth) for shape in shapes[first : first + CHUNK]]
+    for first in range(0, len(shapes), CHUNK_SHAPES):
+        some = [_shape_heat(projector.fitted, shape, smooth) for shape in shapes[first : first + CHUNK_SHAPES]]
         gains = np.max([_gains(projector, some, start) for start in starts], axis=0)
         for one, gain in zip(some, gains.tolist(), strict=True):
             if one.name not in best or gain > best[one.name][0]:
@@ -138,26 +146,26 @@ def _best_of_each(projector: Projector, shapes: Sequence[Shape], smooth: Array, 
     ]
 
 
-def _heat_of(fitted: Fitted, shape: Shape, smooth: Array) -> _MayBegin:
+def _shape_heat(fitted: Fitted, shape: Shape, smooth: Array) -> _MayBegin:
     """The shape with its heat along the smoothed course."""
     record = fitted.frame.record
-    heat = net_heat(record, effects_of(shape.named(1.0), record.model), smooth)
+    heat = net_heat(record, automaton_effects(shape.with_strength(1.0), record.model), smooth)
     return _MayBegin(shape.entry.name, shape.entry.sign, heat)
 
 
-def _columns_since(fitted: Fitted, begins: Sequence[_MayBegin], start: float) -> Array:
+def _onset_columns(fitted: Fitted, begins: Sequence[_MayBegin], start: float) -> Array:
     """(m, c) degC what each does to the windows at unit strength where it acts from `start` (s) on."""
     frame, state, runs = fitted.frame, fitted.state, fitted.frame.record.runs
     since = (runs.time > start).astype(float)
     added = heat_filter(frame, state)
     # Windowed one by one: at the knots all of them together would be most of the memory that a long record takes.
-    columns = (since if each.reading else as_read(frame, state, added(each.heat * since)) for each in begins)
-    return np.column_stack([frame.record.windowed(column) for column in columns])
+    columns = (since if each.reading else sensor_view(frame, state, added(each.heat * since)) for each in begins)
+    return np.column_stack([frame.record.window_means(column) for column in columns])
 
 
 def _gains(projector: Projector, begins: Sequence[_MayBegin], start: float) -> Array:
     """(c,) nats of each that acts from `start` (s) on, 0 where its sign is not physics or nothing of it is visible."""
-    columns = _columns_since(projector.fitted, begins, start)
+    columns = _onset_columns(projector.fitted, begins, start)
     return alone(projector, columns, np.array([each.sign for each in begins]))[0]
 
 
@@ -172,11 +180,11 @@ def _agreement(projector: Projector, column: Array) -> tuple[float, float]:
     return total / mass, float(np.sum(parts * others - 0.5 * shares * others**2))
 
 
-def _phase_moved(fitted: Fitted, course: Array, first: Indices) -> tuple[bool, float]:
+def _phase_shift(fitted: Fitted, course: Array, first: Indices) -> tuple[bool, float]:
     """(whether a course (m,) degC moves the machine more while it runs than at rest, its mean there), from the cycle
     `first` on."""
     record = fitted.frame.record
-    running, since = record.windowed(record.running) > 0.5, record.window_whole >= first
+    running, since = record.window_means(record.running) > 0.5, record.window_whole >= first
     phases = {phase: since & (running == phase) for phase in (True, False)}
     means = {phase: float(np.mean(course[windows])) for phase, windows in phases.items() if windows.any()}
     phase = max(means, key=lambda each: abs(means[each]))

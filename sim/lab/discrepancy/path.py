@@ -10,9 +10,9 @@ from sim.lab.discrepancy.rules import DecisionRules
 Progress = Callable[[str, float], None]
 Judged = tuple[NamingStep, str]
 """A step, and why its best entry is refused ("": it is taken)."""
-MOST_NUISANCES = 2
+MAX_NUISANCES = 2
 """Effects too small to matter that are fitted along at most: each costs a whole look at the catalogue."""
-BEYOND = "does not pass together with the names before it"
+REFUSED_TOGETHER = "does not pass together with the names before it"
 
 
 def name(
@@ -37,13 +37,13 @@ def name(
     while (number := len(taken)) < most:
         stage, share = f"looking for effect {number + 1}", 0.25 + 0.6 * number / (most + 1)
         progress(stage, share)
-        told = _told(progress, stage, share)
+        told = _stage_reporter(progress, stage, share)
         candidate = step(fitted, entries_besides(fitted.state.named, entries), present, told, rules=rules)
         earlier = [*(judged for judged, _ in taken), *(judged for _, judged in nuisances)]
         chance = insignificant(candidate, earlier)
         refusal = chance or dubious(candidate)
         best = candidate.best
-        if chance == TOO_SMALL and len(nuisances) < MOST_NUISANCES and best is not None and best.fitted is not None:
+        if chance == TOO_SMALL and len(nuisances) < MAX_NUISANCES and best is not None and best.fitted is not None:
             nuisances.append((number, candidate))
             fitted = best.fitted
             continue
@@ -62,12 +62,12 @@ def name(
     if along and not taken and (not refused or insignificant(refused[0][0], along)):
         # Nothing else is there, and the certain one is all that can be told.
         return (NamingResult(base, base, ((along[0], TOO_SMALL),), along[1:]),)
-    fitted = _last_fit(base, taken)
+    fitted = _final_fit(base, taken)
     beginnings = [
         NamingResult(
             base,
-            _without(_last_fit(base, taken[:count]), along),
-            (*taken[:count], (taken[count][0], BEYOND)),
+            _drop_nuisances(_final_fit(base, taken[:count]), along),
+            (*taken[:count], (taken[count][0], REFUSED_TOGETHER)),
             tuple(judged for number, judged in nuisances if number <= count),
         )
         for count in range(len(taken) - 1, 0, -1)
@@ -76,33 +76,33 @@ def name(
     if len(taken) > 1:
         stage, share = "looking at each name again", 0.25 + 0.6 * most / (most + 1)
         progress(stage, share)
-        told = _told(progress, stage, share)
-        taken, fitted, withdrawn = revised(fitted, taken, present, len(taken) - 1, entries=entries, told=told)
+        told = _stage_reporter(progress, stage, share)
+        taken, fitted, withdrawn = revise_names(fitted, taken, present, len(taken) - 1, entries=entries, told=told)
         refused = withdrawn or refused
     if any(refusal for _, refusal in taken):
         return NamingResult(base, base, tuple(taken[-1:]), along), *beginnings
-    return NamingResult(base, _without(fitted, along), (*taken, *refused), along), *beginnings
+    return NamingResult(base, _drop_nuisances(fitted, along), (*taken, *refused), along), *beginnings
 
 
-def _without(fitted: Fitted, nuisances: Sequence[NamingStep]) -> Fitted:
+def _drop_nuisances(fitted: Fitted, nuisances: Sequence[NamingStep]) -> Fitted:
     """The fit with its names alone, fitted anew where nuisances were in it."""
     small = {step.best.entry.name for step in nuisances if step.best is not None}
     names = [named for named in fitted.state.named if named.entry.name not in small]
     return fitted if len(names) == len(fitted.state.named) else fit(fitted.frame, names, fitted, rounds=2, iterations=8)
 
 
-def _last_fit(base: Fitted, taken: Sequence[Judged]) -> Fitted:
+def _final_fit(base: Fitted, taken: Sequence[Judged]) -> Fitted:
     """The fit with all names of a path."""
     last = taken[-1][0].best if taken else None
     return last.fitted if last is not None and last.fitted is not None else base
 
 
-def _told(progress: Progress, stage: str, share: float) -> Callable[[str], None]:
+def _stage_reporter(progress: Progress, stage: str, share: float) -> Callable[[str], None]:
     """What says, at a stage, which effect is being fitted."""
     return lambda what: progress(f"{stage}: {what}", share)
 
 
-def revised(
+def revise_names(
     fitted: Fitted,
     taken: Sequence[Judged],
     present: Mapping[str, str],
@@ -130,7 +130,7 @@ def revised(
         if refusal and rest:
             # Each removal changes what the others must explain, so the round begins anew without it.
             left = [*judged[:number], *judged[number + 1 :]]
-            taken, fitted, withdrawn = revised(without, left, present, len(left), entries=entries, told=told)
+            taken, fitted, withdrawn = revise_names(without, left, present, len(left), entries=entries, told=told)
             return taken, fitted, withdrawn or ([] if chance else [(again, refusal)])
         judged[number] = again, refusal
         if refusal or again.best is None or again.best.fitted is None:

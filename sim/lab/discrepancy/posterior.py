@@ -27,7 +27,7 @@ RIGHT_HEAT_LEFT, RIGHT_EXCESS_LEFT = 0.02, 0.25
 """Means of the shares that true names leave: of the systematic heat, and of the held-out excess."""
 HEAT_LEFT_ERROR = 0.1
 """Standard error of the share of the systematic heat that is left."""
-LEAST_EXCESS_LEFT_ERROR = 0.1
+MIN_EXCESS_LEFT_ERROR = 0.1
 """Least standard error of the share of the held-out excess that is left: a true name's shape is not quite the plant's,
 nor is the floor quite known, however many cycles there are."""
 NULL_ODDS = 99.0
@@ -76,7 +76,7 @@ def names_evidence(
     return NamesEvidence(heat_left=heat_left, excess_left=1.0 - held.excess_removed, excess_error=error)
 
 
-def shares_left(evidence: NamesEvidence) -> dict[str, float]:
+def remaining_shares(evidence: NamesEvidence) -> dict[str, float]:
     """The shares that the names leave, by name; those that are known."""
     shares = {"heat_left": evidence.heat_left, "excess_left": evidence.excess_left}
     return {name: share for name, share in shares.items() if share is not None}
@@ -88,7 +88,7 @@ def none_odds(evidence: NamesEvidence) -> float:
     if evidence.heat_left is not None:
         ratio += log_ratio(evidence.heat_left, HEAT_LEFT_ERROR, RIGHT_HEAT_LEFT)
     if evidence.excess_left is not None:
-        error = float(np.hypot(evidence.excess_error, LEAST_EXCESS_LEFT_ERROR))
+        error = float(np.hypot(evidence.excess_error, MIN_EXCESS_LEFT_ERROR))
         ratio += log_ratio(evidence.excess_left, error, RIGHT_EXCESS_LEFT)
     # What does all that the true cause does leaves what that leaves: nothing in these data tells the two apart.
     likelier = PERFECT_IMITATORS_SHARE + (1.0 - PERFECT_IMITATORS_SHARE) * float(np.exp(ratio))
@@ -108,7 +108,7 @@ def log_ratio(share: float, error: float, mean: float) -> float:
     return float(np.log(seen.mean()) - np.log((seen * right).sum() / right.sum()))
 
 
-def gains_of(step: NamingStep) -> dict[str, float]:
+def step_gains(step: NamingStep) -> dict[str, float]:
     """nats by the name of what was looked for in a step, with and without a name."""
     return {each.entry.name: each.gain for each in step.evidence} | dict(step.rivals)
 

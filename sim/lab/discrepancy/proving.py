@@ -8,42 +8,50 @@ import numpy as np
 from sim.lab.discrepancy.beginning import beginning
 from sim.lab.discrepancy.ceiling import ceiling
 from sim.lab.discrepancy.diagnosis import CandidateLaw, Ceiling, GapBeginning, HeldOutProof, NoiseFloor, Verdict
-from sim.lab.discrepancy.fitting import CatalogueEntry, Fitted, Record, fit, given_fit, on, restored
+from sim.lab.discrepancy.fitting import CatalogueEntry, Fitted, Record, fit, given_model_fit, move_frame, restore_fit
 from sim.lab.discrepancy.gap import (
     Excess,
+    add_leftover,
     excess,
-    floor_of,
+    noise_floor,
     sensor_noise,
     stated_errors,
     told_by_all,
-    with_what_is_left,
 )
-from sim.lab.discrepancy.held_out import HeldOutRun, RunsBefore, compared, foretold, let_run, runs_before, surely_nearer
+from sim.lab.discrepancy.held_out import (
+    HeldOutRun,
+    RunsBefore,
+    compare_fits,
+    foretold,
+    let_run,
+    reference_runs,
+    surely_nearer,
+)
 from sim.lab.discrepancy.judging import (
     NamingResult,
-    above,
-    contradicted,
+    contradiction,
     description,
     doubts,
-    evidence_of,
-    felt,
     foreseen_better,
+    gap_evidence,
     insignificant,
-    least_told,
-    left_over,
+    is_gap,
+    is_noticeable,
+    leftover_reasons,
     matters,
+    min_noticeable_error,
+    refusal_reason,
     systematic,
-    undeserved,
 )
 from sim.lab.discrepancy.layout import DataLayout
 from sim.lab.discrepancy.naming import NamingStep, margin_of_class
-from sim.lab.discrepancy.onset import acting_since
-from sim.lab.discrepancy.posterior import NamesEvidence, gains_of, names_evidence, posterior
+from sim.lab.discrepancy.onset import find_onset
+from sim.lab.discrepancy.posterior import NamesEvidence, names_evidence, posterior, step_gains
 from sim.lab.discrepancy.rules import DecisionRules
 from sim.lab.discrepancy.story import beginning_reason, little_sentence
-from sim.sha import Array, shown_unit
+from sim.sha import Array, display_unit
 
-DATED = "sensor-offset-step"
+DATED_EFFECT = "sensor-offset-step"
 """The name that has a moment of its own."""
 
 
@@ -87,9 +95,9 @@ class JudgedPath:
     excess: Excess | None
 
     @property
-    def kept(self) -> bool:
+    def names_hold(self) -> bool:
         """Whether there are names and nothing speaks against them."""
-        return bool(self.path.taken) and not self.reasons
+        return bool(self.path.accepted_steps) and not self.reasons
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -108,7 +116,7 @@ class ToldFits:
 class ProvenFindings:
     """What was proved: the `verdict` with its `reasons`, and the figures that it follows from.
 
-    `kept`: the names of the judged path are given; `against` is what speaks against them. `excess` is that of the
+    `names_hold`: the names of the judged path are given; `against` is what speaks against them. `excess` is that of the
     fitted cycles before, and `stated` (degC rms) what the given model allows itself on them. `gap`: the error is beyond
     the floor's interval. `little` says why agreement would say nothing, "" where it does.
     """
@@ -142,10 +150,10 @@ def prove(
     training = base.frame.record
     sensor = sensor_noise(training)
     stated = stated_errors(layout.model, layout.traces, base)
-    floor = floor_of(stated, paths[0].explained, held_out, seed, rules)
+    floor = noise_floor(stated, paths[0].best_fit, held_out, seed, rules)
     proof = Proof(
         held_out=held_out,
-        runs=runs_before(base, held_out),
+        runs=reference_runs(base, held_out),
         floor=floor,
         stated=stated,
         before=excess(stated, base, rules),
@@ -154,30 +162,30 @@ def prove(
         rules=rules,
     )
     paths = (as_special_case(proof, paths[0]), *paths[1:])
-    longer = with_rivals_told_apart(proof, paths[0]), with_the_gap_itself(proof, paths[0])
+    longer = readmit_effect(proof, paths[0]), with_the_gap_itself(proof, paths[0])
     paths = (*(path for path in longer if path is not paths[0]), *paths)
     if not search.allowed:
         few = f"would be named from fewer than {rules.first_name_least_cycles} cycles"
         paths = tuple(replace(path, fitted=base, steps=((path.steps[0][0], few),)) for path in paths[:1])
     judged = longest_that_passes(proof, paths)
-    told, began = _told_since(proof, layout, entries, judged)
-    while judged.kept and began is not None and began_otherwise(judged.path, began):
-        shorter = [path for path in paths if len(path.taken) < len(judged.path.taken)]
+    told, began = _report_fits(proof, layout, entries, judged)
+    while judged.names_hold and began is not None and began_otherwise(judged.path, began):
+        shorter = [path for path in paths if len(path.accepted_steps) < len(judged.path.accepted_steps)]
         other = longest_that_passes(proof, shorter) if shorter else None
-        judged = other if other is not None and other.kept else replace(judged, reasons=(contradicting(began),))
-        told, still = _told_since(proof, layout, entries, judged)
-        began = still if judged.kept else still or began
-    path, kept = judged.path, judged.kept
+        judged = other if other is not None and other.names_hold else replace(judged, reasons=(onset_refusal(began),))
+        told, still = _report_fits(proof, layout, entries, judged)
+        began = still if judged.names_hold else still or began
+    path, kept = judged.path, judged.names_hold
     floor = judged.floor if kept else floor
-    gap = above(told.held, floor, sensor, rules)
+    gap = is_gap(told.held, floor, sensor, rules)
     covered = told.held.rmse_before <= rules.covered_most_times * floor.error
-    evidence = evidence_of(path, search.ceiling, proof.before, covered=covered)
+    evidence = gap_evidence(path, search.ceiling, proof.before, covered=covered)
     material = matters(told.held, sensor, rules) and (gap or kept or bool(evidence))
     # What has no name need not act while the last cycles run: a greasing fades, a neighbour comes and goes.
     material = material or bool(description(judged.path))
-    unit, little = shown_unit(layout.model.unit), ""
+    unit, little = display_unit(layout.model.unit), ""
     if kept:
-        verdict: Verdict = "named" if all(len(step.members) == 1 for step in path.taken) else "class"
+        verdict: Verdict = "named" if all(len(step.members) == 1 for step in path.accepted_steps) else "class"
         reasons = judged.reasons
     elif material or began is not None:
         verdict = "unexplained"
@@ -192,7 +200,7 @@ def prove(
     else:
         verdict, reasons = "agree", ()
         readings = layout.record.reading
-        least = least_told(readings, sensor, rules)
+        least = min_noticeable_error(readings, sensor, rules)
         if floor.interval[1] > least:
             verdict = "too-little-data"
             little = little_sentence(floor, told.held, float(np.std(readings)), least, unit)
@@ -214,29 +222,29 @@ def prove(
     )
 
 
-def _told_since(
+def _report_fits(
     proof: Proof, layout: DataLayout, entries: Sequence[CatalogueEntry], judged: JudgedPath
 ) -> tuple[ToldFits, GapBeginning | None]:
     """The fits of the report, and since when there is a gap that they leave."""
     rules, training = proof.rules, judged.path.base.frame.record
     least = rules.material_sigmas * sensor_noise(training)
-    told = told_fits(proof, judged, kept=judged.kept)
+    told = told_fits(proof, judged, kept=judged.names_hold)
     # Fitted and held-out cycles by one fit: a refused name's errors are others, and would begin where it was held out.
     # Of an experiment nothing is told: what a machine lacks shows there as it never did, and would begin with it.
-    usual = training.where(training.cycle < layout.first_made)
+    usual = training.select(training.cycle < layout.first_made)
     trials = let_run(told.after, usual.by_cycles()), told.second
     since = with_all_cycles(told.after, layout)
-    return told, acting_since(since, entries, layout.present, least, rules) or beginning(trials, least, rules)
+    return told, find_onset(since, entries, layout.present, least, rules) or beginning(trials, least, rules)
 
 
 def began_otherwise(path: NamingResult, began: GapBeginning) -> bool:
     """Whether what begins says that the names are none: one of them acts from a moment on that the model would have
     act all along, or a sensor is said to have moved at a moment and the gap still begins at one."""
-    names = {name for step in path.taken for name in step.members}
-    return bool(began.acts) and (began.acts in names or DATED in names)
+    names = {name for step in path.accepted_steps for name in step.members}
+    return bool(began.acts) and (began.acts in names or DATED_EFFECT in names)
 
 
-def contradicting(began: GapBeginning) -> str:
+def onset_refusal(began: GapBeginning) -> str:
     """Why names are withheld from a gap that begins."""
     return f"the gap begins with it half-way still (most like {began.acts}), and a name would act all along"
 
@@ -268,13 +276,13 @@ def with_all_cycles(after: Fitted, layout: DataLayout) -> Fitted:
     """The fit, with its names, of all cycles, the held-out ones included: what begins may begin with any of them."""
     record = layout.record
     if np.isfinite(layout.first_made):
-        record = record.where(record.cycle < layout.first_made)
+        record = record.select(record.cycle < layout.first_made)
     begin = replace(after, start=record.reading[record.window_first])
-    return fit(on(after.frame, record), after.state.named, begin, rounds=2)
+    return fit(move_frame(after.frame, record), after.state.named, begin, rounds=2)
 
 
 def told_fits(proof: Proof, judged: JudgedPath, *, kept: bool) -> ToldFits:
-    """The fits before and after that the report shows: with the names, where these are `kept`.
+    """The fits before and after that the report shows: with the names, where these are `names_hold`.
 
     Where nothing is added, both are the refit itself, or the model as given, if held-out cycles say that it is better.
     """
@@ -282,12 +290,12 @@ def told_fits(proof: Proof, judged: JudgedPath, *, kept: bool) -> ToldFits:
     if kept:
         return ToldFits(base=base, after=judged.path.fitted, held=judged.held, first=runs.refit, second=judged.second)
     refit, sensor = judged.held.rmse_before, sensor_noise(base.frame.record)
-    worse = felt(refit, judged.held.rmse_given, sensor, proof.rules)
+    worse = is_noticeable(refit, judged.held.rmse_given, sensor, proof.rules)
     refused = worse and surely_nearer(runs.given, runs.refit, proof.seed)
     if refused:
-        base = given_fit(base)
-        runs = runs_before(base, proof.held_out)
-    held, first, second = compared(base, base, proof.held_out, proof.seed, proof.floor, runs=runs)
+        base = given_model_fit(base)
+        runs = reference_runs(base, proof.held_out)
+    held, first, second = compare_fits(base, base, proof.held_out, proof.seed, proof.floor, runs=runs)
     held = replace(held, rmse_refit=refit if refused else None)
     return ToldFits(base=base, after=base, held=held, first=first, second=second)
 
@@ -296,7 +304,14 @@ def longest_that_passes(proof: Proof, paths: Sequence[NamingResult]) -> JudgedPa
     """The first of the paths, the longest first, whose names pass on held-out cycles; the first one where none does."""
     judged = []
     for path in paths:
-        shorter = next((each for each in paths if len(each.taken) == len(path.taken) - 1 and each.taken), None)
+        shorter = next(
+            (
+                each
+                for each in paths
+                if len(each.accepted_steps) == len(path.accepted_steps) - 1 and each.accepted_steps
+            ),
+            None,
+        )
         judged.append(_judge_path(proof, path, shorter))
         if not judged[-1].reasons:
             return judged[-1]
@@ -304,19 +319,21 @@ def longest_that_passes(proof: Proof, paths: Sequence[NamingResult]) -> JudgedPa
 
 
 def _judge_path(proof: Proof, path: NamingResult, shorter: NamingResult | None) -> JudgedPath:
-    held, first, second = compared(path.base, path.fitted, proof.held_out, proof.seed, proof.floor, runs=proof.runs)
+    held, first, second = compare_fits(path.base, path.fitted, proof.held_out, proof.seed, proof.floor, runs=proof.runs)
     floor = proof.floor
     foreseen = foreseen_better(first, second)
-    if path.taken and foreseen >= proof.rules.margin_nats:
-        floor = with_what_is_left(floor, held.rmse_after, proof.rules)
-        held, *_ = compared(path.base, path.fitted, proof.held_out, proof.seed, floor, runs=proof.runs, second=second)
-    left = ceiling(path.fitted, proof.seed) if path.taken else proof.ceiling
+    if path.accepted_steps and foreseen >= proof.rules.margin_nats:
+        floor = add_leftover(floor, held.rmse_after, proof.rules)
+        held, *_ = compare_fits(
+            path.base, path.fitted, proof.held_out, proof.seed, floor, runs=proof.runs, second=second
+        )
+    left = ceiling(path.fitted, proof.seed) if path.accepted_steps else proof.ceiling
     # What a free learner still finds says that the shapes are not quite right, and by so little one may beat another.
-    more = proof.rules.margin_nats if path.taken and systematic(left, proof.rules) else 0.0
-    apart = tuple(step if why else told_apart(proof, step, more) for step, why in path.steps)
+    more = proof.rules.margin_nats if path.accepted_steps and systematic(left, proof.rules) else 0.0
+    apart = tuple(step if why else separate_rivals(proof, step, more) for step, why in path.steps)
     if any(one is not step for one, (step, _) in zip(apart, path.steps, strict=True)):
         path = replace(path, steps=tuple((one, why) for one, (_, why) in zip(apart, path.steps, strict=True)))
-    excess_after = excess(proof.stated, path.fitted, proof.rules) if path.taken else proof.before
+    excess_after = excess(proof.stated, path.fitted, proof.rules) if path.accepted_steps else proof.before
     reasons = (
         *doubts(
             path,
@@ -327,8 +344,8 @@ def _judge_path(proof: Proof, path: NamingResult, shorter: NamingResult | None) 
             left=left,
             shorter=None if shorter is None else let_run(shorter.fitted, proof.held_out),
         ),
-        *left_over(path, foreseen, proof.before, excess_after),
-        *(f"{step.members[0]} {why}" for step in path.taken if (why := undeserved(step))),
+        *leftover_reasons(path, foreseen, proof.before, excess_after),
+        *(f"{step.members[0]} {why}" for step in path.accepted_steps if (why := refusal_reason(step))),
         *unlikely(path, names_evidence(held, proof.ceiling, left, proof.rules), proof.rules),
     )
     return JudgedPath(
@@ -339,15 +356,15 @@ def _judge_path(proof: Proof, path: NamingResult, shorter: NamingResult | None) 
 def unlikely(path: NamingResult, against: NamesEvidence, rules: DecisionRules) -> tuple[str, ...]:
     """Why names are withheld that are less likely than not by their own confidence: what has no name, or none of these,
     is likelier."""
-    sure = [posterior(gains_of(step), against, rules).confidence(step.members) for step in path.taken]
+    sure = [posterior(step_gains(step), against, rules).confidence(step.members) for step in path.accepted_steps]
     return tuple(
         f"{step.members[0]} is less likely than what has no name or than none of these ({confidence:.2g})"
-        for step, confidence in zip(path.taken, sure, strict=True)
+        for step, confidence in zip(path.accepted_steps, sure, strict=True)
         if confidence < rules.named_least_confidence
     )
 
 
-def told_apart(proof: Proof, step: NamingStep, more: float = 0.0) -> NamingStep:
+def separate_rivals(proof: Proof, step: NamingStep, more: float = 0.0) -> NamingStep:
     """The step with the gains of what stands near its best by all cycles: the held-out ones count as each foretells
     them from the fitted, and `more` nats for each that the best must beat."""
     best, rules = step.best, step.rules
@@ -370,16 +387,16 @@ def told_apart(proof: Proof, step: NamingStep, more: float = 0.0) -> NamingStep:
 
 def as_special_case(proof: Proof, path: NamingResult) -> NamingResult:
     """The path whose last name is the special case of itself, where by all cycles it does no better than that."""
-    step = path.taken[-1] if path.taken else None
+    step = path.accepted_steps[-1] if path.accepted_steps else None
     if step is None or step.best is None:
         return path
-    wider, apart = step.best, told_apart(proof, step)
+    wider, apart = step.best, separate_rivals(proof, step)
     near = wider.gain - margin_of_class(wider.gain, step.rules)
     special = [each for each in apart.evidence[1:] if each.entry.name in wider.entry.candidate.special]
     same = [each for each in special if each.fitted is not None and each.gain > near]
     if not same or same[0].fitted is None:
         return path
-    fitted = restored(same[0].fitted)
+    fitted = restore_fit(same[0].fitted)
     names = [[each.entry.name for each in one.state.named if each.entry.name != own.entry.name]
              for one, own in ((fitted, same[0]), (path.fitted, wider))]  # fmt: skip
     if names[0] != names[1]:
@@ -387,22 +404,22 @@ def as_special_case(proof: Proof, path: NamingResult) -> NamingResult:
     mine = next(each for each in step.evidence if each.entry.name == same[0].entry.name)
     others = (each for each in step.evidence if each is not wider and each is not mine)
     narrower = replace(step, evidence=(replace(mine, fitted=fitted), *others))
-    return replace(path, fitted=fitted, steps=(*((each, "") for each in path.taken[:-1]), (narrower, "")))
+    return replace(path, fitted=fitted, steps=(*((each, "") for each in path.accepted_steps[:-1]), (narrower, "")))
 
 
-def with_rivals_told_apart(proof: Proof, path: NamingResult) -> NamingResult:
+def readmit_effect(proof: Proof, path: NamingResult) -> NamingResult:
     """The path with the effect that was refused for its rivals alone, where held-out cycles tell it from them."""
     step = path.steps[-1][0]
     best = step.best
-    names = [each.best.entry.name for each in path.taken if each.best is not None]
+    names = [each.best.entry.name for each in path.accepted_steps if each.best is not None]
     before = [named.entry.name for named in step.before.state.named if named.existing is None]
     if best is None or best.fitted is None or best.entry.rival or names != before:
         return path
-    if step.margin >= step.rules.margin_nats or insignificant(step, path.taken) or contradicted(step):
+    if step.margin >= step.rules.margin_nats or insignificant(step, path.accepted_steps) or contradiction(step):
         return path
-    if undeserved(told_apart(proof, step)):
+    if refusal_reason(separate_rivals(proof, step)):
         return path
-    return replace(path, fitted=best.fitted, steps=(*((each, "") for each in path.taken), (step, "")))
+    return replace(path, fitted=best.fitted, steps=(*((each, "") for each in path.accepted_steps), (step, "")))
 
 
 def with_the_gap_itself(proof: Proof, path: NamingResult) -> NamingResult:
@@ -413,13 +430,13 @@ def with_the_gap_itself(proof: Proof, path: NamingResult) -> NamingResult:
     off by elsewhere; and what grows is greatest in the cycles that were kept. These count for its being beyond chance,
     by as much as the fitted ones at most.
     """
-    step = path.nuisances[0] if path.nuisances and not path.taken else path.steps[-1][0]
+    step = path.nuisances[0] if path.nuisances and not path.accepted_steps else path.steps[-1][0]
     best, rules = step.best, step.rules
-    names = [each.best.entry.name for each in path.taken if each.best is not None]
+    names = [each.best.entry.name for each in path.accepted_steps if each.best is not None]
     before = [named.entry.name for named in step.before.state.named if named.existing is None]
-    if best is None or best.fitted is None or undeserved(step) or names != before:
+    if best is None or best.fitted is None or refusal_reason(step) or names != before:
         return path
-    held, first, second = compared(path.fitted, best.fitted, proof.held_out, proof.seed, proof.floor)
+    held, first, second = compare_fits(path.fitted, best.fitted, proof.held_out, proof.seed, proof.floor)
     removed, interval = held.excess_removed, held.ci95
     if not matters(held, sensor_noise(path.base.frame.record), rules) or removed is None or interval is None:
         return path
@@ -432,4 +449,4 @@ def with_the_gap_itself(proof: Proof, path: NamingResult) -> NamingResult:
     foretold_better = foretold(best.fitted, second, second.whitener) - foretold(path.fitted, first, second.whitener)
     if best.gain + min(foretold_better, best.gain) < rules.least_gain_nats:
         return path
-    return replace(path, fitted=best.fitted, steps=(*((each, "") for each in path.taken), (step, "")))
+    return replace(path, fitted=best.fitted, steps=(*((each, "") for each in path.accepted_steps), (step, "")))

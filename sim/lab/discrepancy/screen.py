@@ -19,26 +19,26 @@ from sim.lab.discrepancy.fitting import (
     Named,
     Record,
     Whitener,
-    as_read,
-    as_sensed,
-    effects_of,
+    automaton_effects,
     heat_filter,
-    held,
+    hold_signal,
     net_heat,
     on_sensor,
-    signals_of,
+    role_signals,
+    sense_course,
+    sensor_view,
 )
 from sim.sha import Array
 
-VISIBLE = 0.05**2
+MIN_VISIBLE_SHARE = 0.05**2
 """Of a column's square that the fit's own parameters must leave where it is weighed by itself: 1/20 of its size."""
-TOGETHER = 16
+CHUNK_COLUMNS = 16
 """Columns that are weighed at a time: the states behind them take several times their memory."""
-SIMPLEX = 60
+MAX_EVALUATIONS = 60
 """Evaluations at most when the shape of an effect is refined."""
-TIMES = ("tau", "delay", "lag")
+TIME_PARAMETERS = ("tau", "delay", "lag")
 """Parameters of a shape that are a time (s) over which something happens."""
-VISIBLE_ROWS = 2.0
+MIN_VISIBLE_ROWS = 2.0
 """Rows that something must last to be seen in them: between two of them it could be anything."""
 
 
@@ -50,7 +50,7 @@ class Shape:
     signals: Mapping[str, str]
     params: Mapping[str, float]
 
-    def named(self, strength: float) -> Named:
+    def with_strength(self, strength: float) -> Named:
         """The effect at a strength; a `whole` entry keeps the one of its shape."""
         own = {} if self.entry.whole else {self.entry.strength: strength}
         return Named(self.entry, self.signals, self.entry.candidate.settled({**self.params, **own}))
@@ -95,7 +95,7 @@ def alone(projector: Projector, columns: Array, signs: Array) -> tuple[Array, Ar
     """
     _, weighed, before = projector.clean(columns)
     size, score = np.einsum("ij,ij->j", columns, weighed), columns.T @ projector.weighed_residual
-    allowed = (size > VISIBLE * np.maximum(before, 1e-300)) & ((signs == 0) | (signs * score > 0))
+    allowed = (size > MIN_VISIBLE_SHARE * np.maximum(before, 1e-300)) & ((signs == 0) | (signs * score > 0))
     strength = np.where(allowed, score / np.where(allowed, size, 1.0), 0.0)
     return 0.5 * strength * score, strength, weighed
 
@@ -118,7 +118,7 @@ class Screen:
     information: Array
 
     @property
-    def signed(self) -> Array:
+    def standardised_strengths(self) -> Array:
         """(c,) the best strengths over their standard errors."""
         return np.asarray(self.score / np.sqrt(np.maximum(np.diag(self.normal), 1e-300)))
 
@@ -130,7 +130,7 @@ class Screen:
     @property
     def gain(self) -> Array:
         """(c,) nats of each shape alone, 0 where its sign is not physics or where nothing of it is visible."""
-        return self.gains(self.signed)
+        return self.gains(self.standardised_strengths)
 
     def gains(self, z: Array) -> Array:
         """(..., c) nats of signed strengths over standard errors."""
@@ -152,7 +152,7 @@ class Screen:
 def smooth_course(fitted: Fitted) -> Array:
     """(n,) degC the temperature at the knots without the sensor's noise: free run plus the smoothed residual."""
     record = fitted.frame.record
-    smoothed = Whitener(fitted.grid, fitted.noise).smoothed(fitted.residual)
+    smoothed = Whitener(fitted.grid, fitted.noise).smooth(fitted.residual)
     # The residual is smoothed on windows and carried to the knots between them; the free run has the knots' own shape.
     out = fitted.state.mean.copy()
     runs, run = record.runs, record.runs.run[record.rows[record.begins]]
@@ -163,7 +163,7 @@ def smooth_course(fitted: Fitted) -> Array:
     return out
 
 
-def columns_of(
+def shape_columns(
     fitted: Fitted, shapes: Sequence[Shape], smooth: Array, added: Callable[[Array], Array] | None = None
 ) -> Array:
     """(m, c) degC what one unit of strength of each shape does to the windows; `added` is the fit's `heat_filter`."""
@@ -171,20 +171,20 @@ def columns_of(
     added = heat_filter(fitted.frame, state) if added is None else added
     out = []
     for shape in shapes:
-        effects = effects_of(shape.named(1.0), record.model)
+        effects = automaton_effects(shape.with_strength(1.0), record.model)
         if on_sensor(effects[0]):
             sensed = state.mean
             for effect in effects:
-                sensed = as_sensed(record, effect, sensed)
-            out.append(record.windowed(sensed - state.mean))
+                sensed = sense_course(record, effect, sensed)
+            out.append(record.window_means(sensed - state.mean))
             continue
         # A heat that depends on the temperature is taken along the smoothed reading, not along the free run: where
         # something is missing the free run is wrong, and a thermostat would open in it at the wrong times.
-        out.append(record.windowed(as_read(fitted.frame, state, added(net_heat(record, effects, smooth)))))
+        out.append(record.window_means(sensor_view(fitted.frame, state, added(net_heat(record, effects, smooth)))))
     return np.column_stack(out)
 
 
-def shapes_of(
+def candidate_shapes(
     fitted: Fitted, entries: Sequence[CatalogueEntry], roles: Mapping[str, str], smooth: Array
 ) -> Iterator[Shape]:
     """Every shape of every entry whose signals are there, but those too short to be seen between the rows."""
@@ -192,7 +192,7 @@ def shapes_of(
     shortest = shortest_visible(record)
     score = Projector(fitted).weighed_residual
     for entry in entries:
-        signals = signals_of(entry, roles)
+        signals = role_signals(entry, roles)
         if signals is None:
             continue
         log = MachineLog(
@@ -200,26 +200,26 @@ def shapes_of(
             dt=record.runs.dt,
             running=record.running,
             smooth=smooth,
-            signals={role: held(record, signal) for role, signal in signals.items()},
+            signals={role: hold_signal(record, signal) for role, signal in signals.items()},
         )
         further = entry.candidate.scan(record.times, score) if entry.candidate.scan is not None else []
         for params in [*entry.candidate.shapes(log), *further]:
-            if all(params[name] >= shortest for name in TIMES if name in params):
+            if all(params[name] >= shortest for name in TIME_PARAMETERS if name in params):
                 yield Shape(entry, signals, params)
 
 
 def shortest_visible(record: Record) -> float:
     """s below which nothing that happens is visible in the record's readings."""
     between = np.diff(record.runs.time[record.rows])
-    return VISIBLE_ROWS * float(np.median(between)) if between.size else 0.0
+    return MIN_VISIBLE_ROWS * float(np.median(between)) if between.size else 0.0
 
 
 def screen(fitted: Fitted, entries: Sequence[CatalogueEntry], roles: Mapping[str, str]) -> tuple[Screen, Screen]:
     """Every shape of every entry against what the fit leaves: under its noise, and under that of `quieter`."""
     smooth = smooth_course(fitted)
-    shapes = tuple(shapes_of(fitted, entries, roles, smooth))
-    columns = columns_of(fitted, shapes, smooth)
-    return judged(fitted, shapes, columns), judged(quieter(fitted), shapes, columns)
+    shapes = tuple(candidate_shapes(fitted, entries, roles, smooth))
+    columns = shape_columns(fitted, shapes, smooth)
+    return screen_shapes(fitted, shapes, columns), screen_shapes(quieter(fitted), shapes, columns)
 
 
 def quieter(fitted: Fitted) -> Fitted:
@@ -228,7 +228,7 @@ def quieter(fitted: Fitted) -> Fitted:
     return replace(fitted, noise=replace(fitted.noise, cycle=0.5 * fitted.noise.cycle))
 
 
-def judged(fitted: Fitted, shapes: tuple[Shape, ...], columns: Array) -> Screen:
+def screen_shapes(fitted: Fitted, shapes: tuple[Shape, ...], columns: Array) -> Screen:
     """The projected problem of the shapes' columns (m, c)."""
     projector = Projector(fitted)
     # Columns of unit size: strengths run from degC to 1/s, and one normal matrix of them all would lose its digits.
@@ -239,8 +239,8 @@ def judged(fitted: Fitted, shapes: tuple[Shape, ...], columns: Array) -> Screen:
     width = columns.shape[1]
     parts, shares, before = np.empty((begins.size, width)), np.empty((begins.size, width)), np.empty(width)
     normal = np.empty((width, width))
-    for begin in range(0, width, TOGETHER):
-        some = slice(begin, begin + TOGETHER)
+    for begin in range(0, width, CHUNK_COLUMNS):
+        some = slice(begin, begin + CHUNK_COLUMNS)
         cleaned, weighed, before[some] = projector.clean(scaled[:, some])
         normal[:, some] = scaled.T @ weighed
         parts[:, some] = np.add.reduceat(cleaned * projector.weighed_residual[:, None], begins)
@@ -258,19 +258,19 @@ def judged(fitted: Fitted, shapes: tuple[Shape, ...], columns: Array) -> Screen:
     )
 
 
-def refined(fitted: Fitted, shape: Shape, strength: float) -> Named:
+def refine_shape(fitted: Fitted, shape: Shape, strength: float) -> Named:
     """The effect with its shape where the gain is greatest, searched from a shape of the screen."""
     smooth = smooth_course(fitted)
     projector = Projector(fitted)
     shortest, added = shortest_visible(fitted.frame.record), heat_filter(fitted.frame, fitted.state)
     names = [name for name in shape.entry.candidate.refine if name in shape.params]
     if not names:
-        return shape.named(strength)
+        return shape.with_strength(strength)
     best: list[tuple[float, Shape, float]] = []
 
     def loss(point: Array) -> float:
-        trial = _at(shape, names, point, fitted.frame.record, shortest)
-        column = columns_of(fitted, [trial], smooth, added)
+        trial = _shape_at_point(shape, names, point, fitted.frame.record, shortest)
+        column = shape_columns(fitted, [trial], smooth, added)
         _, weighed, _ = projector.clean(column)
         size = float(column[:, 0] @ weighed[:, 0])
         score = float(column[:, 0] @ projector.weighed_residual)
@@ -292,13 +292,13 @@ def refined(fitted: Fitted, shape: Shape, strength: float) -> Named:
         loss,
         begin,
         method="Nelder-Mead",
-        options={"maxfev": SIMPLEX, "xatol": 0.02, "fatol": 0.05, "initial_simplex": simplex},
+        options={"maxfev": MAX_EVALUATIONS, "xatol": 0.02, "fatol": 0.05, "initial_simplex": simplex},
     )
     _, top, value = max(best, key=lambda trial: trial[0])
-    return top.named(value)
+    return top.with_strength(value)
 
 
-def _at(shape: Shape, names: Sequence[str], point: Array, record: Record, shortest: float) -> Shape:
+def _shape_at_point(shape: Shape, names: Sequence[str], point: Array, record: Record, shortest: float) -> Shape:
     """The shape at coordinates of the search: logarithms of times, else steps of a width or of ten, within bounds.
 
     No time is made shorter than the `shortest` (s) that the record shows, no moment without bounds lies outside of it.
@@ -321,4 +321,4 @@ def _at(shape: Shape, names: Sequence[str], point: Array, record: Record, shorte
 
 
 def _is_time(name: str) -> bool:
-    return name in TIMES
+    return name in TIME_PARAMETERS

@@ -20,16 +20,16 @@ from sim.lab.discrepancy.diagnosis import (
     Verdict,
 )
 from sim.lab.discrepancy.fitting import Fitted, Record
-from sim.lab.discrepancy.heat import HOUR, implied_heat, since_switch
+from sim.lab.discrepancy.heat import HOUR_S, implied_heat, since_switch
 from sim.lab.discrepancy.held_out import HeldOutRun
 from sim.lab.discrepancy.rules import RULES
-from sim.sha import Array, shown_unit
+from sim.sha import Array, display_unit
 
-LEAST_SHOWN_SHARE = 0.01
+MIN_SHOWN_SHARE = 0.01
 """Shares below it are said to be."""
 
 
-def sentence_of(
+def verdict_sentence(
     verdict: Verdict,
     effects: Sequence[NamedEffect],
     *,
@@ -136,9 +136,7 @@ def none_words(share: float | None) -> str:
     """How likely what is missing is none of the names, as the end of a sentence; "" where nothing is named."""
     if share is None:
         return ""
-    return (
-        f"; none of these {share:.2f}" if share >= LEAST_SHOWN_SHARE else f"; none of these below {LEAST_SHOWN_SHARE}"
-    )
+    return f"; none of these {share:.2f}" if share >= MIN_SHOWN_SHARE else f"; none of these below {MIN_SHOWN_SHARE}"
 
 
 def beginning_sentence(began: GapBeginning, unit: str) -> str:
@@ -180,7 +178,7 @@ def held_out_sentence(diagnosis: Diagnosis) -> str:
 
     "" where nothing was held out.
     """
-    held, unit = diagnosis.held_out, shown_unit(diagnosis.unit)
+    held, unit = diagnosis.held_out, display_unit(diagnosis.unit)
     if held is None:
         return ""
     errors = f"{held.rmse_given:.3f} {unit} as given, {held.rmse_before:.3f} {unit} refitted"
@@ -226,7 +224,7 @@ def _count(number: int, what: str) -> str:
     return f"{number} {what}{'' if number == 1 else 's'}"
 
 
-def course_of(base: Fitted, after: Fitted, before_trial: HeldOutRun, after_trial: HeldOutRun) -> DiagnosisCourse:
+def diagnosis_course(base: Fitted, after: Fitted, before_trial: HeldOutRun, after_trial: HeldOutRun) -> DiagnosisCourse:
     """Readings and free runs over the fitted and the held-out windows, with the heat that each model leaves."""
     record, later = base.frame.record, before_trial.record
     names = [location.name for location in record.model.sha.locations]
@@ -235,18 +233,18 @@ def course_of(base: Fitted, after: Fitted, before_trial: HeldOutRun, after_trial
         return np.concatenate([first, second])
 
     heat_before, heat_after = (
-        np.concatenate([implied_heat(fitted) * HOUR, np.full(later.times.size, np.nan)]) for fitted in (base, after)
+        np.concatenate([implied_heat(fitted) * HOUR_S, np.full(later.times.size, np.nan)]) for fitted in (base, after)
     )
     return DiagnosisCourse(
         times=both(record.times, later.times),
         reading=both(record.reading, later.reading),
-        before=both(record.reading - base.left, later.reading - before_trial.residual),
-        after=both(record.reading - after.left, later.reading - after_trial.residual),
+        before=both(record.reading - base.turn_residual, later.reading - before_trial.residual),
+        after=both(record.reading - after.turn_residual, later.reading - after_trial.residual),
         held_out=both(np.zeros(record.times.size), np.ones(later.times.size)),
         heat_before=heat_before,
         heat_after=heat_after,
         location=tuple(names[place] for place in np.concatenate([_places(record), _places(later)]).tolist()),
-        since_event=both(_since(record), _since(later)),
+        since_event=both(_phase_seconds(record), _phase_seconds(later)),
         cycle=both(record.window_whole.astype(float), later.window_whole.astype(float)),
     )
 
@@ -255,5 +253,5 @@ def _places(record: Record) -> Array:
     return np.asarray(record.runs.place[record.rows[record.begins]])
 
 
-def _since(record: Record) -> Array:
-    return record.windowed(since_switch(record))
+def _phase_seconds(record: Record) -> Array:
+    return record.window_means(since_switch(record))

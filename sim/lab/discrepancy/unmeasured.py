@@ -9,18 +9,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sim.lab.discrepancy.fitting import Fitted, Whitener, as_read, heat_filter, with_heats
-from sim.lab.discrepancy.heat import HOUR
+from sim.lab.discrepancy.fitting import Fitted, Whitener, heat_filter, sensor_view, with_heats
+from sim.lab.discrepancy.heat import HOUR_S
 from sim.sha import Array
 
-HOURS = (1.0, 2.0, 4.0)
+KNOT_SPACINGS_H = (1.0, 2.0, 4.0)
 """Hours between knots that are tried."""
-MOST_KNOTS = 200
+MAX_KNOTS = 200
 """Knots at most: in a long record they lie further apart."""
-BESIDE_ROUGH = (0.5, 0.2, 1.2)
+ROUGH_HEAT_FACTORS = (0.5, 0.2, 1.2)
 """Times the plant's own rough heat that it may be before it is fitted, together with the scatter of the cycles: the
 first at each distance of the knots, the others at the best."""
-FADED = 1e-4
+NEGLIGIBLE_SHARE = 1e-4
 """The share of a column's greatest value below which it is over."""
 
 
@@ -42,8 +42,8 @@ class SlowHeat:
 
 def slow_heat(before: Fitted) -> SlowHeat:
     """The likeliest heat that comes and goes over hours."""
-    sizes = [share * before.noise.rough for share in BESIDE_ROUGH]
-    spacings = dict.fromkeys(_spacing(before, hours * HOUR) for hours in HOURS)
+    sizes = [share * before.noise.rough for share in ROUGH_HEAT_FACTORS]
+    spacings = dict.fromkeys(_spacing(before, hours * HOUR_S) for hours in KNOT_SPACINGS_H)
     columns = {spacing: _knot_columns(before, spacing) for spacing in spacings}
     tried = [(with_heats(before, sizes[0] * columns[spacing]), spacing, sizes[0]) for spacing in spacings]
     _, spacing, _ = max(tried, key=lambda each: each[0].likelihood)
@@ -67,7 +67,7 @@ def slow_heat(before: Fitted) -> SlowHeat:
 
 def _spacing(before: Fitted, spacing: float) -> float:
     times = before.frame.record.runs.time
-    return max(spacing, float(times[-1] - times[0]) / MOST_KNOTS)
+    return max(spacing, float(times[-1] - times[0]) / MAX_KNOTS)
 
 
 def _knot_columns(before: Fitted, spacing: float) -> Array:
@@ -79,7 +79,7 @@ def _knot_columns(before: Fitted, spacing: float) -> Array:
     added, columns = heat_filter(before.frame, before.state), []
     for knot in knots:
         heat = np.maximum(1.0 - np.abs(middle - knot) / step, 0.0)
-        columns.append(record.windowed(as_read(before.frame, before.state, added(heat))))
+        columns.append(record.window_means(sensor_view(before.frame, before.state, added(heat))))
     out = np.column_stack(columns)
     top = np.abs(out).max(axis=0)
-    return np.where(np.abs(out) < FADED * top, 0.0, out)[:, top > 0]
+    return np.where(np.abs(out) < NEGLIGIBLE_SHARE * top, 0.0, out)[:, top > 0]

@@ -12,34 +12,34 @@ import numpy as np
 
 from sim.effects import ROLES
 from sim.lab.discrepancy.ceiling import ceiling
-from sim.lab.discrepancy.constants import absorbed
+from sim.lab.discrepancy.constants import find_absorbed_law
 from sim.lab.discrepancy.diagnosis import CandidateLaw, Diagnosis
-from sim.lab.discrepancy.evidence import candidates_of, effect_of, traces_of
+from sim.lab.discrepancy.evidence import named_effect, small_effects, tried_effects
 from sim.lab.discrepancy.fitting import (
     CatalogueEntry,
     Fitted,
     Frame,
     Named,
+    build_record,
     catalogue,
     fit,
-    named_of,
+    model_effects,
     own_roles,
-    record_of,
 )
-from sim.lab.discrepancy.judging import NamingResult, description, systematic, too_short, untested
+from sim.lab.discrepancy.judging import NamingResult, description, systematic, too_short, untested_effects
 from sim.lab.discrepancy.law_search import candidate_laws
-from sim.lab.discrepancy.layout import DataLayout, SplitCycles, lay_out, measured_signals, split_cycles
+from sim.lab.discrepancy.layout import DataLayout, SplitCycles, build_layout, measured_signals, split_cycles
 from sim.lab.discrepancy.locate import places
 from sim.lab.discrepancy.missing_heat import missing_heat
 from sim.lab.discrepancy.moved import shifts
 from sim.lab.discrepancy.path import name
-from sim.lab.discrepancy.posterior import NamesEvidence, gains_of, posterior, shares_left
+from sim.lab.discrepancy.posterior import NamesEvidence, posterior, remaining_shares, step_gains
 from sim.lab.discrepancy.proving import NamesSearched, ProvenFindings, prove, with_agreed_floor, with_laws
 from sim.lab.discrepancy.rules import RULES, DecisionRules
-from sim.lab.discrepancy.story import course_of, sentence_of
-from sim.sha import EffectLine, Model, Trace, shown_unit
+from sim.lab.discrepancy.story import diagnosis_course, verdict_sentence
+from sim.sha import EffectLine, Model, Trace, display_unit
 
-MOST_NAMES = 3
+MAX_NAMES = 3
 
 Progress = Callable[[str, float], None]
 
@@ -63,7 +63,7 @@ def diagnose(
     seed: int,
     roles: Mapping[str, str] = ROLES,
     lines: Sequence[EffectLine] = (),
-    most: int = MOST_NAMES,
+    most: int = MAX_NAMES,
     experiments: Sequence[Trace] = (),
     without: Container[str] = (),
     progress: Progress | None = None,
@@ -79,7 +79,7 @@ def diagnose(
     """
     report = progress or (lambda _stage, _share: None)
     report("laying out the traces", 0.0)
-    layout = lay_out(model, traces, experiments, {**roles, **own_roles(lines)}, rules)
+    layout = build_layout(model, traces, experiments, {**roles, **own_roles(lines)}, rules)
     count = int(layout.cycles.size)
     if count < rules.least_cycles:
         return DiagnosisOutcome(_too_little(layout.model, count, rules), (), None, None)
@@ -89,12 +89,12 @@ def diagnose(
     search = search_names(split.training, layout.present, entries, allowed, seed=seed, rules=rules, report=report)
     report("held-out cycles", 0.85)
     found = prove(layout, search, split.held_out, entries, seed=seed, rules=rules)
-    laws = laws_to_look_at(layout, split, found, rules, report)
+    laws = unnamed_laws(layout, split, found, rules, report)
     found = with_agreed_floor(with_laws(found, laws))
     diagnosis = describe(layout, split, search, found, entries, laws=laws, seed=seed, rules=rules, report=report)
     after, path = found.told.after, found.judged.path
     named = after.state.named if found.kept else ()
-    return DiagnosisOutcome(diagnosis, named, after, path, found.against if path.taken else None)
+    return DiagnosisOutcome(diagnosis, named, after, path, found.against if path.accepted_steps else None)
 
 
 def search_names(
@@ -110,7 +110,7 @@ def search_names(
     """The refit of the training cycles and the path of names on it; one at least, to say what it would be."""
     # The refit comes first: what parameters that have moved explain is no missing effect.
     report("fitting the model's own parameters", 0.05)
-    base = fit(training, named_of(training.record.model))
+    base = fit(training, model_effects(training.record.model))
     report("what a free learner could still explain", 0.2)
     ceiling_before = ceiling(base, seed)
     paths = name(base, present, max(allowed, 1), report, rules=rules, entries=entries)
@@ -131,18 +131,18 @@ def describe(
 ) -> Diagnosis:
     """What was proved as a diagnosis: with its sentence, its places, what moved, and what else is told beside."""
     model, present, told, kept = layout.model, layout.present, found.told, found.kept
-    path, unit, unnamed = found.judged.path, shown_unit(model.unit), found.verdict == "unexplained"
+    path, unit, unnamed = found.judged.path, display_unit(model.unit), found.verdict == "unexplained"
     law = None
     if "current" in present:
-        law = absorbed(told.after, present["current"], split.held_out, rules, pump=present.get("pump"))
+        law = find_absorbed_law(told.after, present["current"], split.held_out, rules, pump=present.get("pump"))
     report("where the heat is", 0.95)
     where = places(told.base, seed, rules)
     remaining = places(told.after, seed, rules) if kept else where
     shown = told.held.ci95 is not None and told.held.ci95[0] > 0.0
-    taken = path.taken if kept else ()
-    sure = [posterior(gains_of(step), found.against, rules) for step in taken]
+    taken = path.accepted_steps if kept else ()
+    sure = [posterior(step_gains(step), found.against, rules) for step in taken]
     effects = tuple(
-        replace(effect_of(step, told.after, each.confidence(step.members)), shrinking_shown=shown)
+        replace(named_effect(step, told.after, each.confidence(step.members)), shrinking_shown=shown)
         for step, each in zip(taken, sure, strict=True)
     )
     none_of_these = max((each.none_of_these for each in sure), default=None)
@@ -151,7 +151,7 @@ def describe(
     described = description(path) if unnamed else ""
     return Diagnosis(
         verdict=found.verdict,
-        sentence=sentence_of(
+        sentence=verdict_sentence(
             found.verdict,
             effects,
             unexplained=unexplained,
@@ -159,7 +159,7 @@ def describe(
             shifts=moved,
             held=told.held,
             cycles=int(np.unique(split.training.record.window_cycle).size),
-            traces=traces_of(path),
+            traces=small_effects(path),
             law=law,
             unit=unit,
             began=found.began,
@@ -174,19 +174,21 @@ def describe(
         unexplained=unexplained,
         ceiling_before=search.ceiling,
         ceiling_after=found.judged.ceiling if kept else None,
-        candidates=candidates_of(path.looks, kept),
+        candidates=tried_effects(path.looks, kept),
         material=found.material,
-        traces=traces_of(path),
+        traces=small_effects(path),
         absorbed=law,
         untested={
             **too_short(entries, path),
-            **untested(entries, present, layout.roles, following=layout.following, temperature=model.temperature),
+            **untested_effects(
+                entries, present, layout.roles, following=layout.following, temperature=model.temperature
+            ),
         },
         held_out=told.held,
         floor=found.floor,
         began=found.began,
-        course=course_of(told.base, told.after, told.first, told.second),
-        settings=settings_of(found, seed, rules),
+        course=diagnosis_course(told.base, told.after, told.first, told.second),
+        settings=path_settings(found, seed, rules),
         model_before=model.sha.name,
         model_after=None,
         unit=model.unit,
@@ -197,7 +199,7 @@ def describe(
     )
 
 
-def laws_to_look_at(
+def unnamed_laws(
     layout: DataLayout, split: SplitCycles, found: ProvenFindings, rules: DecisionRules, report: Progress
 ) -> tuple[CandidateLaw, ...]:
     """The laws of what has no name; looked for too where the model's own noise does not cover its errors, though the
@@ -208,12 +210,12 @@ def laws_to_look_at(
     report("laws to look at", 0.9)
     # All that is measured, not only what the catalogue knows a role for: a record of its own on the same knots.
     model = layout.model
-    everything = record_of(model, layout.traces, measured_signals(model, layout.traces, rules))
+    everything = build_record(model, layout.traces, measured_signals(model, layout.traces, rules))
     floor = min(found.floor.error, found.stated)
     return candidate_laws(found.told.base, everything, split.first, floor, rules, fitted_again=layout.first_made)
 
 
-def settings_of(found: ProvenFindings, seed: int, rules: DecisionRules) -> dict[str, float]:
+def path_settings(found: ProvenFindings, seed: int, rules: DecisionRules) -> dict[str, float]:
     """Seed, threshold and noise of the path that was judged, and how far off the fitted cycles were, by name."""
     noise = found.judged.path.fitted.noise
     excesses = {"excess_before": found.excess, "excess_after": found.judged.excess}
@@ -227,7 +229,7 @@ def settings_of(found: ProvenFindings, seed: int, rules: DecisionRules) -> dict[
         "rough_memory_s": noise.memory,
         "lasting_sigma": noise.lasting,
         **{key: each.median for key, each in excesses.items() if each is not None},
-        **(shares_left(found.against) if found.kept else {}),
+        **(remaining_shares(found.against) if found.kept else {}),
     }
 
 
@@ -235,7 +237,7 @@ def _too_little(model: Model, cycles: int, rules: DecisionRules) -> Diagnosis:
     needed = f"at least {rules.least_cycles} are needed, better ten"
     return Diagnosis(
         verdict="too-little-data",
-        sentence=sentence_of("too-little-data", (), unexplained=(), shifts=(), held=None, cycles=cycles, unit=""),
+        sentence=verdict_sentence("too-little-data", (), unexplained=(), shifts=(), held=None, cycles=cycles, unit=""),
         reasons=(f"{cycles} cycle{'' if cycles == 1 else 's'} in all; {needed}",),
         effects=(),
         shifts=(),

@@ -17,15 +17,15 @@ from sim.artefacts import (
     read_verdict,
     version_directory,
 )
-from sim.files import ArtefactError, at
+from sim.files import ArtefactError, file_error
 from sim.lab.suffixes import SUFFIXES
 from sim.sha import SHA, Alphabet, Model, Provenance
 
 if TYPE_CHECKING:
     from sim.lab.formats.foreign import Artefacts, Parameter
 
-SOURCE = SUFFIXES["source"]
-OPTIONAL = ("report", "histogram", "flows")
+SOURCE_SUFFIX = SUFFIXES["source"]
+OPTIONAL_ARTEFACTS = ("report", "histogram", "flows")
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,14 +82,16 @@ def find_model(
         else:
             sets = _sets(path.parent)
             others = f"; the artefact sets in {path.parent} are {', '.join(sets)}" if sets else ""
-            raise at(path, None, f"there is no model directory, store, file or set of artefacts of this name{others}")
+            raise file_error(
+                path, None, f"there is no model directory, store, file or set of artefacts of this name{others}"
+            )
         if not home.is_dir():
             return FoundModel(model.sha.name, model.sha, model)
         return FoundModel(model.sha.name, model.sha, model, verdict=read_verdict(home), home=home)
     # The grammars of the artefacts, of which a model of our own needs none.
     from sim.lab.formats.foreign import read_artefacts, structure, to_sha
 
-    artefacts = read_artefacts(base[0], base[1], OPTIONAL)
+    artefacts = read_artefacts(base[0], base[1], OPTIONAL_ARTEFACTS)
     bare = structure(artefacts.source, artefacts.name)
     try:
         converted = to_sha(artefacts, parameter)
@@ -115,12 +117,12 @@ def artefact_base(path: Path) -> tuple[Path, str] | None:
             return None
         sets = _sets(path)
         if len(sets) > 1:
-            raise at(
+            raise file_error(
                 path, None, f"holds {len(sets)} sets of artefacts; say which, as {path / sets[0]} ({', '.join(sets)})"
             )
         return (path, sets[0]) if sets else None
     if path.exists():
-        return (path.parent, path.name.removesuffix(SOURCE)) if path.name.endswith(SOURCE) else None
+        return (path.parent, path.name.removesuffix(SOURCE_SUFFIX)) if path.name.endswith(SOURCE_SUFFIX) else None
     names = {name.casefold() for name in _sets(path.parent)}
     return (path.parent, path.name) if path.name.casefold() in names else None
 
@@ -128,6 +130,10 @@ def artefact_base(path: Path) -> tuple[Path, str] | None:
 def _sets(directory: Path) -> list[str]:
     """The base names in a directory that can be listed."""
     try:
-        return sorted(entry.name.removesuffix(SOURCE) for entry in directory.iterdir() if entry.name.endswith(SOURCE))
+        return sorted(
+            entry.name.removesuffix(SOURCE_SUFFIX)
+            for entry in directory.iterdir()
+            if entry.name.endswith(SOURCE_SUFFIX)
+        )
     except OSError:
         return []

@@ -19,17 +19,17 @@ from sim.artefacts import (
     MODEL_FILE,
     STORE_FILE,
     VERDICT_FILE,
-    VERSIONS,
+    VERSIONS_FOLDER,
     check_store,
-    listed,
-    locked,
+    lock_store,
     model_hash,
     model_text,
-    number_of,
+    read_hashes,
     sha256,
+    version_number,
     versions,
 )
-from sim.files import at, refused, replace_durably, sync_directory, write_durably
+from sim.files import file_error, replace_durably, sync_directory, write_durably, write_error
 from sim.sha import Model
 
 if TYPE_CHECKING:
@@ -84,7 +84,7 @@ def check_free(out: Path, name: str) -> None:
     try:
         _present(out)
     except OSError as error:
-        raise refused(out, error) from None
+        raise write_error(out, error) from None
 
 
 def _present(out: Path) -> set[str]:
@@ -92,7 +92,7 @@ def _present(out: Path) -> set[str]:
     present = {path.name for path in out.iterdir()} if out.exists() else set[str]()
     if present.isdisjoint({MANIFEST, MODEL_FILE}) and not all(name.startswith(".") for name in present):
         some = ", ".join(sorted(present)[:3])
-        raise at(out, None, f"is no model directory (it has {some}); give a new directory or an empty one")
+        raise file_error(out, None, f"is no model directory (it has {some}); give a new directory or an empty one")
     return present
 
 
@@ -115,7 +115,7 @@ def write_model_directory(
     manifest = manifest_text(model, files, {})
     try:
         out.mkdir(parents=True, exist_ok=True)
-        stale = set(listed(out / MANIFEST)) - set(files) if MANIFEST in _present(out) else set[str]()
+        stale = set(read_hashes(out / MANIFEST)) - set(files) if MANIFEST in _present(out) else set[str]()
         # Without a manifest the directory claims nothing of its files: a kill from here on leaves no wrong claim.
         (out / MANIFEST).unlink(missing_ok=True)
         for name, content in (*files.items(), (MANIFEST, manifest)):
@@ -124,7 +124,7 @@ def write_model_directory(
         for name in stale | ({VERDICT_FILE, FAMILIARITY_FILE} - set(files)):
             (out / name).unlink(missing_ok=True)
     except OSError as error:
-        raise refused(out, error) from None
+        raise write_error(out, error) from None
     return out / MODEL_FILE
 
 
@@ -149,12 +149,12 @@ def save(
     try:
         # One listing decides: another writer may be making the store at this very moment.
         names = {path.name for path in store.iterdir()} if store.is_dir() else set()
-        strange = sorted(name for name in names - {VERSIONS} if not name.startswith("."))
+        strange = sorted(name for name in names - {VERSIONS_FOLDER} if not name.startswith("."))
         if strange and STORE_FILE not in names:
-            raise at(store, None, f"is no store (it has {strange[0]}); give a new directory or an empty one")
+            raise file_error(store, None, f"is no store (it has {strange[0]}); give a new directory or an empty one")
         store.mkdir(parents=True, exist_ok=True)
-        with locked(store):
-            directory = store / VERSIONS
+        with lock_store(store):
+            directory = store / VERSIONS_FOLDER
             directory.mkdir(exist_ok=True)
             if not (store / STORE_FILE).exists():
                 replace_durably(store / STORE_FILE, STORE_TEXT)
@@ -163,7 +163,7 @@ def save(
             for path in directory.iterdir():
                 if path.name.startswith("."):
                     shutil.rmtree(path)
-            last = max((number_of(name) for name in versions(store)), default=0)
+            last = max((version_number(name) for name in versions(store)), default=0)
             version = f"{last + 1:04d}-{model_hash(model)[:8]}"
             # The dot hides it from `versions`; the rename on one file system is the moment at which the version exists.
             unfinished = directory / f".{version}"
@@ -176,5 +176,5 @@ def save(
                 raise
             sync_directory(directory)
     except OSError as error:
-        raise refused(store, error) from None
+        raise write_error(store, error) from None
     return version

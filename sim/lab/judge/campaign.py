@@ -11,14 +11,14 @@ from dataclasses import dataclass, replace
 from itertools import groupby
 
 from sim.artefacts import JudgedCriterion
-from sim.effects import signals_of
-from sim.lab.judge.fitness import Facts, findings_of
+from sim.effects import effect_signals
+from sim.lab.judge.fitness import Facts, judge_semantics
 from sim.lab.judge.free_run import TraceJob, TraceOutcome, TraceRunSettings, run_job
-from sim.lab.judge.output_folder import COMPLETE, RESULTS, SKILL, Folder, results_csv, results_json
+from sim.lab.judge.output_folder import COMPLETE, RESULTS, SKILL_FILE, Folder, results_csv, results_json
 from sim.lab.judge.pictures import draw_one, drawings
-from sim.lab.judge.report import CampaignSummary, ModelReport, ReportEntry, index_html, model_html, shown
+from sim.lab.judge.report import CampaignSummary, ModelReport, ReportEntry, choose_figures, index_html, model_html
 from sim.lab.judge.results import TraceResult, seen_traces
-from sim.lab.judge.stages import Prepared, Stage, records, timed
+from sim.lab.judge.stages import Prepared, Stage, records, time_stage
 from sim.lab.judge.worth import ForecastSkill
 from sim.lab.recordings import LoadReport
 from sim.lab.workers import cluster, parallel, processes
@@ -29,7 +29,7 @@ Progress = Callable[[str, float], None]
 Runner = Callable[[Sequence[TraceJob]], Iterator[TraceOutcome]]
 """Gives the outcomes of jobs in the jobs' order, each as soon as it and all before it are there."""
 
-TINY = 20_000_000
+MIN_PARALLEL_TEMPERATURES = 20_000_000
 """Simulated temperatures (readings times runs) below which worker processes would cost more than they save."""
 
 
@@ -41,14 +41,14 @@ class Unread:
     reason: str
 
 
-def unread(report: LoadReport, traces: Sequence[Trace]) -> tuple[Unread, ...]:
+def unread_traces(report: LoadReport, traces: Sequence[Trace]) -> tuple[Unread, ...]:
     """The files of a load that gave nothing, but for parts of a trace that was put together from other parts."""
     loaded = {trace.name for trace in traces}
     failed = (file for file in report.files if file.error and file.path.absolute().parent.name not in loaded)
     return tuple(Unread(file.path.stem, file.error) for file in failed)
 
 
-def jobs_of(prepared: Prepared, traces: Sequence[Trace], settings: TraceRunSettings) -> list[TraceJob]:
+def model_jobs(prepared: Prepared, traces: Sequence[Trace], settings: TraceRunSettings) -> list[TraceJob]:
     """The jobs of one model: its semantics one after the other, each along all traces.
 
     A model that cannot be run has one job a trace all the same, which ends after the check of the events.
@@ -79,7 +79,7 @@ def slim(trace: Trace, model: Model) -> Trace:
     """The signals that the model can see; events are encoded where the job runs."""
     wanted = {model.temperature, *(channel.signal for channel in model.alphabet.channels)}
     wanted |= {driving.signal for location in model.sha.locations for driving in location.flow.inputs}
-    wanted |= set(signals_of(model.sha))
+    wanted |= set(effect_signals(model.sha))
     signals = {name: column for name, column in trace.signals.items() if name in wanted}
     bad = {name: column for name, column in trace.bad.items() if name in wanted}
     return replace(trace, signals=signals, bad=bad, events=())
@@ -95,7 +95,7 @@ def outcomes_by_model(
     progress: Progress,
 ) -> Iterator[tuple[Prepared, list[TraceOutcome]]]:
     """Each model with its outcomes, as soon as they are there; files that gave no trace have failed at stage 5."""
-    jobs = [job for model in prepared for job in jobs_of(model, traces, settings)]
+    jobs = [job for model in prepared for job in model_jobs(model, traces, settings)]
     by_label = {model.label: model for model in prepared}
     running = zip(jobs, run(jobs), strict=True)
     done = 0
@@ -111,18 +111,18 @@ def outcomes_by_model(
         yield by_label[label], outcomes
 
 
-def run_here(workers: int) -> Runner:
+def local_runner(workers: int) -> Runner:
     """Jobs in this process (one worker, or little to do), else in `workers` processes."""
 
-    def run(jobs: Sequence[TraceJob]) -> Iterator[TraceOutcome]:
+    def run_jobs(jobs: Sequence[TraceJob]) -> Iterator[TraceOutcome]:
         work = sum(job.trace.times.size * job.settings.runs for job in jobs if not job.refusal)
-        return processes(1 if work < TINY else workers)(run_job, jobs, _undone)
+        return processes(1 if work < MIN_PARALLEL_TEMPERATURES else workers)(run_job, jobs, _undone)
 
-    return run
+    return run_jobs
 
 
 @contextmanager
-def run_there(address: str) -> Iterator[Runner]:
+def cluster_runner(address: str) -> Iterator[Runner]:
     """Jobs on the Dask cluster at `address`. Raises ValueError as `cluster` does."""
     with cluster(address) as workers:
         yield lambda jobs: workers(run_job, jobs, _undone)
@@ -133,7 +133,7 @@ def _undone(job: TraceJob, reason: str) -> TraceOutcome:
     return TraceOutcome(replace(result, seen=job.seen, failure=reason), rows=job.trace.times.size)
 
 
-PICTURES_HERE = 2
+MAX_LOCAL_PICTURES = 2
 """Pictures that are drawn in this process: fewer are done before another process has started."""
 
 
@@ -183,7 +183,7 @@ def conduct(
             note(stage)
     note(loading)
     if skill:
-        folder.write(SKILL, json_text({label: each.as_plain() for label, each in skill.items()}, indent=2) + "\n")
+        folder.write(SKILL_FILE, json_text({label: each.as_plain() for label, each in skill.items()}, indent=2) + "\n")
     results: list[TraceResult] = []
     entries: list[ReportEntry] = []
     for model, outcomes in outcomes_by_model(
@@ -195,7 +195,7 @@ def conduct(
         results += [outcome.result for outcome in outcomes]
         folder.write(f"{RESULTS}.json", results_json(results))
         folder.write(f"{RESULTS}.csv", results_csv(results))
-        last, report = _reported(
+        last, report = _report_stage(
             model,
             outcomes,
             before=(*model.stages, loading, *stages),
@@ -203,7 +203,7 @@ def conduct(
             folder=folder,
             progress=progress,
             skill=(skill or {}).get(model.label),
-            findings=findings_of([outcome.result for outcome in outcomes], (facts or {}).get(model.label, {})),
+            findings=judge_semantics([outcome.result for outcome in outcomes], (facts or {}).get(model.label, {})),
         )
         note(last)
         entries.append(ReportEntry(folder.places[model.label], report))
@@ -213,7 +213,7 @@ def conduct(
     return results
 
 
-def _reported(
+def _report_stage(
     prepared: Prepared,
     outcomes: Sequence[TraceOutcome],
     *,
@@ -227,13 +227,13 @@ def _reported(
     """Stage 9: pictures, then the report."""
     last = Stage(9, prepared.label)
     home = folder.path / folder.places[prepared.label]
-    with timed(last):
+    with time_stage(last):
         # The PNG of each (semantics, trace); the PDF lies beside it.
         files = {}
         if plan.pictures:
             wanted = drawings(home / "pictures", outcomes, prepared.structure.temperature, plan.units)
             todo = list(wanted.values())
-            in_process = plan.workers == 1 or len(todo) <= PICTURES_HERE
+            in_process = plan.workers == 1 or len(todo) <= MAX_LOCAL_PICTURES
             done = map(draw_one, todo) if in_process else parallel(draw_one, todo, plan.workers)
             for number, file in enumerate(done, 1):
                 progress(f"{prepared.label}: picture {file.stem}", number / len(todo))
@@ -243,7 +243,7 @@ def _reported(
         for outcome in outcomes:
             pairs = outcome.compatibility.pairs if outcome.compatibility else {}
             missing.update({f"{symbol} in {place}": count for (place, symbol), count in pairs.items()})
-        pictures = shown(results, files, home)
+        pictures = choose_figures(results, files, home)
         report = ModelReport(
             campaign=plan.campaign,
             prepared=prepared,

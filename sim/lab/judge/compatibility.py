@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from sim.engine import Policy, resync_targets
 from sim.sha import SHA, UNKNOWN, Event, transitions
 
-NAMED = 50
+MAX_LISTED_EVENTS = 50
 """So many events without an edge are kept one by one; the rest are only counted."""
 Places = frozenset[str]
 
@@ -35,14 +35,14 @@ class Compatibility:
     pairs: Mapping[tuple[str, str], int]
 
     @property
-    def accepted(self) -> bool:
+    def accepts_all(self) -> bool:
         """Whether every event has an edge."""
         return self.missing == 0
 
     @property
     def sentence(self) -> str:
         """About the first event without an edge, and how many more there are; empty when all have one."""
-        if self.accepted:
+        if self.accepts_all:
             return ""
         more = f", and {self.missing - 1} more of the {self.events} events have none" if self.missing > 1 else ""
         return f"{self.named[0]}{more}"
@@ -77,7 +77,7 @@ def compatibility(sha: SHA, events: Sequence[Event], policy: Policy = "ignore") 
         place = " or ".join(sorted(current))
         missing += 1
         pairs[place, event.symbol] += 1
-        if len(named) < NAMED:
+        if len(named) < MAX_LISTED_EVENTS:
             named.append(Missing(index, event.time, place, event.symbol))
         if policy == "resync":
             current = frozenset({fallback.get(event.symbol, sha.initial)})
@@ -107,6 +107,6 @@ def dense_events(sha: SHA, full: Sequence[Event], filtered: Sequence[Event], pol
     return kept
 
 
-def symbols_of(sha: SHA) -> tuple[str, ...]:
+def edge_symbols(sha: SHA) -> tuple[str, ...]:
     """The symbols that stand at edges, in the order of their first."""
     return tuple(dict.fromkeys(edge.symbol for edge in sha.edges))

@@ -14,7 +14,7 @@ from sim.sha import Array
 Unit = TypeVar("Unit")
 
 RESAMPLES = 10_000
-LEAST_FOR_INTERVAL = 5
+MIN_INTERVAL_DIFFERENCES = 5
 """Differences that a bootstrap needs: fewer have too few different resamples for a 95 % interval (3^3 = 27 for 3)."""
 
 
@@ -45,7 +45,7 @@ class Paired:
         return self.low > 0 or self.high < 0
 
 
-def paired(differences: ArrayLike, rng: np.random.Generator, resamples: int = RESAMPLES) -> Paired:
+def compare_pairs(differences: ArrayLike, rng: np.random.Generator, resamples: int = RESAMPLES) -> Paired:
     """What the differences (n,) say of their mean; those that are no numbers are left out.
 
     The interval is the percentile bootstrap over traces (Efron 1979): the traces are the independent units, readings
@@ -58,7 +58,7 @@ def paired(differences: ArrayLike, rng: np.random.Generator, resamples: int = RE
     if n == 0:
         return Paired(n=0, mean=nan, low=nan, high=nan, error=nan, p=nan, least=1.0)
     low, high = nan, nan
-    if n >= LEAST_FOR_INTERVAL:
+    if n >= MIN_INTERVAL_DIFFERENCES:
         means = values[rng.integers(0, n, (resamples, n))].mean(axis=1)
         low, high = (float(bound) for bound in np.quantile(means, [0.025, 0.975]))
     error = float(np.std(values, ddof=1)) / sqrt(n) if n > 1 else nan
@@ -91,7 +91,7 @@ def holm(p_values: Sequence[float]) -> list[float]:
     return adjusted
 
 
-def tested(families: Sequence[ArrayLike], rng: np.random.Generator) -> list[tuple[Paired, float]]:
+def compare_families(families: Sequence[ArrayLike], rng: np.random.Generator) -> list[tuple[Paired, float]]:
     """What each of several sets of differences says, with its p-value corrected for all of them (`holm`)."""
-    tests = [paired(differences, rng) for differences in families]
+    tests = [compare_pairs(differences, rng) for differences in families]
     return list(zip(tests, holm([test.p if test.n else 1.0 for test in tests]), strict=True))

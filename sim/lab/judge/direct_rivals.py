@@ -12,20 +12,20 @@ from sim.lab.judge.past import (
     FittedRival,
     Past,
     equal_shares,
+    interpolate_temperature,
     readings,
-    temperature_at,
     trained_columns,
     weighted_quantiles,
 )
 from sim.sha import Array, Mask
 
-EVERY = 10.0
-"""An origin of training each so many seconds, or fewer where a machine would have more than MOST of them."""
-MOST = 1500
-BLOCKS = 5
+ORIGIN_STEP_S = 10.0
+"""An origin of training each so many seconds, or fewer where a machine would have more than MAX_ORIGINS of them."""
+MAX_ORIGINS = 1500
+HELD_OUT_BLOCKS = 5
 """A single training machine is held out by so many blocks of its own time."""
 PENALTIES = tuple(10.0**power for power in range(7))
-SMALLEST_SPREAD = 0.02
+MIN_SPREAD_DEGC = 0.02
 """No residual is expected to be smaller than this (degC): readings are not finer."""
 
 
@@ -105,7 +105,7 @@ class Direct:
         tables = []
         for machine in training:
             first, last = float(machine.times[0]), float(machine.times[-1])
-            times = np.arange(first, last, max(EVERY, (last - first) / MOST))
+            times = np.arange(first, last, max(ORIGIN_STEP_S, (last - first) / MAX_ORIGINS))
             tables.append((machine, times, feature_table(machine, times, inputs)))
         # On one thread: for so few rows, threads that wait for one another cost more than they gain.
         threads = ThreadpoolController()
@@ -113,7 +113,7 @@ class Direct:
         for horizon in horizons:
             machines = []
             for machine, times, features in tables:
-                changes = temperature_at(*readings(machine), times + horizon) - features[:, LEVEL_COLUMN]
+                changes = interpolate_temperature(*readings(machine), times + horizon) - features[:, LEVEL_COLUMN]
                 known = np.isfinite(changes)
                 if known.any():
                     machines.append((features[known], changes[known], times[known]))
@@ -125,7 +125,7 @@ class Direct:
             if len(machines) > 1:
                 groups = np.repeat(np.arange(len(machines)), [len(times) for _, _, times in machines])
             else:
-                groups = np.arange(times.size) * BLOCKS // times.size
+                groups = np.arange(times.size) * HELD_OUT_BLOCKS // times.size
             examples = Examples(features, changes, times, groups, one_machine=len(machines) == 1)
             with threads.limit(limits=1):
                 fits.append(self.method(examples, horizon, self.seed))
@@ -144,7 +144,7 @@ class FittedDirect:
     def forecast(self, past: Past, horizons: Sequence[float], levels: tuple[float, ...]) -> Array:
         """(L, H) quantiles in degC; see `FittedRival`."""
         origin = past.times[-1:]
-        first = int(np.searchsorted(past.times, origin[0] - MEMORY))
+        first = int(np.searchsorted(past.times, origin[0] - MEMORY_S))
         features = feature_table(past.rows(slice(first, None)), origin, self.inputs)
         level = features[0, LEVEL_COLUMN]
         quantiles = np.full((len(levels), len(horizons)), np.nan)
@@ -153,7 +153,7 @@ class FittedDirect:
         with self.threads.limit(limits=1):
             for column, trained in enumerate(trained_columns(self.horizons, horizons)):
                 fit = self.fits[trained]
-                spread = 1.0 if fit.spread is None else max(float(fit.spread.predict(features)[0]), SMALLEST_SPREAD)
+                spread = 1.0 if fit.spread is None else max(float(fit.spread.predict(features)[0]), MIN_SPREAD_DEGC)
                 errors = weighted_quantiles(fit.errors, fit.weights, levels)
                 quantiles[:, column] = level + fit.change.predict(features)[0] + spread * errors
         return quantiles
@@ -165,7 +165,7 @@ def arx(examples: Examples, horizon: float, seed: int) -> HorizonFit:
     candidates = []
     for penalty in PENALTIES:
         errors = np.empty(examples.times.size)
-        for held, others in _held_out(examples, horizon):
+        for held, others in _leave_groups(examples, horizon):
             errors[held] = examples.changes[held] - _ridge(others, penalty).predict(examples.features[held])
         candidates.append((float(np.average(np.abs(errors), weights=weights)), penalty, errors))
     _, penalty, errors = min(candidates, key=lambda candidate: candidate[:2])
@@ -190,10 +190,10 @@ def boosted_trees(examples: Examples, horizon: float, seed: int) -> HorizonFit:
     """
     weights = equal_shares(examples.groups)
     errors = np.empty(examples.times.size)
-    for held, others in _held_out(examples, horizon):
+    for held, others in _leave_groups(examples, horizon):
         errors[held] = examples.changes[held] - _trees(others, others.changes, seed).predict(examples.features[held])
     spread = _trees(examples, np.abs(errors), seed)
-    expected = np.maximum(spread.predict(examples.features), SMALLEST_SPREAD)
+    expected = np.maximum(spread.predict(examples.features), MIN_SPREAD_DEGC)
     return HorizonFit(_trees(examples, examples.changes, seed), spread, errors / expected, weights)
 
 
@@ -213,7 +213,7 @@ def _trees(examples: Examples, outcomes: Array, seed: int) -> Regression:
     return trees
 
 
-def _held_out(examples: Examples, horizon: float) -> Iterator[tuple[Mask, Examples]]:
+def _leave_groups(examples: Examples, horizon: float) -> Iterator[tuple[Mask, Examples]]:
     """Each group's rows (n,), and the examples of the other groups whose outcomes do not overlap with its own."""
     for group in np.unique(examples.groups):
         held = examples.groups == group
@@ -228,11 +228,11 @@ def _held_out(examples: Examples, horizon: float) -> Iterator[tuple[Mask, Exampl
         yield held, examples.rows(others)
 
 
-LEVEL = 5.0
+LEVEL_WINDOW_S = 5.0
 """The level is the mean over so many seconds: where readings are many, single ones are noisy."""
-LAGS = (10.0, 30.0, 60.0, 300.0, 900.0)
-WINDOWS = (10.0, 60.0, 300.0)
-MEMORY = 1000.0
+LAGS_S = (10.0, 30.0, 60.0, 300.0, 900.0)
+WINDOWS_S = (10.0, 60.0, 300.0)
+MEMORY_S = 1000.0
 """Rows older than this (s) are not needed at an origin: the longest lag, its level, and room for a missing reading."""
 LEVEL_COLUMN = 0
 
@@ -240,23 +240,23 @@ LEVEL_COLUMN = 0
 def feature_table(past: Past, origins: Array, inputs: Sequence[str]) -> Array:
     """Features (n, 8 + 3 len(inputs)) at `origins` (n,) s, each from the rows up to its origin.
 
-    Level (degC), last reading less level, change of the level over each of LAGS (back to the oldest reading where the
+    Level (degC), last reading less level, change of the level over each of LAGS_S (back to the oldest reading where the
     past is shorter), how far the past reaches back (s, at most the longest lag), then for each input, in the order
-    given, its mean over each of WINDOWS. Where a window has no reading the last one before it holds; NaN where there is
-    none.
+    given, its mean over each of WINDOWS_S. Where a window has no reading the last one before it holds; NaN where there
+    is none.
     """
-    temperature = RunningMeans.of(past.times, past.temperature)
+    temperature = RunningMeans.of_column(past.times, past.temperature)
     oldest = temperature.times[0] if temperature.times.size else np.nan
-    level = temperature.before(origins, LEVEL)
+    level = temperature.before(origins, LEVEL_WINDOW_S)
     columns = [level, temperature.before(origins, 0.0) - level]
-    columns += [level - temperature.before(np.maximum(origins - lag, oldest), LEVEL) for lag in LAGS]
-    columns.append(np.clip(origins - oldest, 0.0, LAGS[-1]))
+    columns += [level - temperature.before(np.maximum(origins - lag, oldest), LEVEL_WINDOW_S) for lag in LAGS_S]
+    columns.append(np.clip(origins - oldest, 0.0, LAGS_S[-1]))
     for name in inputs:
         if name in past.inputs:
-            means = RunningMeans.of(past.times, past.inputs[name])
-            columns += [means.before(origins, window) for window in WINDOWS]
+            means = RunningMeans.of_column(past.times, past.inputs[name])
+            columns += [means.before(origins, window) for window in WINDOWS_S]
         else:
-            columns += [np.full(origins.shape, np.nan)] * len(WINDOWS)
+            columns += [np.full(origins.shape, np.nan)] * len(WINDOWS_S)
     return np.stack(columns, axis=1)
 
 
@@ -269,7 +269,7 @@ class RunningMeans:
     sums: Array
 
     @staticmethod
-    def of(times: Array, values: Array) -> "RunningMeans":
+    def of_column(times: Array, values: Array) -> "RunningMeans":
         """Of a column with NaN where nothing was read."""
         known = np.isfinite(values)
         return RunningMeans(times[known], values[known], np.concatenate(([0.0], np.cumsum(values[known]))))

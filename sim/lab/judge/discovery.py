@@ -8,16 +8,16 @@ from pathlib import Path
 
 from drivers.named_files import regular
 from sim.artefacts import MANIFEST, MODEL_FILE, STORE_FILE, version_directory
-from sim.files import at
+from sim.files import file_error
 from sim.lab.formats import artefact_base
 from sim.lab.formats.foreign import (
-    PRINTED,
+    PRINT_TOLERANCE,
     Artefacts,
     Histogram,
     Report,
     evidence,
     file_names,
-    fit,
+    fit_values,
     read_histogram,
     read_report,
     reported_laws,
@@ -25,7 +25,7 @@ from sim.lab.formats.foreign import (
 from sim.lab.suffixes import SUFFIXES
 from sim.sha import Model
 
-OPTIONAL = ("histogram", "flows")
+OPTIONAL_ARTEFACTS = ("histogram", "flows")
 """Artefacts that a set may lack. What cannot be done without them is said where it would be done."""
 
 
@@ -85,12 +85,14 @@ def discover(where: str | Path) -> Discovery:
             names.append(file)
         elif file.casefold() in folded:
             other = folded[file.casefold()]
-            raise at(directory, None, f"{file} is missing, but there is {other}: upper and lower case count, rename it")
-        elif kind in OPTIONAL:
+            raise file_error(
+                directory, None, f"{file} is missing, but there is {other}: upper and lower case count, rename it"
+            )
+        elif kind in OPTIONAL_ARTEFACTS:
             absent.append(file)
         else:
             others = ", ".join(sorted(other for other in present if other.casefold().startswith(name.casefold())))
-            raise at(directory, None, f"{file} is missing; of the set {name!r} there is {others or 'nothing'}")
+            raise file_error(directory, None, f"{file} is missing; of the set {name!r} there is {others or 'nothing'}")
     return Discovery(f"artefacts {name!r}", directory, _facts(directory, names), tuple(absent))
 
 
@@ -100,7 +102,9 @@ def _facts(directory: Path, names: Sequence[str]) -> tuple[FileFacts, ...]:
         try:
             content = regular(directory / name).read_bytes()
         except OSError as error:
-            raise at(directory / name, None, f"cannot be read ({error.strerror}); make it a readable file") from None
+            raise file_error(
+                directory / name, None, f"cannot be read ({error.strerror}); make it a readable file"
+            ) from None
         facts.append(FileFacts(name, len(content), hashlib.sha256(content).hexdigest()))
     return tuple(facts)
 
@@ -166,7 +170,7 @@ def own_check(report: Report, histogram: Histogram | None, model: Model) -> Cros
     wrong += [
         f"{name}: model.json says {meant[name]:.6g}, the report {mean:.6g}"
         for name, mean in reported.items()
-        if name in meant and abs(mean - meant[name]) > PRINTED * max(1.0, abs(meant[name]))
+        if name in meant and abs(mean - meant[name]) > PRINT_TOLERANCE * max(1.0, abs(meant[name]))
     ]
     runs = histogram.runs if histogram else ()
     laws = tuple(_law_check(name, mean, runs[-1] if runs else {}) for name, mean in reported.items())
@@ -176,7 +180,7 @@ def own_check(report: Report, histogram: Histogram | None, model: Model) -> Cros
 def _law_check(name: str, reported: float, values: Mapping[str, tuple[float, ...]]) -> LawCheck:
     if not values.get(name):
         return LawCheck(name=name, reported=reported, mean=nan, sigma=nan, values=0, distinct=0)
-    fitted = fit(values[name])
+    fitted = fit_values(values[name])
     return LawCheck(
         name=name,
         reported=reported,
@@ -187,7 +191,7 @@ def _law_check(name: str, reported: float, values: Mapping[str, tuple[float, ...
     )
 
 
-def report_beside(discovery: Discovery) -> tuple[Report, Histogram | None] | None:
+def read_own_report(discovery: Discovery) -> tuple[Report, Histogram | None] | None:
     """The report and the histogram that a model directory of our own holds beside its model.json, if it has one set.
 
     The other artefacts say what model.json says too, and take long to parse: a source has an edge for each location and

@@ -4,12 +4,12 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from math import isfinite
 
-from sim.artefacts import JudgedCriterion, ModelVerdict, word_of
-from sim.lab.judge.results import TRAINED_ON, TraceResult
+from sim.artefacts import JudgedCriterion, ModelVerdict, rate_criteria
+from sim.lab.judge.results import TRAINED_VALUES, TraceResult
 from sim.lab.judge.stages import Prepared
 from sim.lab.judge.verdicts import mean
 from sim.proof import verify
-from sim.sha import DEGREES, Model, shown_unit
+from sim.sha import DEFAULT_UNIT, Model, display_unit
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +42,7 @@ class FitnessLimits:
             raise ValueError("the limits of clamps, rejecting and unseen are counts: 0 or more")
 
 
-def limits_of(pairs: Iterable[tuple[str, str]], *, synthetic: bool = False) -> FitnessLimits:
+def parse_limits(pairs: Iterable[tuple[str, str]], *, synthetic: bool = False) -> FitnessLimits:
     """Limits from (name, number as text). Raises ValueError for unknown names and for what is no such number."""
     names = [limit.name for limit in fields(FitnessLimits) if limit.name != "synthetic"]
     values: dict[str, float] = {}
@@ -82,7 +82,7 @@ def model_facts(model: Model) -> Facts:
     )
 
 
-def facts_of(prepared: Prepared) -> dict[str, Facts]:
+def model_facts_by_semantics(prepared: Prepared) -> dict[str, Facts]:
     """What a model at hand says of itself, by semantics ("" for all others); one that cannot be run fails the gate."""
     unfit = Facts(verified=False, gate="; ".join(prepared.refusals.values()))
     return {"": unfit} | {name: model_facts(model) for name, model in prepared.variants.items()}
@@ -101,7 +101,7 @@ class Case:
 def judge(results: Sequence[TraceResult], facts: Facts, limits: FitnessLimits) -> tuple[JudgedCriterion, ...]:
     """All criteria for one model, in the order of the table."""
     # What was not trained on, where there is any: errors in sample flatter. Failures count by criteria of their own.
-    fresh = [result for result in results if result.seen not in TRAINED_ON]
+    fresh = [result for result in results if result.seen not in TRAINED_VALUES]
     done = [result for result in fresh or results if not result.failure]
     case = Case(results, done, facts, limits)
     findings = []
@@ -113,7 +113,9 @@ def judge(results: Sequence[TraceResult], facts: Facts, limits: FitnessLimits) -
     return tuple(findings)
 
 
-def findings_of(results: Sequence[TraceResult], facts: Mapping[str, Facts]) -> dict[str, tuple[JudgedCriterion, ...]]:
+def judge_semantics(
+    results: Sequence[TraceResult], facts: Mapping[str, Facts]
+) -> dict[str, tuple[JudgedCriterion, ...]]:
     """The criteria for one model under each of its semantics; `facts` are by semantics, "" for all others."""
     by_semantics: dict[str, list[TraceResult]] = {}
     for result in results:
@@ -122,21 +124,21 @@ def findings_of(results: Sequence[TraceResult], facts: Mapping[str, Facts]) -> d
     return {name: judge(own, facts.get(name, unknown), FitnessLimits()) for name, own in by_semantics.items()}
 
 
-def fitness_of(findings: Sequence[JudgedCriterion]) -> ModelVerdict:
+def fitness_verdict(findings: Sequence[JudgedCriterion]) -> ModelVerdict:
     """The verdict that the criteria come to; it is told, as a campaign's forecasts have all been made."""
-    return ModelVerdict(word=word_of(findings, told=True), criteria=tuple(findings))
+    return ModelVerdict(word=rate_criteria(findings, told=True), criteria=tuple(findings))
 
 
 Said = tuple[bool | None, str]
 
 
-def _verified(case: Case) -> Said:
+def _judge_proof(case: Case) -> Said:
     if case.facts.verified is None:
         return None, case.facts.gate or "not verified: the model itself is not at hand"
     return case.facts.verified, case.facts.gate or ("verified" if case.facts.verified else "refused by verification")
 
 
-def _passed(case: Case) -> Said:
+def _judge_passes(case: Case) -> Said:
     failed = [result for result in case.results if result.failure]
     if not failed:
         return True, f"all {len(case.results)} traces were worked through"
@@ -147,7 +149,7 @@ def _passed(case: Case) -> Said:
     )
 
 
-def _accepted(case: Case) -> Said:
+def _judge_acceptance(case: Case) -> Said:
     refusing = [result for result in case.results if not result.failure and not result.accepted]
     kept = len(refusing) <= case.limits.rejecting
     if not refusing:
@@ -157,7 +159,7 @@ def _accepted(case: Case) -> Said:
 
 
 def _unit(case: Case) -> str:
-    return shown_unit(case.results[0].unit if case.results else DEGREES)
+    return display_unit(case.results[0].unit if case.results else DEFAULT_UNIT)
 
 
 def _clamps(case: Case) -> Said:
@@ -165,7 +167,7 @@ def _clamps(case: Case) -> Said:
     return clamps <= case.limits.clamps, f"{clamps} clamps to the model's range (limit {case.limits.clamps:g})"
 
 
-def _diverging(case: Case) -> Said:
+def _judge_divergence(case: Case) -> Said:
     errors = [(result.max_error, result.trace) for result in case.results if not result.failure]
     if not errors:
         return None, "no trace has an error"
@@ -177,7 +179,7 @@ def _diverging(case: Case) -> Said:
     )
 
 
-def _covered(case: Case) -> Said:
+def _judge_coverage(case: Case) -> Said:
     low, high = case.limits.coverage_low, case.limits.coverage_high
     share = mean(result.coverage for result in case.judged)
     if not isfinite(share):
@@ -214,12 +216,15 @@ def _from_plant(case: Case) -> Said:
 
 
 CRITERIA: Mapping[str, tuple[Callable[[Case], Said], str]] = {
-    "verified": (_verified, "see what `decanter model prove` refutes, and learn with another --method or flow"),
-    "passed": (_passed, "mend the traces that failed, or leave them out by name"),
-    "accepted": (_accepted, "learn with traces in which these events happen"),
+    "verified": (_judge_proof, "see what `decanter model prove` refutes, and learn with another --method or flow"),
+    "passed": (_judge_passes, "mend the traces that failed, or leave them out by name"),
+    "accepted": (_judge_acceptance, "learn with traces in which these events happen"),
     "clamps": (_clamps, "learn with traces that reach these temperatures"),
-    "diverging": (_diverging, "look at that trace's picture: the sensor, or a cause that `decanter diagnose` names"),
-    "coverage": (_covered, "learn with more traces of the kind that it misses, or look at the sensor's noise"),
+    "diverging": (
+        _judge_divergence,
+        "look at that trace's picture: the sensor, or a cause that `decanter diagnose` names",
+    ),
+    "coverage": (_judge_coverage, "learn with more traces of the kind that it misses, or look at the sensor's noise"),
     "persistence": (_persistence, "learn with more starts and stops; `decanter diagnose` names what is missing"),
     "unseen": (_unseen, "validate along traces that it has not seen"),
     "from a plant": (_from_plant, "learn from the plant's own traces"),

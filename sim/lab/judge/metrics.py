@@ -6,19 +6,19 @@ from math import ceil, floor, log10, nan, sqrt
 import numpy as np
 
 from sim.lab.judge.results import Interval
-from sim.scores import block_bootstrap, crps_ordered
+from sim.scores import block_bootstrap, sorted_crps
 from sim.sha import Array
 
-BAND = (0.05, 0.95)
+BAND_LEVELS = (0.05, 0.95)
 """The levels of the 90 % band."""
 SIGMAS = 3.0
-FEWEST = 20
+MIN_INTERVAL_READINGS = 20
 """Readings below which no interval is given."""
 RESAMPLES = 1000
-MOST_BLOCKS = 2000
+MAX_BLOCKS = 2000
 """Blocks in a resample, at most: of a long trace the blocks grow, so that memory stays bounded."""
 QUANTILES = (0.0, 0.05, 0.25, 0.5, 0.75, 0.95, 1.0)
-CELLS = 262_144
+MAX_SORTED_VALUES = 262_144
 """Numbers that are sorted together: few enough to stay in the cache."""
 
 
@@ -47,7 +47,7 @@ def judge_band(rows: Array, readings: Array, sensor_sigma: float, rng: np.random
     `readings` (m,) are what the sensor said at the same instants. Works through a few rows at a time, so that nothing
     of the size of `rows` is allocated. The CRPS is that of the runs' empirical law.
     """
-    size = max(1, CELLS // rows.shape[1])
+    size = max(1, MAX_SORTED_VALUES // rows.shape[1])
     laws, scores = [], []
     for first in range(0, rows.shape[0], size):
         part = rows[first : first + size]
@@ -55,13 +55,13 @@ def judge_band(rows: Array, readings: Array, sensor_sigma: float, rng: np.random
         if sensor_sigma > 0:
             part += sensor_sigma * rng.standard_normal(part.shape)
         part.sort(axis=1)  # once, for the quantiles and for the CRPS
-        low, high = (_quantile(part, level) for level in BAND)
+        low, high = (_quantile(part, level) for level in BAND_LEVELS)
         mean = part.mean(axis=1)
         # Two passes: the mean of the squares less the square of the mean would lose the digits of a narrow band.
         centred = part - mean[:, None]
         sigma = np.sqrt(np.einsum("ij,ij->i", centred, centred) / part.shape[1])
         laws.append((low, high, mean, sigma))
-        scores.append(crps_ordered(part, readings[first : first + size]))
+        scores.append(sorted_crps(part, readings[first : first + size]))
     band = Band(*(np.concatenate(column) for column in zip(*laws, strict=True)))
     inside = (readings >= band.low) & (readings <= band.high)
     beyond = np.abs(readings - band.mean) > SIGMAS * band.sigma
@@ -91,10 +91,10 @@ def rmse_interval(errors: Array, rng: np.random.Generator) -> Interval:
 
 
 def _bounds(values: Array, rng: np.random.Generator) -> tuple[float, float]:
-    if values.size < FEWEST:
+    if values.size < MIN_INTERVAL_READINGS:
         return nan, nan
     # Neighbouring errors of one run are alike: rows drawn one by one would give an interval far too narrow.
-    block = max(block_length(values), ceil(values.size / MOST_BLOCKS))
+    block = max(block_length(values), ceil(values.size / MAX_BLOCKS))
     return block_bootstrap(values, block, RESAMPLES, rng)
 
 
@@ -109,7 +109,7 @@ def block_length(values: Array) -> int:
     if correlation.size < 2:
         return 1
     # M of the paper: twice the lag from which on nothing is correlated, where the window comes down to 0.
-    reach = min(2 * _last_correlated(correlation, n), correlation.size - 1)
+    reach = min(2 * _correlation_lag(correlation, n), correlation.size - 1)
     if reach == 0:
         return 1
     lags = np.arange(1, reach + 1)
@@ -122,7 +122,7 @@ def block_length(values: Array) -> int:
     return int(min(max(ceil(length), 1), max(n // 3, 1)))
 
 
-def _last_correlated(correlation: Array, n: int) -> int:
+def _correlation_lag(correlation: Array, n: int) -> int:
     """The lag after which a whole run of lags is within the noise of an uncorrelated series."""
     # The paper's constants: c = 2 in the threshold c sqrt(log10(n) / n), K = max(5, sqrt(log10 n)) lags in a row.
     quiet = np.abs(correlation[1:]) < 2.0 * sqrt(log10(n) / n)

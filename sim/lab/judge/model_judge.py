@@ -11,33 +11,33 @@ from math import isfinite
 
 import numpy as np
 
-from sim.artefacts import FORECAST, JudgedCriterion, ModelVerdict, word_of
-from sim.lab.judge.rows import LEAST_FORECASTS
+from sim.artefacts import FORECAST_CRITERION, JudgedCriterion, ModelVerdict, rate_criteria
+from sim.lab.judge.rows import MIN_FORECASTS
 from sim.lab.learning import MOST_WIDENING, Coverage, first_switch, level_signals
 from sim.proof import Verification, verify
-from sim.sha import DEGREES, RELAXING, Array, Mask, Model, Trace, distributions, shown_unit
+from sim.sha import DEFAULT_UNIT, RELAXING_FLOWS, Array, Mask, Model, Trace, display_unit, distributions
 
-WORSE = 1.05
+WORSE_CRPS_RATIO = 1.05
 """A model is worse than persistence where its CRPS is more than so many times persistence's."""
-HALF_COVERED = 0.5
+MIN_BAND_SHARE = 0.5
 """A 90 % band that holds less than this of what it did not see was wrong about what the model knows."""
 DAY_S = 86_400.0
 FEW_CYCLES, FEW_DAYS = 4, 2
 """Cycles and days below which nothing is known of how one differs from the next."""
-APART_DEGREES = 25.0
+CODE_DISTANCE_DEGC = 25.0
 """A reading so far (degC) from the median of the five around it is no bearing's: heat takes minutes."""
-NEAR_S = 300.0
+CODE_WINDOW_S = 300.0
 """Five rows within so long (s) are held against one another; others say nothing of codes."""
-APART_SHARE = 0.005
+MAX_CODE_SHARE = 0.005
 """The share of such readings above which they are no accidents but a code for "no reading", or a loose contact."""
-REVERSED = 20.0
+REVERSED_LOAD_RATIO = 20.0
 """The load while "off" over that while "on" from which a switch is upside down: what runs draws something. A level that
 is merely lower while a machine runs, as a compressor's suction pressure is, says nothing."""
-FAHRENHEIT_REST = (50.0, 110.0)
+FAHRENHEIT_REST_RANGE = (50.0, 110.0)
 """Where a machine at rest settles if its degrees are Fahrenheit's (10 to 43 °C)."""
 MIXED_SHARE, MIXED_S = 0.1, 1800.0
 """A location mixes running and rest where both take this share of its time, and so many seconds, at least."""
-BORROWED = 0.5
+MAX_BORROWED_SHARE = 0.5
 """The share of locations that no data have shown from which a model knows less than it has to guess."""
 
 
@@ -59,19 +59,17 @@ class LearnedCase:
             found.append((trace.times[good], column[good]))
         return found
 
-    def told(self) -> list[Coverage]:
+    def known_horizons(self) -> list[Coverage]:
         """The horizons of which enough is known, beside persistence."""
         return [
-            row
-            for row in self.coverage
-            if row.independent >= LEAST_FORECASTS and isfinite(row.persistence) and row.crps
+            row for row in self.coverage if row.independent >= MIN_FORECASTS and isfinite(row.persistence) and row.crps
         ]
 
 
 Said = tuple[bool | None, str]
 
 
-def judge_learned(model: Model, traces: Sequence[Trace], coverage: Sequence[Coverage]) -> ModelVerdict:
+def judge_learning(model: Model, traces: Sequence[Trace], coverage: Sequence[Coverage]) -> ModelVerdict:
     """The verdict on a model by its learning: its training's encoded `traces`, and its held-out forecasts."""
     case = LearnedCase(model=model, traces=traces, coverage=coverage, verification=verify(model))
     criteria = []
@@ -80,21 +78,21 @@ def judge_learned(model: Model, traces: Sequence[Trace], coverage: Sequence[Cove
         criteria.append(
             JudgedCriterion(criterion=name, kept=kept, sentence=sentence, next_step="" if kept else next_step)
         )
-    return ModelVerdict(word=word_of(criteria, told=bool(case.told())), criteria=tuple(criteria))
+    return ModelVerdict(word=rate_criteria(criteria, told=bool(case.known_horizons())), criteria=tuple(criteria))
 
 
-def _verified(case: LearnedCase) -> Said:
+def _judge_proof(case: LearnedCase) -> Said:
     reasons = "; ".join(case.verification.reasons)
     return (False, f"it does not verify: {reasons}") if reasons else (True, "verified")
 
 
 def _foresees(case: LearnedCase) -> Said:
-    rows = case.told()
+    rows = case.known_horizons()
     if not rows:
         most = max((row.independent for row in case.coverage), default=0.0)
         return None, f"{most:.0f} independent held-out forecasts at most are too few to tell it from persistence"
-    unit = shown_unit(case.model.unit)
-    worse = [row for row in rows if row.crps > WORSE * row.persistence]
+    unit = display_unit(case.model.unit)
+    worse = [row for row in rows if row.crps > WORSE_CRPS_RATIO * row.persistence]
     said = ", ".join(
         f"{row.crps:.3g} against {row.persistence:.3g} {unit} at {row.horizon:g} s" for row in worse or rows
     )
@@ -106,14 +104,14 @@ def _foresees(case: LearnedCase) -> Said:
 
 
 def _covers(case: LearnedCase) -> Said:
-    rows = [row for row in case.coverage if row.independent >= LEAST_FORECASTS]
+    rows = [row for row in case.coverage if row.independent >= MIN_FORECASTS]
     if not rows:
         return None, "how often its bands hold is not known"
     least = min(rows, key=lambda row: row.covered)
     said = f"the 90 % band held {100 * least.covered:.0f} % of what it did not see at {least.horizon:g} s"
     if any(row.factor >= MOST_WIDENING for row in rows):
         return False, f"{said}, which no widening mends"
-    return (None if least.covered < HALF_COVERED else True), said
+    return (None if least.covered < MIN_BAND_SHARE else True), said
 
 
 def _taught_enough(case: LearnedCase) -> Said:
@@ -132,16 +130,16 @@ def _taught_enough(case: LearnedCase) -> Said:
 def _readings_are_readings(case: LearnedCase) -> Said:
     apart, values, usual = 0, list[float](), 0
     for times, column in case.readings():
-        if column.size < 5 or case.model.unit != DEGREES:
+        if column.size < 5 or case.model.unit != DEFAULT_UNIT:
             continue
         windows = np.lib.stride_tricks.sliding_window_view
         middle = np.median(windows(column, 5), axis=1)
         # Rows that lie far apart may have all of a heating between them.
-        near = times[4:] - times[:-4] <= NEAR_S
-        far = near & (np.abs(column[2:-2] - middle) > APART_DEGREES)
+        near = times[4:] - times[:-4] <= CODE_WINDOW_S
+        far = near & (np.abs(column[2:-2] - middle) > CODE_DISTANCE_DEGC)
         usual, apart = usual + int(near.sum()), apart + int(far.sum())
         values += column[2:-2][far].tolist()
-    if not usual or apart <= APART_SHARE * usual:
+    if not usual or apart <= MAX_CODE_SHARE * usual:
         return True, "its readings follow one another as a bearing's do"
     ((common, count),) = Counter(values).most_common(1)
     what = f", {count} of them {common:g}: a code for no reading?" if count > apart / 2 else ""
@@ -156,9 +154,11 @@ def _switch_is_upright(case: LearnedCase) -> Said:
     for trace in case.traces:
         if switch.signal not in trace.signals:
             continue
-        running = _held(trace.signals[switch.signal])
+        running = _hold_column(trace.signals[switch.signal])
         for name in level_signals(case.model.alphabet):
-            level = np.abs(_held(trace.signals[name])) if name in trace.signals else np.full(running.size, np.nan)
+            level = (
+                np.abs(_hold_column(trace.signals[name])) if name in trace.signals else np.full(running.size, np.nan)
+            )
             for of_it, mask in zip(loads.setdefault(name, ([], [])), (running > 0.5, running < 0.5), strict=True):
                 of_it.append(level[mask & np.isfinite(level)])
         temperature = trace.signals[case.model.temperature]
@@ -169,14 +169,14 @@ def _switch_is_upright(case: LearnedCase) -> Said:
     said = f"{case.model.temperature} rises while {switch.signal} is 0 and falls else"
     for name, (on, off) in loads.items():
         busy, idle = (float(np.concatenate(parts).mean()) if sum(map(len, parts)) else 0.0 for parts in (on, off))
-        if idle > REVERSED * busy:
+        if idle > REVERSED_LOAD_RATIO * busy:
             levels = f"{name} is {idle:.3g} while it is 0 and {busy:.3g} else"
             return False, f"{switch.signal} is upside down: {said}, and {levels}"
     # What cools while it runs, as a cold room does, is no machine that is upside down.
     return None, f"{said}: is it upside down, or does it cool?"
 
 
-def _held(column: Array) -> Array:
+def _hold_column(column: Array) -> Array:
     """Each row's newest value; NaN before the first."""
     known = np.isfinite(column)
     place = np.maximum.accumulate(np.where(known, np.arange(column.size), -1))
@@ -201,25 +201,25 @@ def _from_a_plant(case: LearnedCase) -> Said:
 
 
 def _degrees_are_celsius(case: LearnedCase) -> Said:
-    if case.model.unit != DEGREES:
-        return True, f"in {shown_unit(case.model.unit)}"
+    if case.model.unit != DEFAULT_UNIT:
+        return True, f"in {display_unit(case.model.unit)}"
     switch = first_switch(case.model.alphabet)
     lowest = [
         float(np.nanquantile(column, 0.01))
         for trace in case.traces
         if switch is not None and switch.signal in trace.signals
-        and (column := trace.signals[case.model.temperature][_held(trace.signals[switch.signal]) < 0.5]).size
+        and (column := trace.signals[case.model.temperature][_hold_column(trace.signals[switch.signal]) < 0.5]).size
         and np.isfinite(column).any()
     ]  # fmt: skip
     rest = min(lowest, default=None)
-    low, high = FAHRENHEIT_REST
+    low, high = FAHRENHEIT_REST_RANGE
     if rest is None or not low < rest < high:
         return True, "its degrees are what a machine at rest has" if rest is not None else "it was never seen at rest"
     celsius = (rest - 32.0) / 1.8
     return None, f"at rest it is never below {rest:.0f} °C: are these degrees Fahrenheit ({celsius:.0f} °C)?"
 
 
-def _places_are_told_apart(case: LearnedCase) -> Said:
+def _judge_places(case: LearnedCase) -> Said:
     switch = first_switch(case.model.alphabet)
     seconds = _stays(case, switch.signal) if switch is not None else {}
     known = [place for place in case.model.sha.locations if place.distribution is not None]
@@ -232,7 +232,7 @@ def _places_are_told_apart(case: LearnedCase) -> Said:
         name, (on, off) = max(mixed.items(), key=lambda item: min(item[1]))
         said = f"{name} holds {on / 3600:.1f} h of running and {off / 3600:.1f} h of rest as if they were the same"
         return (False if shown == 1 else None), said
-    if known and len(borrowed) > BORROWED * len(known):
+    if known and len(borrowed) > MAX_BORROWED_SHARE * len(known):
         return None, f"{len(borrowed)} of {len(known)} locations were never seen"
     return True, f"{shown or len(known)} locations are told apart"
 
@@ -252,13 +252,13 @@ def _stays(case: LearnedCase, signal: str) -> dict[str, tuple[float, float]]:
         moments = np.array([event.time for event in trace.events])
         here = np.array(places)[np.searchsorted(moments, trace.times[:-1], side="right")]
         seconds = np.minimum(np.diff(trace.times), case.model.alphabet.gap)
-        running = _held(trace.signals[signal])[:-1]
+        running = _hold_column(trace.signals[signal])[:-1]
         for row, mask in enumerate((running > 0.5, running < 0.5)):
             spent[row] += np.bincount(here[mask], seconds[mask], len(number))
     return {name: (float(spent[0, at]), float(spent[1, at])) for name, at in number.items() if spent[:, at].any()}
 
 
-def _stays_within(case: LearnedCase) -> Said:
+def _judge_range(case: LearnedCase) -> Said:
     """Targets that no data came near are guesses."""
     values = np.concatenate([column for _, column in case.readings()] or [np.zeros(0)])
     if not values.size:
@@ -269,7 +269,7 @@ def _stays_within(case: LearnedCase) -> Said:
         (place.name, mean)
         for place in case.model.sha.locations
         if place.distribution is not None
-        and place.flow.kind in RELAXING
+        and place.flow.kind in RELAXING_FLOWS
         and place.name not in case.model.borrowed
         and not low - reach <= (mean := distributions.mean(place.distribution)) <= high + reach
     ]
@@ -280,15 +280,15 @@ def _stays_within(case: LearnedCase) -> Said:
 
 
 CRITERIA: Mapping[str, tuple[Callable[[LearnedCase], Said], str]] = {
-    "verified": (_verified, "see what `decanter model prove` refutes, and learn with another --method or flow"),
-    FORECAST: (_foresees, "learn with more starts and stops; `decanter diagnose` names what is missing"),
+    "verified": (_judge_proof, "see what `decanter model prove` refutes, and learn with another --method or flow"),
+    FORECAST_CRITERION: (_foresees, "learn with more starts and stops; `decanter diagnose` names what is missing"),
     "band": (_covers, "learn with more days, or look at the sensor's noise"),
     "units": (_taught_enough, "learn with more days and starts"),
     "readings": (_readings_are_readings, "say the code for no reading in the column map (bad = [...])"),
     "switch": (_switch_is_upright, "derive it in the column map from what says standstill: [derived], below = 0.5"),
     "from a plant": (_from_a_plant, "learn from the plant's own recordings"),
     "degrees": (_degrees_are_celsius, "say the unit in the column map, or go on if the machine is kept so warm"),
-    "locations": (_places_are_told_apart, "learn with --method bins, or with traces that show them"),
-    "targets": (_stays_within, "learn with longer stays"),
+    "locations": (_judge_places, "learn with --method bins, or with traces that show them"),
+    "targets": (_judge_range, "learn with longer stays"),
 }
 """Every criterion by name: kept or not (None: limits the model, or not known), with its figure, and the next step."""

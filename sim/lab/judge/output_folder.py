@@ -22,18 +22,18 @@ from sim.lab.judge.semantics import CARRIED, RESAMPLED
 from sim.lab.judge.stages import Stage
 from sim.strict_json import json_text
 
-CAMPAIGN = "campaign.json"
+CAMPAIGN_FILE = "campaign.json"
 RESULTS = "results"
-SKILL = "skill.json"
-GENERATION = "04_model_generation.json"
+SKILL_FILE = "skill.json"
+GENERATION_FILE = "04_model_generation.json"
 FORMAT = "decanter-validation"
 VERSION = 1
 FORMER_SEMANTICS = {"own": CARRIED, "thesis": RESAMPLED}
 RUNNING, COMPLETE = "running", "complete"
-OWN_FILES = ("index.html", f"{RESULTS}.json", f"{RESULTS}.csv", SKILL, "campaign.log")
+OWN_FILES = ("index.html", f"{RESULTS}.json", f"{RESULTS}.csv", SKILL_FILE, "campaign.log")
 MODEL_FILES = ("0[1-9]_*.json", "report.html", "pictures/*.png", "pictures/*.pdf", "pictures/.*.part")
 """What a campaign writes, as patterns: beside campaign.json, and in the folder of each model."""
-LEARNED = "learned"
+LEARNED_FOLDER = "learned"
 """Where the models are that a campaign has learned itself; a directory each."""
 
 
@@ -47,7 +47,7 @@ class Folder:
 
     def assign(self, labels: Sequence[str]) -> None:
         """Give each model its folder, and say so in campaign.json."""
-        self.places = places(labels, {LEARNED})
+        self.places = places(labels, {LEARNED_FOLDER})
         self.state(RUNNING)
 
     def write(self, name: str, text: str) -> Path:
@@ -57,7 +57,7 @@ class Folder:
             file.parent.mkdir(parents=True, exist_ok=True)
             replace_durably(file, text)
         except OSError as error:
-            raise stopped_at(file, error) from None
+            raise write_error(file, error) from None
         return file
 
     def stage(self, stage: Stage) -> None:
@@ -71,7 +71,7 @@ class Folder:
         """Say in campaign.json how far the campaign is; the last thing that it does."""
         self.facts |= facts
         document = {"format": FORMAT, "version": VERSION, "state": state, "folders": dict(self.places), **self.facts}
-        self.write(CAMPAIGN, json_text(document, indent=2) + "\n")
+        self.write(CAMPAIGN_FILE, json_text(document, indent=2) + "\n")
 
 
 def check_folder(path: Path, *, overwrite: bool) -> list[Path]:
@@ -87,11 +87,11 @@ def check_folder(path: Path, *, overwrite: bool) -> list[Path]:
     present = sorted(entry.name for entry in path.iterdir() if not entry.name.startswith("."))
     if not present:
         return []
-    if CAMPAIGN not in present:
+    if CAMPAIGN_FILE not in present:
         raise ValueError(
             f"{path}: the folder has other things in it ({', '.join(present[:3])}); give a new one or an empty one"
         )
-    file = path / CAMPAIGN
+    file = path / CAMPAIGN_FILE
     try:
         earlier = json.loads(file.read_text(encoding="utf-8"))
     except (ValueError, OSError):
@@ -113,7 +113,7 @@ def check_folder(path: Path, *, overwrite: bool) -> list[Path]:
 
 
 @contextmanager
-def held(path: Path) -> Iterator[None]:
+def hold_folder(path: Path) -> Iterator[None]:
     """Makes the folder and keeps other commands out of it until the block ends, however it ends.
 
     The lock is the system's, on the folder itself; a file system without locks gives none. Raises ValueError where
@@ -142,7 +142,7 @@ def _unwritable(path: Path, error: OSError) -> ValueError:
     return ValueError(f"{path}: cannot be written ({reason}); give a folder that this user may write")
 
 
-def stopped_at(file: Path, error: OSError) -> ValueError:
+def write_error(file: Path, error: OSError) -> ValueError:
     """What to say when a campaign can no longer write."""
     reason = (error.strerror or str(error)).lower()
     return ValueError(f"{file}: cannot be written ({reason}); make that possible, and begin again with --overwrite")
@@ -220,7 +220,7 @@ def read_results(path: Path) -> list[TraceResult]:
         # its default.
         kinds = {field.name: field.type for field in fields(TraceResult)}
         return [
-            TraceResult(**{name: _restored(row[name], kind) for name, kind in kinds.items() if name in row})
+            TraceResult(**{name: _restore_value(row[name], kind) for name, kind in kinds.items() if name in row})
             for row in document["results"]
         ]
     except OSError as error:
@@ -230,7 +230,7 @@ def read_results(path: Path) -> list[TraceResult]:
         raise ValueError(f"{file}: these are no results of a campaign ({error!r})") from None
 
 
-def _restored(value: Any, kind: Any) -> Any:
+def _restore_value(value: Any, kind: Any) -> Any:
     """A field's value from JSON, where a list stands for a tuple and null for NaN."""
     if kind in (Score, Interval):
         return kind(**{name: nan if inner is None else inner for name, inner in value.items()})
@@ -245,9 +245,9 @@ def recorded_facts(path: Path) -> dict[str, dict[str, Facts]]:
     `path` is the folder or its results.json.
     """
     folder, facts = path if path.is_dir() else path.parent, dict[str, dict[str, Facts]]()
-    for label, place in _record(folder / CAMPAIGN).get("folders", {}).items():
+    for label, place in _record(folder / CAMPAIGN_FILE).get("folders", {}).items():
         facts[label] = {}
-        for semantics, row in _record(folder / place / GENERATION).get("variants", {}).items():
+        for semantics, row in _record(folder / place / GENERATION_FILE).get("variants", {}).items():
             traced = bool(row.get("data_hash") or row.get("training_traces"))
             facts[label][semantics] = Facts(synthetic=bool(row.get("synthetic")) if traced else None)
     return facts

@@ -7,10 +7,10 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.forecast import DENSE
+from sim.forecast import DENSE_LEVELS
 from sim.sha import Array
 
-GAP = 30.0
+MAX_GAP_S = 30.0
 """Between readings further apart (s) than this, and than five usual intervals, nothing is interpolated."""
 
 
@@ -37,11 +37,11 @@ class Past:
         if np.any(np.diff(self.times) < 0):
             raise ValueError("the past of a forecast: the clock goes back; its times must ascend")
 
-    def until(self, time: float) -> "Past":
+    def truncate(self, time: float) -> "Past":
         """What was known at `time`: the rows up to and including it."""
         return self.rows(slice(0, int(np.searchsorted(self.times, time, side="right"))))
 
-    def of(self, names: Sequence[str]) -> "Past":
+    def select_inputs(self, names: Sequence[str]) -> "Past":
         """With these inputs alone; one that was never read is NaN."""
         unknown = np.full(self.times.shape, np.nan)
         return Past(self.times, self.temperature, {name: self.inputs.get(name, unknown) for name in names})
@@ -81,18 +81,19 @@ def readings(past: Past) -> tuple[Array, Array]:
     return past.times[known], past.temperature[known]
 
 
-def temperature_at(at: Array, values: Array, times: Array) -> Array:
-    """The temperature at `times` (n,), linear between readings (m,); NaN outside them and across gaps (see `GAP`)."""
+def interpolate_temperature(at: Array, values: Array, times: Array) -> Array:
+    """The temperature at `times` (n,), linear between readings (m,); NaN outside them and across gaps (see
+    `MAX_GAP_S`)."""
     if at.size < 2:
         return np.full(times.shape, np.nan)
     after = np.clip(np.searchsorted(at, times), 1, at.size - 1)
-    widest = max(GAP, 5.0 * float(np.median(np.diff(at))))
+    widest = max(MAX_GAP_S, 5.0 * float(np.median(np.diff(at))))
     known = (times >= at[0]) & (times <= at[-1]) & (at[after] - at[after - 1] <= widest)
     return np.where(known, np.interp(times, at, values), np.nan)
 
 
 def trained_columns(trained: Sequence[float], horizons: Sequence[float]) -> list[int]:
-    """Where each of `horizons` stands among the `trained` ones; raises ValueError for one that is not there."""
+    """Where each of `horizons` stands among the `train_rival` ones; raises ValueError for one that is not there."""
     missing = sorted(set(horizons) - set(trained))
     if missing:
         raise ValueError(f"a rival trained for horizons {sorted(trained)} s was asked for {missing} s")
@@ -140,16 +141,17 @@ def persistence(times: Array, temperature: Array, horizons: Sequence[float], lev
 
 
 PastForecaster = Callable[[Past], Array | None]
-"""A method that is asked at an origin: (L, H) quantiles in degC at the levels DENSE; None where it says nothing."""
+"""A method that is asked at an origin: (L, H) quantiles in degC at the levels DENSE_LEVELS; None where it says
+nothing."""
 
 
 def persist(past: Past, horizons: tuple[float, ...]) -> Array | None:
     """Persistence for these horizons (s)."""
-    return persistence(past.times, past.temperature, horizons, DENSE)
+    return persistence(past.times, past.temperature, horizons, DENSE_LEVELS)
 
 
-def trained(rival: Rival, training: Sequence[Past], horizons: tuple[float, ...]) -> PastForecaster:
+def train_rival(rival: Rival, training: Sequence[Past], horizons: tuple[float, ...]) -> PastForecaster:
     """A rival fitted to whole traces by the inputs that all of them have. Raises ValueError as its `fit` does."""
     names = sorted(set.intersection(*(set(past.inputs) for past in training)))
-    fitted = rival.fit([past.of(names) for past in training], horizons)
-    return lambda past: np.asarray(fitted.forecast(past.of(names), horizons, DENSE))
+    fitted = rival.fit([past.select_inputs(names) for past in training], horizons)
+    return lambda past: np.asarray(fitted.forecast(past.select_inputs(names), horizons, DENSE_LEVELS))

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from sim.lab.judge.free_run import TraceOutcome
-from sim.lab.judge.output_folder import places, stopped_at
+from sim.lab.judge.output_folder import places, write_error
 from sim.lab.pictures import Curve, Picture, draw
-from sim.sha import shown_unit
+from sim.sha import display_unit
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +34,7 @@ def drawings(
     pictures = {}
     for (semantics, trace), (result, course) in courses.items():
         notes = ["SYNTHETIC: not measured on a plant"] if result.synthetic else []
-        unit = shown_unit(result.unit)
+        unit = display_unit(result.unit)
         notes += [
             f"MAE {result.mae.value:.2f} {unit}",
             f"final error {result.final_error:+.2f} {unit}",
@@ -65,4 +65,4 @@ def draw_one(drawing: Drawing) -> Path:
     try:
         return draw(drawing.picture, drawing.png, drawing.png.with_suffix(".pdf"))
     except OSError as error:
-        raise stopped_at(drawing.png, error) from None
+        raise write_error(drawing.png, error) from None

@@ -8,13 +8,13 @@ from math import isfinite, nan
 import numpy as np
 
 from sim.artefacts import JudgedCriterion, Word
-from sim.lab.judge.differences import Paired, tested, unit_differences
-from sim.lab.judge.fitness import Facts, FitnessLimits, fitness_of, judge
-from sim.lab.judge.results import TRAINED_ON, Seen, TraceResult
+from sim.lab.judge.differences import Paired, compare_families, unit_differences
+from sim.lab.judge.fitness import Facts, FitnessLimits, fitness_verdict, judge
+from sim.lab.judge.results import TRAINED_VALUES, Seen, TraceResult
 from sim.lab.judge.worth import ForecastSkill
-from sim.sha import DEGREES
+from sim.sha import DEFAULT_UNIT
 
-LEVEL = 0.05
+ERROR_CHANCE = 0.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +61,7 @@ class Standing:
     @property
     def fitness(self) -> Word:
         """Whether it may be used."""
-        return fitness_of(self.findings).word
+        return fitness_verdict(self.findings).word
 
     @property
     def in_sample(self) -> str:
@@ -102,7 +102,7 @@ class Ranking:
     scores: Mapping[str, Mapping[str, float]]
     weights: Weights
     notes: tuple[str, ...] = ()
-    unit: str = DEGREES
+    unit: str = DEFAULT_UNIT
     skill: ForecastSkill | None = None
 
 
@@ -155,7 +155,7 @@ def rank(
                 wins=wins[name],
                 traces=len(own),
                 failed=sum(bool(result.failure) for result in own.values()),
-                seen={trace: result.seen for trace, result in own.items() if result.seen in TRAINED_ON},
+                seen={trace: result.seen for trace, result in own.items() if result.seen in TRAINED_VALUES},
                 findings=judge(list(own.values()), entrant, limits or FitnessLimits()),
             )
         )
@@ -222,10 +222,12 @@ def _pairs(names: Sequence[str], scores: Mapping[str, Mapping[str, float]], seed
     rng = np.random.default_rng(seed)
     differences = [unit_differences(scores[first], scores[second]) for first, second in couples]
     pairs = []
-    for (first, second), values, (test, p) in zip(couples, differences, tested(differences, rng), strict=True):
+    for (first, second), values, (test, p) in zip(
+        couples, differences, compare_families(differences, rng), strict=True
+    ):
         below, above, ties = int((values < 0).sum()), int((values > 0).sum()), int((values == 0).sum())
         better = None
-        if test.n and len(couples) * test.least > LEVEL:
+        if test.n and len(couples) * test.least > ERROR_CHANCE:
             # Even all traces on one side would not do: that is said instead of "not told apart", which sounds as if the
             # two were alike.
             sentence = (
@@ -235,7 +237,7 @@ def _pairs(names: Sequence[str], scores: Mapping[str, Mapping[str, float]], seed
             )
         elif not test.n:
             sentence = "nothing can be told: they have no trace in common"
-        elif p < LEVEL and test.excludes_zero:
+        elif p < ERROR_CHANCE and test.excludes_zero:
             # Both: the signed-rank test knows only order and sign, the interval only the mean.
             better, worse = (first, second) if test.mean < 0 else (second, first)
             sentence = f"{better} is better than {worse}"

@@ -9,21 +9,21 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from drivers.named_files import writing
+from drivers.named_files import name_write_errors
 from sim.lab.judge.metrics import QUANTILES
 from sim.lab.judge.ranking import Ranking, entrants
 from sim.lab.judge.results import TraceResult
 from sim.lab.pages import page_environment
 from sim.lab.pictures import MEASURED, blank_figure, svg_text, write_picture
-from sim.sha import Array, shown_unit
+from sim.sha import Array, display_unit
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
 COLOURS: Mapping[str, str] = {"fit": "#2a8c6a", "limited": "#b08a2e", "unfit": "#b3261e"}
-SHOWN = (0.05, 0.25, 0.5, 0.75, 0.95)
-LONGEST_LABEL = 28
+SHOWN_LEVELS = (0.05, 0.25, 0.5, 0.75, 0.95)
+MAX_LABEL_CHARS = 28
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +60,7 @@ def spreads(ranking: Ranking, results: Sequence[TraceResult]) -> list[Spread]:
             below.append(np.interp(grid, errors, np.asarray(QUANTILES)[::-1][last]))
         weights = np.array([max(result.readings, 1) for result in known], dtype=float)
         shares = np.average(np.array(below), axis=0, weights=weights)
-        levels = np.interp(SHOWN, shares, grid)
+        levels = np.interp(SHOWN_LEVELS, shares, grid)
         medians = rows[:, QUANTILES.index(0.5)]
         pooled.append(Spread(standing.entrant, levels, float(grid[0]), float(grid[-1]), medians))
     return pooled
@@ -92,7 +92,7 @@ def figure(ranking: Ranking, results: Sequence[TraceResult]) -> Figure:
     left.set_yticks(range(len(shown)), [_label(spread.entrant) for spread in shown], parse_math=False)
     left.set_ylim(max(len(shown), 1) - 0.4, -0.6)
     left.set_xlabel(
-        f"predicted - measured ({shown_unit(ranking.unit)}): "
+        f"predicted - measured ({display_unit(ranking.unit)}): "
         "box 25-75 %, whiskers 5-95 %, x extremes, | medians of the traces"
     )
     left.grid(alpha=0.25, axis="x")
@@ -131,7 +131,7 @@ def win_matrix(ranking: Ranking) -> tuple[tuple[str, ...], Array]:
 
 
 def _label(name: str) -> str:
-    return name if len(name) <= LONGEST_LABEL else f"…{name[1 - LONGEST_LABEL :]}"
+    return name if len(name) <= MAX_LABEL_CHARS else f"…{name[1 - MAX_LABEL_CHARS :]}"
 
 
 def draw_ranking(ranking: Ranking, results: Sequence[TraceResult], path: Path) -> Path:
@@ -142,7 +142,7 @@ def draw_ranking(ranking: Ranking, results: Sequence[TraceResult], path: Path) -
 def write_page(ranking: Ranking, results: Sequence[TraceResult], path: Path) -> Path:
     """Write one HTML file that needs no other, and return its path. Raises OSError."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    with writing(path):
+    with name_write_errors(path):
         path.write_text(page(ranking, results), encoding="utf-8")
     return path
 
@@ -152,7 +152,7 @@ def page(ranking: Ranking, results: Sequence[TraceResult]) -> str:
     return (
         page_environment("sim.lab.judge")
         .get_template("ranking.html")
-        .render(ranking=ranking, unit=shown_unit(ranking.unit), picture=svg_text(figure(ranking, results)))
+        .render(ranking=ranking, unit=display_unit(ranking.unit), picture=svg_text(figure(ranking, results)))
     )
 
 

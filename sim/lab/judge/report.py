@@ -11,25 +11,25 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sim.artefacts import JudgedCriterion, Word
-from sim.lab.judge.fitness import fitness_of
+from sim.lab.judge.fitness import fitness_verdict
 from sim.lab.judge.metrics import QUANTILES
 from sim.lab.judge.results import Interval, Seen, TraceResult
 from sim.lab.judge.stages import Prepared, Stage, location_row
-from sim.lab.judge.verdicts import SAMPLE, Gain, TraceVerdict, VerdictSummary, gain, summaries, verdict
+from sim.lab.judge.verdicts import SAMPLE_WORDS, Gain, TraceVerdict, VerdictSummary, gain, summaries, verdict
 from sim.lab.judge.worth import ForecastSkill
 from sim.lab.pages import number, page_environment
-from sim.sha import shown_unit
+from sim.sha import display_unit
 
 if TYPE_CHECKING:
     from jinja2 import Environment
 
 
-EMBEDDED = 40
+MAX_EMBEDDED = 40
 """Pictures that stand in the report itself; of more traces the worst, and the others are in the folder."""
-OPEN = 3
+OPEN_PICTURES = 3
 """Pictures that are unfolded when the report opens, rounded up to whole traces."""
-LONGEST_LABEL = 24
-TRAINING: Mapping[Seen, str] = {"no": "no", "content": "yes", "name": "yes, by name", "unknown": "not known"}
+MAX_LABEL_CHARS = 24
+TRAINING_WORDS: Mapping[Seen, str] = {"no": "no", "content": "yes", "name": "yes, by name", "unknown": "not known"}
 """What the column `in training` says."""
 WIDTH, LEFT, RIGHT, ROW, TOP, BOTTOM = 860.0, 150.0, 20.0, 20.0, 8.0, 34.0
 
@@ -93,23 +93,23 @@ class ModelReport:
     @property
     def fitness(self) -> list[tuple[str, Word, str]]:
         """(semantics, word, why and what to do next) of each."""
-        verdicts = {name: fitness_of(found) for name, found in self.findings.items()}
+        verdicts = {name: fitness_verdict(found) for name, found in self.findings.items()}
         return [(name, verdict.word, verdict.why) for name, verdict in verdicts.items()]
 
     @property
     def unit(self) -> str:
         """The unit of the errors, as people read it."""
-        return shown_unit(self.results[0].unit if self.results else self.prepared.structure.unit)
+        return display_unit(self.results[0].unit if self.results else self.prepared.structure.unit)
 
     @property
-    def judged(self) -> list[tuple[TraceResult, TraceVerdict]]:
+    def judged_results(self) -> list[tuple[TraceResult, TraceVerdict]]:
         """Each result with its verdict: unseen traces first, then by the numbers in their names (cd2 before cd10)."""
         semantics = list(dict.fromkeys(result.semantics for result in self.results))
-        samples = list(dict.fromkeys(SAMPLE.values()))
+        samples = list(dict.fromkeys(SAMPLE_WORDS.values()))
         ordered = sorted(
             self.results,
             key=lambda result: (
-                samples.index(SAMPLE[result.seen]),
+                samples.index(SAMPLE_WORDS[result.seen]),
                 semantics.index(result.semantics),
                 natural(result.trace),
             ),
@@ -184,7 +184,7 @@ def error_boxes(results: Sequence[TraceResult]) -> Boxes | None:
     for row, result in enumerate(results):
         # A long name is cut before the semantics, which tells two rows of one trace apart.
         end = f" ({result.semantics})" if several else ""
-        room = LONGEST_LABEL - len(end)
+        room = MAX_LABEL_CHARS - len(end)
         name = result.trace if len(result.trace) <= room else f"{result.trace[: room - 1]}…"
         quantiles = zip(QUANTILES, result.error_quantiles, strict=True)
         boxes.append(
@@ -193,7 +193,7 @@ def error_boxes(results: Sequence[TraceResult]) -> Boxes | None:
                 semantics=result.semantics,
                 y=TOP + ROW * (row + 0.5),
                 x=tuple(place(value) for value in result.error_quantiles),
-                text=", ".join(f"{level:.0%}: {value:+.2f} {shown_unit(result.unit)}" for level, value in quantiles),
+                text=", ".join(f"{level:.0%}: {value:+.2f} {display_unit(result.unit)}" for level, value in quantiles),
             )
         )
     count, first = round((high - low) / step), round(low / step)
@@ -215,8 +215,10 @@ def _tick(span: float) -> float:
     return next((factor * power for factor in (1.0, 2.0, 5.0) if factor * power >= raw), 10.0 * power)
 
 
-def shown(results: Sequence[TraceResult], files: Mapping[tuple[str, str], Path], base: Path) -> list[ReportFigure]:
-    """The pictures in `files` (by semantics and trace), the first EMBEDDED of them with their data.
+def choose_figures(
+    results: Sequence[TraceResult], files: Mapping[tuple[str, str], Path], base: Path
+) -> list[ReportFigure]:
+    """The pictures in `files` (by semantics and trace), the first MAX_EMBEDDED of them with their data.
 
     The trace with the largest error first; the semantics of one trace stand together. Raises OSError.
     """
@@ -228,7 +230,7 @@ def shown(results: Sequence[TraceResult], files: Mapping[tuple[str, str], Path],
     figures = []
     for rank, result in enumerate(drawn):
         file = files[result.semantics, result.trace]
-        content = base64.b64encode(file.read_bytes()).decode() if rank < EMBEDDED else ""
+        content = base64.b64encode(file.read_bytes()).decode() if rank < MAX_EMBEDDED else ""
         data = f"data:image/png;base64,{content}" if content else ""
         figures.append(ReportFigure(result, verdict(result), data, str(file.relative_to(base))))
     return figures
@@ -239,11 +241,11 @@ def model_html(report: ModelReport) -> str:
     each = max(
         1, len({result.semantics for result in report.results})
     )  # pictures that one trace has: whole traces are unfolded
-    opened = each * ceil(OPEN / each)
+    opened = each * ceil(OPEN_PICTURES / each)
     return (
         _environment()
         .get_template("model.html")
-        .render(report=report, unit=report.unit, open=opened, embedded=EMBEDDED, training=TRAINING)
+        .render(report=report, unit=report.unit, open=opened, embedded=MAX_EMBEDDED, training=TRAINING_WORDS)
     )
 
 

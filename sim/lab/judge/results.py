@@ -6,12 +6,12 @@ from math import nan
 from typing import Literal
 
 from sim.engine import Score
-from sim.sha import DEGREES, Model, Trace, content_hash, joint_hash
+from sim.sha import DEFAULT_UNIT, Model, Trace, content_hash, joint_hash
 
 Seen = Literal["no", "content", "name", "unknown"]
 """Whether a model was trained on a trace: its content proves it, or only its name says so; "unknown" where the model
 does not say what it was learned from."""
-TRAINED_ON: tuple[Seen, ...] = ("content", "name")
+TRAINED_VALUES: tuple[Seen, ...] = ("content", "name")
 
 
 def seen_traces(model: Model, traces: Sequence[Trace]) -> dict[str, Seen]:
@@ -90,5 +90,5 @@ class TraceResult:
     seconds: float = nan
     stage: int = 9
     failure: str = ""
-    unit: str = DEGREES
+    unit: str = DEFAULT_UNIT
     seen: Seen = "unknown"

@@ -11,17 +11,17 @@ from sim.lab.judge.past import (
     Past,
     Rival,
     equal_shares,
+    interpolate_temperature,
     readings,
-    temperature_at,
     trained_columns,
     weighted_quantiles,
 )
 from sim.lab.judge.univariate_rivals import Univariate
 from sim.sha import Array
 
-CHANGES = 1000
+MAX_CHANGES = 1000
 """At most so many changes of a machine are kept for its band, evenly spread over its trace."""
-OWN_WEIGHT = 5.0
+OWN_WEIGHT_HORIZONS = 5.0
 """The machine's own past weighs as much as the training once it holds so many horizons one after the other."""
 
 
@@ -68,7 +68,7 @@ class FittedPersistence:
             own = _changes(at, values, horizon)
             if own.size:
                 n = (at[-1] - at[0]) / horizon
-                share = n / (n + OWN_WEIGHT) if changes.size else 1.0
+                share = n / (n + OWN_WEIGHT_HORIZONS) if changes.size else 1.0
                 total = weights.sum() if changes.size else 1.0
                 weights = np.concatenate(((1.0 - share) * weights / total, np.full(own.size, share / own.size)))
                 changes = np.concatenate((changes, own))
@@ -79,11 +79,14 @@ class FittedPersistence:
 
 
 def _changes(at: Array, values: Array, horizon: float) -> Array:
-    """Absolute changes over the horizon, at most CHANGES of them; empty where the past is shorter than the horizon."""
+    """Absolute changes over the horizon, at most MAX_CHANGES of them; empty where the past is shorter than the
+    horizon."""
     if at.size < 2 or at[-1] - at[0] < horizon:
         return np.empty(0)
-    starts = np.linspace(at[0], at[-1] - horizon, CHANGES)
-    changes = np.abs(temperature_at(at, values, starts + horizon) - temperature_at(at, values, starts))
+    starts = np.linspace(at[0], at[-1] - horizon, MAX_CHANGES)
+    changes = np.abs(
+        interpolate_temperature(at, values, starts + horizon) - interpolate_temperature(at, values, starts)
+    )
     return np.asarray(changes[np.isfinite(changes)])
 
 

@@ -7,23 +7,23 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from sim.forecast import DENSE
-from sim.lab.judge.differences import Paired, paired, unit_differences
-from sim.lab.learning import independent_forecasts, outcomes_of
+from sim.forecast import DENSE_LEVELS
+from sim.lab.judge.differences import Paired, compare_pairs, unit_differences
+from sim.lab.learning import clean_readings, independent_forecasts
 from sim.scores import crps_quantiles
 from sim.sha import Array, Trace
 
 Key = TypeVar("Key")
 Row = TypeVar("Row")
 
-LOW, MEDIAN, HIGH = (DENSE.index(level) for level in (0.05, 0.5, 0.95))
-NOMINAL = 0.9
+LOW, MEDIAN, HIGH = (DENSE_LEVELS.index(level) for level in (0.05, 0.5, 0.95))
+NOMINAL_COVERAGE = 0.9
 """The share of outcomes that the band from 5 to 95 % should hold."""
 
-LEAST_FORECASTS = 8.0
+MIN_FORECASTS = 8.0
 """Independent forecasts at a horizon below which they say nothing."""
 
-STRETCHES: Mapping[str, tuple[float, float]] = {
+TRACE_PARTS_S: Mapping[str, tuple[float, float]] = {
     "0-3 min": (0.0, 180.0),
     "3-10 min": (180.0, 600.0),
     "10-30 min": (600.0, 1800.0),
@@ -36,7 +36,8 @@ STRETCHES: Mapping[str, tuple[float, float]] = {
 class SkillRow:
     """The forecast of one `method` for one `horizon` (s), and the `outcome` (degC; NaN where none was read then).
 
-    `origin` is when it was made (s since the trace's first row), `quantiles` (99,) are its law at the levels DENSE.
+    `origin` is when it was made (s since the trace's first row), `quantiles` (99,) are its law at the levels
+    DENSE_LEVELS.
     """
 
     machine: str
@@ -99,7 +100,7 @@ def skill(rows: Sequence[SkillRow]) -> Skill:
         forecasts=len(rows),
         bias=mean(error),
         mae=mean(np.abs(error)),
-        crps=mean(crps_quantiles(DENSE, quantiles, outcome)),
+        crps=mean(crps_quantiles(DENSE_LEVELS, quantiles, outcome)),
         coverage=mean(inside.astype(float)),
         half_width=mean(half),
     )
@@ -119,16 +120,16 @@ def figures(
     """
     if temperature not in trace.signals:
         raise ValueError(f"trace {trace.name!r}: has no signal {temperature!r}, which is to be forecast")
-    outcomes = outcomes_of(trace.times, trace.signals[temperature], gap)
+    outcomes = clean_readings(trace.times, trace.signals[temperature], gap)
     rows = []
     for method, time, fan in made:
         for column, horizon in enumerate(horizons):
             due = time + horizon
-            outcome = outcomes.at(due)
+            outcome = outcomes.interpolate(due)
             if due <= trace.times[-1] and np.all(np.isfinite(fan[:, column])):
                 rows.append(
                     SkillRow(
-                        machine=machine_of(trace),
+                        machine=trace_machine(trace),
                         trace=trace.name,
                         method=method,
                         horizon=horizon,
@@ -142,20 +143,20 @@ def figures(
 
 def independent(rows: Iterable[SkillRow]) -> float:
     """How many forecasts that do not overlap the rows of one method and horizon are worth, over machines and traces."""
-    traces = grouped(rows, lambda row: (row.machine, row.trace, row.horizon))
+    traces = group_rows(rows, lambda row: (row.machine, row.trace, row.horizon))
     return sum(
         independent_forecasts(np.sort([row.origin for row in own]), horizon) for (*_, horizon), own in traces.items()
     )
 
 
-def machine_of(trace: Trace) -> str:
+def trace_machine(trace: Trace) -> str:
     """The machine that a trace was measured on: the one that it names, or else its file's name."""
     return trace.machine or trace.name
 
 
 def means(rows: Iterable[SkillRow], keys: Mapping[str, Callable[[SkillRow], Any]]) -> list[dict[str, Any]]:
     """The figures of the rows that share what the `keys` say of them, beside that: plain values, in their order."""
-    groups = grouped(rows, lambda row: tuple(key(row) for key in keys.values()))
+    groups = group_rows(rows, lambda row: tuple(key(row) for key in keys.values()))
     return [{**dict(zip(keys, group, strict=True)), **asdict(skill(own))} for group, own in groups.items()]
 
 
@@ -172,7 +173,7 @@ def common(rows: Sequence[SkillRow]) -> list[SkillRow]:
     return [row for row in rows if there[row.moment] == methods]
 
 
-def grouped(rows: Iterable[Row], key: Callable[[Row], Key]) -> dict[Key, list[Row]]:
+def group_rows(rows: Iterable[Row], key: Callable[[Row], Key]) -> dict[Key, list[Row]]:
     """The rows by what `key` says of each, in the order in which they come."""
     groups: dict[Key, list[Row]] = {}
     for row in rows:
@@ -181,14 +182,14 @@ def grouped(rows: Iterable[Row], key: Callable[[Row], Key]) -> dict[Key, list[Ro
 
 
 def stretch(row: SkillRow) -> str:
-    """The part of the trace in which a forecast was made: a key of STRETCHES."""
-    return next(name for name, (begin, end) in STRETCHES.items() if begin <= row.origin < end)
+    """The part of the trace in which a forecast was made: a key of TRACE_PARTS_S."""
+    return next(name for name, (begin, end) in TRACE_PARTS_S.items() if begin <= row.origin < end)
 
 
 def difference(rows: Sequence[SkillRow], others: Sequence[SkillRow], rng: np.random.Generator) -> Paired:
     """What the machines say of the difference in CRPS (degC), `rows` minus `others`, at the moments that both have."""
     theirs = {row.moment: row for row in others}
-    by_machine = grouped((row for row in rows if row.moment in theirs), lambda row: row.machine)
+    by_machine = group_rows((row for row in rows if row.moment in theirs), lambda row: row.machine)
     ours = {machine: skill(own).crps for machine, own in by_machine.items()}
     same = {machine: skill([theirs[row.moment] for row in own]).crps for machine, own in by_machine.items()}
-    return paired(unit_differences(ours, same), rng)
+    return compare_pairs(unit_differences(ours, same), rng)

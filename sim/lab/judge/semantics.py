@@ -14,10 +14,10 @@ from typing import Literal
 import numpy as np
 
 from sim.effects import in_sensor_scale
-from sim.engine import measured, schedule
+from sim.engine import readings, schedule
 from sim.sha import (
-    FIXED,
-    RELAXING,
+    FIXED_PARAMETER,
+    RELAXING_FLOWS,
     SHA,
     Array,
     Chain,
@@ -29,7 +29,7 @@ from sim.sha import (
     compile_chain,
     distributions,
     draw_paths,
-    encoded,
+    encode_trace,
     flows,
     input_moments,
     mode_parameter,
@@ -41,9 +41,9 @@ RESAMPLED: Semantics = "resampled"
 
 RUNS, SPAN = 200, 3600.0
 """Semi-Markov runs from each location, and the seconds that each lasts, where no trace gives the entry laws."""
-ROUNDING = 1e-3
+ENTRY_TOLERANCE_S = 1e-3
 """Seconds that a summed-up entry time may lie before its own row of the trace."""
-STILL = Flow("constant", {"noise": 0.0})
+STILL_FLOW = Flow("constant", {"noise": 0.0})
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +54,7 @@ class EntryLaws:
     source: str
 
     @property
-    def pooled(self) -> Array:
+    def all_temperatures(self) -> Array:
         """(n,) all of them."""
         return np.concatenate([np.empty(0), *self.temperatures.values()])
 
@@ -67,18 +67,18 @@ def side_by_side(model: Model, training: Sequence[Trace] | None, *, seed: int = 
     `seed`.
     Raises ValueError where neither can give any.
     """
-    if semantics_of(model) == RESAMPLED:
-        return {CARRIED: carried(model), RESAMPLED: model}
+    if model_semantics(model) == RESAMPLED:
+        return {CARRIED: carry_temperature(model), RESAMPLED: model}
     entries = entries_of_traces(model, training) if training is not None else entries_of_runs(model, seed)
-    return {CARRIED: model, RESAMPLED: resampled(model, entries)}
+    return {CARRIED: model, RESAMPLED: resample_temperature(model, entries)}
 
 
-def semantics_of(model: Model) -> Semantics:
+def model_semantics(model: Model) -> Semantics:
     """ "resampled" as soon as one location draws the temperature on entry."""
     return RESAMPLED if any(location.entry == "resample" for location in model.sha.locations) else CARRIED
 
 
-def carried(model: Model) -> Model:
+def carry_temperature(model: Model) -> Model:
     """The counterpart of a model that draws X on entry: X goes on, under the same flows.
 
     Where the flow moves towards the law's temperature, that law becomes the target's, drawn once a stay. Elsewhere the
@@ -88,21 +88,21 @@ def carried(model: Model) -> Model:
     locations = []
     for location in model.sha.locations:
         if location.entry == "resample":
-            target = location.flow.kind in RELAXING and FIXED not in location.flow.params
+            target = location.flow.kind in RELAXING_FLOWS and FIXED_PARAMETER not in location.flow.params
             law = location.distribution if target else None
             location = replace(location, distribution=law, entry="parameter" if target else "none")
         locations.append(location)
     return _counterpart(model, tuple(locations), "carried: temperature carried over events", "the flows of the model")
 
 
-def resampled(model: Model, entries: EntryLaws) -> Model:
+def resample_temperature(model: Model, entries: EntryLaws) -> Model:
     """The counterpart of a model that carries X: X ~ N(mu, sigma) on entry, under the same flows at their mean m.
 
     A location's law is that of its own entries. Its sigma counts the scatter of all entries as one entry more, so that
     a single entry makes no certainty; a location that was never entered takes the law of all entries, unless the model
     knows nothing of it either. Raises ValueError when there is no entry at all.
     """
-    model, pooled = in_sensor_scale(model), entries.pooled
+    model, pooled = in_sensor_scale(model), entries.all_temperatures
     if not pooled.size:
         raise ValueError(
             f"model {model.sha.name!r}: no location is entered in {entries.source}, so there is no law of the "
@@ -121,7 +121,7 @@ def resampled(model: Model, entries: EntryLaws) -> Model:
         sigma = sqrt((deviations + spread**2) / values.size) if own.size else spread
         law = Distribution("normal", {"mu": float(values.mean()), "sigma": sigma})
         # The location has room for one law, now the temperature's: m stays at its mean.
-        fixed = {**location.flow.params, FIXED: mode_parameter(location)[0]}
+        fixed = {**location.flow.params, FIXED_PARAMETER: mode_parameter(location)[0]}
         locations.append(Location(location.name, replace(location.flow, params=fixed), law, "resample"))
     return _counterpart(model, tuple(locations), "resampled: temperature drawn on entry", entries.source)
 
@@ -140,21 +140,21 @@ def entries_of_traces(model: Model, traces: Sequence[Trace]) -> EntryLaws:
     X is given there. A trace without a reading of the model's temperature gives nothing.
     """
     # The same locations and edges without flows, so that walking through them needs no input signal.
-    still = tuple(Location(location.name, STILL, None, "none") for location in model.sha.locations)
+    still = tuple(Location(location.name, STILL_FLOW, None, "none") for location in model.sha.locations)
     structure = replace(model.sha, locations=still)
     temperatures: dict[str, list[float]] = defaultdict(list)
     for trace in traces:
         if not np.isfinite(trace.signals.get(model.temperature, np.empty(0))).any():
             continue
-        times, values = measured(trace, model.temperature)
-        events = encoded(trace, model.alphabet).events
+        times, values = readings(trace, model.temperature)
+        events = encode_trace(trace, model.alphabet).events
         steps = schedule(structure, events, times, policy="resync")
         begins = steps.start + np.concatenate([[0.0], np.cumsum(steps.dt[:-1])])
         # Not the first: there the trace begins, and no location was entered.
         entered = np.flatnonzero(steps.entry)[1:]
         # Entry times are sums of steps: one that falls on a row may come out a hair before it, and would then be given
         # the reading of the row before.
-        held = np.searchsorted(times, begins[entered] + ROUNDING, side="right") - 1
+        held = np.searchsorted(times, begins[entered] + ENTRY_TOLERANCE_S, side="right") - 1
         for step, row in zip(entered.tolist(), held.tolist(), strict=True):
             temperatures[still[steps.location[step]].name].append(float(values[row]))
     count = sum(map(len, temperatures.values()))
@@ -181,13 +181,13 @@ def entries_of_runs(model: Model, seed: int) -> EntryLaws:
         if law is None:
             continue
         x0 = distributions.draw(initial, RUNS, rng)
-        for location, temperatures in _run(model.sha, chain, start=place, x0=x0, offsets=offsets, rng=rng):
+        for location, temperatures in _iterate_stays(model.sha, chain, start=place, x0=x0, offsets=offsets, rng=rng):
             entered[location].append(temperatures)
     columns = {chain.names[place]: np.concatenate(parts) for place, parts in entered.items()}
     return EntryLaws(columns, f"semi-Markov runs of the model itself, {RUNS} from each location over {SPAN:g} s")
 
 
-def _run(
+def _iterate_stays(
     sha: SHA, chain: Chain, *, start: int, x0: Array, offsets: Array, rng: np.random.Generator
 ) -> Iterator[tuple[int, Array]]:
     """(location, the temperatures of the runs that enter it), stay by stay, from the temperatures `x0` in `start`."""

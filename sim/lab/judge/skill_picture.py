@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sim.lab.judge.rows import NO_SKILL, NOMINAL, STRETCHES, SkillRow, grouped, skill, stretch
+from sim.lab.judge.rows import NO_SKILL, NOMINAL_COVERAGE, TRACE_PARTS_S, SkillRow, group_rows, skill, stretch
 from sim.lab.learning import PERSISTENCE
 from sim.lab.pictures import blank_figure, write_picture
 
@@ -24,9 +24,9 @@ COLOURS = (
     *("#4a9aa5", "#7f7f7f", "#000000", "#d05a9a", "#6b8e23", "#8b4513"),
 )
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "d", "*", "<", ">", "h")
-LEAST_COVERAGE = 0.6
+MIN_COVERAGE_AXIS = 0.6
 """Where the axes of coverage begin at the latest, so that those of several sets can be compared."""
-REFERENCE = "#555555"
+REFERENCE_COLOUR = "#555555"
 
 
 def draw_skill(rows: Mapping[str, Sequence[SkillRow]], path: Path) -> Path:
@@ -53,9 +53,9 @@ def skill_figure(rows: Mapping[str, Sequence[SkillRow]]) -> Figure:
 
     for line, (title, own) in zip(axes, rows.items(), strict=False):
         horizons = sorted({row.horizon for row in own})
-        by_horizon = {key: skill(part) for key, part in grouped(own, lambda row: (row.method, row.horizon)).items()}
-        stretches = [name for name in STRETCHES if any(stretch(row) == name for row in own)]
-        by_time = {key: skill(part) for key, part in grouped(own, lambda row: (row.method, stretch(row))).items()}
+        by_horizon = {key: skill(part) for key, part in group_rows(own, lambda row: (row.method, row.horizon)).items()}
+        stretches = [name for name in TRACE_PARTS_S if any(stretch(row) == name for row in own)]
+        by_time = {key: skill(part) for key, part in group_rows(own, lambda row: (row.method, stretch(row))).items()}
         for method in methods:
             cells = [by_horizon.get((method, horizon), NO_SKILL) for horizon in horizons]
             if method != PERSISTENCE:
@@ -77,10 +77,10 @@ def skill_figure(rows: Mapping[str, Sequence[SkillRow]]) -> Figure:
                 labels = [f"{name}\n{count} forecasts" for name, count in zip(stretches, counts, strict=True)]
             axis.set_xticks(range(len(labels)), labels)
             axis.set_xlim(-0.5, max(len(labels), 1) - 0.5)
-            axis.axhline(NOMINAL if number >= 2 else 1.0, color=REFERENCE, linewidth=1.0)
+            axis.axhline(NOMINAL_COVERAGE if number >= 2 else 1.0, color=REFERENCE_COLOUR, linewidth=1.0)
             axis.grid(alpha=0.25, axis="y")
             if number >= 2:
-                axis.set_ylim(min(axis.get_ylim()[0], LEAST_COVERAGE), 1.03)
+                axis.set_ylim(min(axis.get_ylim()[0], MIN_COVERAGE_AXIS), 1.03)
             else:
                 axis.set_ylim(0.0, max(axis.get_ylim()[1], 1.1))
     handles, labels = axes[0, 2].get_legend_handles_labels()

@@ -11,11 +11,11 @@ from typing import Any, Literal
 
 from sim.effects import check_sha
 from sim.lab.formats import FoundModel, find_model
-from sim.lab.judge.discovery import CrossCheck, Discovery, cross_check, discover, own_check, report_beside
+from sim.lab.judge.discovery import CrossCheck, Discovery, cross_check, discover, own_check, read_own_report
 from sim.lab.judge.free_run import TraceOutcome
-from sim.lab.judge.semantics import CARRIED, RESAMPLED, semantics_of, side_by_side
+from sim.lab.judge.semantics import CARRIED, RESAMPLED, model_semantics, side_by_side
 from sim.lab.judge.verdicts import mean, summaries, verdict
-from sim.lab.recordings import LoadReport, listed
+from sim.lab.recordings import LoadReport, list_names
 from sim.sha import (
     Alphabet,
     Location,
@@ -23,8 +23,8 @@ from sim.sha import (
     Provenance,
     Trace,
     alphabet_symbols,
+    display_unit,
     distributions,
-    shown_unit,
     transitions,
 )
 
@@ -88,7 +88,7 @@ class Prepared:
 
 
 @contextmanager
-def timed(stage: Stage) -> Iterator[Stage]:
+def time_stage(stage: Stage) -> Iterator[Stage]:
     """The block's seconds are the stage's."""
     begin = perf_counter()
     try:
@@ -112,7 +112,7 @@ def prepare(
     where files are missing or cannot be read; an automaton that is read but cannot be run is refused in `refusals`.
     """
     discovering, parsing, checking, generating = stages = tuple(Stage(number, "") for number in (1, 2, 3, 4))
-    with timed(discovering):
+    with time_stage(discovering):
         discovery = discover(where)
         discovering.found = discovery.sentence
         discovering.details = {
@@ -122,7 +122,7 @@ def prepare(
             "files": [{"file": file.name, "bytes": file.size, "sha256": file.sha256} for file in discovery.files],
             "absent": list(discovery.absent),
         }
-    with timed(parsing):
+    with time_stage(parsing):
         parsed = find_model(where, alphabet=alphabet, temperature=temperature)
         sha = parsed.structure
         names = [location.name for location in sha.locations]
@@ -130,11 +130,11 @@ def prepare(
         symbols = sorted({edge.symbol for edge in sha.edges})
         parsing.found = f"{len(names)} locations, {len(edges)} edges, {len(symbols)} symbols, start {sha.initial}"
         parsing.details = {"initial": sha.initial, "locations": names, "symbols": symbols, "edges": edges}
-    with timed(checking):
+    with time_stage(checking):
         if parsed.artefacts:
             check: CrossCheck | None = cross_check(parsed.artefacts)
         else:
-            beside = report_beside(discovery)
+            beside = read_own_report(discovery)
             check = own_check(*beside, parsed.model) if beside and parsed.model else None
         checked = check.sentence if check else "no artefacts with reported distributions"
         checking.details = {"cross_check": check, "notes": list(parsed.notes)}
@@ -148,7 +148,7 @@ def prepare(
             rows = [location_row(location) for location in parsed.model.sha.locations]
             checking.found = f"flows {', '.join(sorted({row['flow'] for row in rows}))}; {checked}"
             checking.details = {**checking.details, "locations": rows}
-    with timed(generating):
+    with time_stage(generating):
         bare = Model(parsed.structure, Alphabet(()), temperature, 0.0, provenance=Provenance(method="artefacts"))
         structure = _with_alphabet(parsed.model or bare, alphabet)
         variants, refusals = _variants(parsed, structure, wanted, training, seed)
@@ -186,7 +186,7 @@ def prepare(
     )
 
 
-def relabelled(prepared: Sequence[Prepared]) -> list[Prepared]:
+def distinct_labels(prepared: Sequence[Prepared]) -> list[Prepared]:
     """The same with labels that differ: a name that several models share gets the end of its path, then a number."""
     names = [model.label for model in prepared]
     done: list[Prepared] = []
@@ -239,7 +239,7 @@ def _variants(
         check_sha(model.sha)
     except ValueError as error:
         return {}, {"": str(error)}
-    written = semantics_of(model)
+    written = model_semantics(model)
     if wanted in ("written", written):
         return {written: model}, {}
     try:
@@ -256,7 +256,7 @@ Row = dict[str, Any]
 def records(label: str, outcomes: Sequence[TraceOutcome]) -> list[Stage]:
     """Stages 5 to 8 of one model. Seconds are those of the work, summed over all processes."""
     stages = []
-    for number, summarise in ((5, _processed), (6, _simulated), (7, _compared), (8, _measured)):
+    for number, summarise in ((5, _process_stage), (6, _simulate_stage), (7, _compare_stage), (8, _measure_stage)):
         reached = [outcome for outcome in outcomes if number in outcome.seconds or outcome.result.stage == number]
         sentence, rows = summarise(reached)
         stops = (4, 6) if number == 6 else (number,)  # a model refused at stage 4 goes on to the check of the events
@@ -277,7 +277,7 @@ def records(label: str, outcomes: Sequence[TraceOutcome]) -> list[Stage]:
 def load_stage(report: LoadReport, seconds: float) -> Stage:
     """What the reading of the trace files gave, for all models together."""
     refused = f", {report.refused} rows refused" if report.refused else ""
-    lost = f"; without use: {listed(report.errors, 3)}" if report.errors else ""
+    lost = f"; without use: {list_names(report.errors, 3)}" if report.errors else ""
     sentence = f"{len(report.files)} files read, {report.used} of {report.rows} rows used{refused}{lost}"
     return Stage(5, "", sentence, seconds, {"files": report.as_table()})
 
@@ -285,7 +285,7 @@ def load_stage(report: LoadReport, seconds: float) -> Stage:
 # ----------------------------------- each stage: what all traces together gave, in a sentence, and a row for each trace
 
 
-def _processed(outcomes: Sequence[TraceOutcome]) -> tuple[str, list[Row]]:
+def _process_stage(outcomes: Sequence[TraceOutcome]) -> tuple[str, list[Row]]:
     # A trace that ran under two semantics was read and encoded twice, and counts once.
     traces = {outcome.result.trace: outcome.result for outcome in outcomes if outcome.result.readings}
     readings = sum(result.readings for result in traces.values())
@@ -307,7 +307,7 @@ def _processed(outcomes: Sequence[TraceOutcome]) -> tuple[str, list[Row]]:
     )
 
 
-def _simulated(outcomes: Sequence[TraceOutcome]) -> tuple[str, list[Row]]:
+def _simulate_stage(outcomes: Sequence[TraceOutcome]) -> tuple[str, list[Row]]:
     accepted = sum(outcome.result.accepted for outcome in outcomes)
     missing = Counter[tuple[str, str]]()
     rows: list[Row] = []
@@ -335,7 +335,7 @@ def _simulated(outcomes: Sequence[TraceOutcome]) -> tuple[str, list[Row]]:
     return f"{sentence}; simulated at {simulated} readings", rows
 
 
-def _compared(outcomes: Sequence[TraceOutcome]) -> tuple[str, list[Row]]:
+def _compare_stage(outcomes: Sequence[TraceOutcome]) -> tuple[str, list[Row]]:
     parts = []
     for semantics in dict.fromkeys(outcome.result.semantics for outcome in outcomes):
         own = [outcome for outcome in outcomes if outcome.result.semantics == semantics and not outcome.result.failure]
@@ -343,7 +343,7 @@ def _compared(outcomes: Sequence[TraceOutcome]) -> tuple[str, list[Row]]:
             sparse = mean(outcome.result.at_events.mae for outcome in own)
             dense = mean(outcome.result.dense.mae for outcome in own)
             apart = max(outcome.comparison.apart for outcome in own)
-            unit = shown_unit(own[0].result.unit)
+            unit = display_unit(own[0].result.unit)
             parts.append(
                 f"{semantics}: mean MAE {sparse:.3f} {unit} at the filtered events (sparse), {dense:.3f} {unit} at all "
                 f"readings under the full encoding (dense), courses up to {apart:.3g} {unit} apart"
@@ -360,11 +360,11 @@ def _compared(outcomes: Sequence[TraceOutcome]) -> tuple[str, list[Row]]:
     return "; ".join(parts) or "nothing to compare", rows
 
 
-def _measured(outcomes: Sequence[TraceOutcome]) -> tuple[str, list[Row]]:
+def _measure_stage(outcomes: Sequence[TraceOutcome]) -> tuple[str, list[Row]]:
     parts = []
     for each in summaries(outcome.result for outcome in outcomes if not outcome.result.failure):
         # A last reading of 0 has no error in per cent.
-        unit = shown_unit(each.unit)
+        unit = display_unit(each.unit)
         percent = f"{each.final_percent:.1f} %" if isfinite(each.final_percent) else "–"
         parts.append(
             f"{each.semantics}: MAE {each.mae:.3f} {unit}, RMSE {each.rmse:.3f} {unit}, final {each.final:.3f} {unit} "

@@ -16,9 +16,9 @@ from statsmodels.tsa.stattools import kpss
 
 from sim.sha import Array
 
-ORDERS = 3
+MAX_ORDER = 3
 """No more autoregressive or moving-average terms than this."""
-SIGNIFICANT = 0.05
+SIGNIFICANCE_LEVEL = 0.05
 
 
 def damped_trend(series: Array, steps: int) -> tuple[Array, Array]:
@@ -57,12 +57,12 @@ def auto_arima(series: Array, steps: int) -> tuple[Array, Array]:
     """ARIMA without season, its order by the stepwise search of Hyndman & Khandakar (2008): KPSS for d, AICc for p, q.
 
     As there: at most two differences, a constant with at most one. The search compares approximate fits (`_arma_aicc`);
-    only the chosen order is fitted by maximum likelihood. No more than ORDERS terms of either kind.
+    only the chosen order is fitted by maximum likelihood. No more than MAX_ORDER terms of either kind.
     """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         differences, rest = 0, series
-        while differences < 2 and np.ptp(rest) > 0 and kpss(rest, nlags="auto")[1] < SIGNIFICANT:
+        while differences < 2 and np.ptp(rest) > 0 and kpss(rest, nlags="auto")[1] < SIGNIFICANCE_LEVEL:
             differences, rest = differences + 1, np.diff(rest)
         constants = (False, True) if differences < 2 else (False,)
         criteria: dict[tuple[int, int, bool], float] = {}
@@ -72,7 +72,7 @@ def auto_arima(series: Array, steps: int) -> tuple[Array, Array]:
             criteria |= {order: _arma_aicc(rest, *order) for order in ahead}
             best = min(criteria, key=lambda order: criteria[order])
             near = [(best[0] + p, best[1] + q) for p, q in product((-1, 0, 1), repeat=2) if p * q >= 0]
-            inside = [(p, q) for p, q in near if 0 <= p <= ORDERS and 0 <= q <= ORDERS]
+            inside = [(p, q) for p, q in near if 0 <= p <= MAX_ORDER and 0 <= q <= MAX_ORDER]
             ahead = [
                 (*order, constant) for order in inside for constant in constants if (*order, constant) not in criteria
             ]

@@ -12,7 +12,7 @@ import scipy
 from threadpoolctl import ThreadpoolController
 
 from sim.lab.judge.direct_rivals import RunningMeans
-from sim.lab.judge.past import FittedRival, Past, equal_shares, readings, temperature_at, trained_columns
+from sim.lab.judge.past import FittedRival, Past, equal_shares, interpolate_temperature, readings, trained_columns
 from sim.scores import crps_gaussian
 from sim.sha import Array
 
@@ -21,14 +21,14 @@ WITHOUT_STATSMODELS = (
 )
 MODELS = ("damped_trend", "auto_ets", "auto_arima", "auto_theta")
 """The functions of `sim.lab.judge.statsmodels_series` that a univariate rival may use."""
-POINTS = 400
+MAX_POINTS = 400
 """The model sees at most so many points of the past."""
-FEWEST = 12
+MIN_POINTS = 12
 """With fewer points the last one stays, with the deviation of a random walk."""
-PARTS = 6
+HORIZON_STEPS = 6
 """So many steps of the grid make the shortest horizon, where readings come often enough."""
-FACTORS = np.geomspace(0.25, 8.0, 21)
-SMALLEST_DEVIATION = 0.02
+BAND_FACTORS = np.geomspace(0.25, 8.0, 21)
+MIN_DEVIATION_DEGC = 0.02
 """A model may not be surer than this (degC): readings are not finer."""
 
 SeriesModel = Callable[[Array, int], tuple[Array, Array]]
@@ -38,8 +38,8 @@ SeriesModel = Callable[[Array, int], tuple[Array, Array]]
 class Univariate:
     """One of MODELS on the past alone. What it learns from the training machines is how wide its band must be.
 
-    A model's own deviations hold if the model is right. For each horizon they are multiplied by the one of FACTORS with
-    the best CRPS at origins spread over the training machines, each machine alike.
+    A model's own deviations hold if the model is right. For each horizon they are multiplied by the one of BAND_FACTORS
+    with the best CRPS at origins spread over the training machines, each machine alike.
     """
 
     name: str
@@ -66,19 +66,19 @@ class Univariate:
             if at.size == 0:
                 continue
             origins = np.linspace(at[0], at[-1], max(self.origins // len(training), 1) + 2)[1:-1]
-            for past in map(machine.until, origins):
+            for past in map(machine.truncate, origins):
                 with threads.limit(limits=1):
                     mean, deviation = _ahead(model, past, horizons)
                 means.append(mean)
                 deviations.append(deviation)
-                outcomes.append(temperature_at(at, values, past.times[-1] + np.asarray(horizons, dtype=float)))
+                outcomes.append(interpolate_temperature(at, values, past.times[-1] + np.asarray(horizons, dtype=float)))
                 machines.append(number)
-        scores = np.array([crps_gaussian(means, factor * np.array(deviations), outcomes) for factor in FACTORS])
+        scores = np.array([crps_gaussian(means, factor * np.array(deviations), outcomes) for factor in BAND_FACTORS])
         factors = []
         for column in range(len(horizons)):
             known = np.isfinite(scores[0, :, column])
             weights = equal_shares(np.array(machines)[known])
-            factors.append(float(FACTORS[np.argmin(scores[:, known, column] @ weights)]) if known.any() else 1.0)
+            factors.append(float(BAND_FACTORS[np.argmin(scores[:, known, column] @ weights)]) if known.any() else 1.0)
         return FittedUnivariate(tuple(horizons), model, np.array(factors), threads)
 
 
@@ -109,32 +109,32 @@ def _ahead(model: SeriesModel, past: Past, horizons: Sequence[float]) -> tuple[A
     """
     step = _step(past.times, horizons)
     origin = past.times[-1]
-    first = int(np.searchsorted(past.times, origin - (POINTS + 1) * step))
+    first = int(np.searchsorted(past.times, origin - (MAX_POINTS + 1) * step))
     recent = past.rows(slice(first, None))
     at, _ = readings(recent)
     if at.size == 0:
         return np.full(len(horizons), np.nan), np.full(len(horizons), np.nan)
-    points = min(int((origin - at[0]) / step) + 1, POINTS)
+    points = min(int((origin - at[0]) / step) + 1, MAX_POINTS)
     moments = origin - step * np.arange(points - 1, -1, -1.0)
-    series = RunningMeans.of(recent.times, recent.temperature).before(moments, step)
+    series = RunningMeans.of_column(recent.times, recent.temperature).before(moments, step)
     late = origin - float(np.mean(at[at > origin - step])) if at[-1] > origin - step else 0.0
     ahead = (np.asarray(horizons, dtype=float) + late) / step
     steps = int(np.ceil(ahead.max()))
-    if points >= FEWEST and np.ptp(series) > 0:
+    if points >= MIN_POINTS and np.ptp(series) > 0:
         means, deviations = model(series, steps)
     else:
         walk = float(np.std(np.diff(series))) if points > 1 else 0.0
         means, deviations = np.full(steps, series[-1]), walk * np.sqrt(np.arange(1.0, steps + 1.0))
     at_steps = np.arange(1.0, steps + 1.0)
     deviation = np.interp(ahead, at_steps, deviations)
-    return np.interp(ahead, at_steps, means), np.maximum(deviation, SMALLEST_DEVIATION)
+    return np.interp(ahead, at_steps, means), np.maximum(deviation, MIN_DEVIATION_DEGC)
 
 
 def _step(times: Array, horizons: Sequence[float]) -> float:
-    """The grid's step (s): divides all horizons, the shortest into PARTS, but is no finer than the readings."""
+    """The grid's step (s): divides all horizons, the shortest into HORIZON_STEPS, but is no finer than the readings."""
     common = gcd(*(round(1000.0 * horizon) for horizon in horizons)) / 1000.0
-    interval = float(np.median(np.diff(times[-POINTS:]))) if times.size > 1 else 0.0
-    parts = max(round(PARTS * common / min(horizons)), 1)
+    interval = float(np.median(np.diff(times[-MAX_POINTS:]))) if times.size > 1 else 0.0
+    parts = max(round(HORIZON_STEPS * common / min(horizons)), 1)
     while parts > 1 and common / parts < interval:
         parts -= 1
     return common / parts

@@ -8,13 +8,13 @@ from typing import Literal
 
 from sim.lab.judge.results import Seen, TraceResult
 from sim.lab.judge.semantics import CARRIED, RESAMPLED
-from sim.sha import DEGREES, shown_unit
+from sim.sha import DEFAULT_UNIT, display_unit
 
 Word = Literal["good", "review", "failed"]
 
-BEYOND = 0.01
+MAX_BEYOND_SHARE = 0.01
 """Share of readings beyond three sigma above which a trace is to be looked at (a normal law leaves 0.0027 there)."""
-COVERED = 0.75
+MIN_COVERAGE = 0.75
 """Coverage of the 90 % band below which a trace is to be looked at."""
 
 
@@ -33,13 +33,13 @@ def verdict(result: TraceResult) -> TraceVerdict:
     reasons = []
     if result.rejected:
         reasons.append(result.rejected)
-    if result.beyond > BEYOND:
+    if result.beyond > MAX_BEYOND_SHARE:
         reasons.append(f"{result.beyond:.1%} of the readings lie beyond three sigma")
-    if result.coverage < COVERED:
+    if result.coverage < MIN_COVERAGE:
         reasons.append(f"the 90 % band covers {result.coverage:.0%} of the readings")
     if result.mae.value >= result.persistence:
         reasons.append(
-            f"holding the first reading does as well (MAE {result.persistence:.2f} {shown_unit(result.unit)})"
+            f"holding the first reading does as well (MAE {result.persistence:.2f} {display_unit(result.unit)})"
         )
     # The flag about events without an edge says once more what the rejection has said already.
     reasons += [flag for flag in result.flags if not (result.rejected and flag.startswith("events:"))]
@@ -48,7 +48,12 @@ def verdict(result: TraceResult) -> TraceVerdict:
 
 Sample = Literal["unseen", "not known", "in-sample"]
 """Whether figures are of traces of the model's training; "not known" where it does not say which these were."""
-SAMPLE: Mapping[Seen, Sample] = {"no": "unseen", "unknown": "not known", "content": "in-sample", "name": "in-sample"}
+SAMPLE_WORDS: Mapping[Seen, Sample] = {
+    "no": "unseen",
+    "unknown": "not known",
+    "content": "in-sample",
+    "name": "in-sample",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +83,7 @@ class VerdictSummary:
     crps: float
     persistence: float
     better: int
-    unit: str = DEGREES
+    unit: str = DEFAULT_UNIT
 
 
 def summary(results: Sequence[TraceResult]) -> VerdictSummary:
@@ -90,7 +95,7 @@ def summary(results: Sequence[TraceResult]) -> VerdictSummary:
     return VerdictSummary(
         model=results[0].model,
         semantics=results[0].semantics,
-        sample=SAMPLE[results[0].seen],
+        sample=SAMPLE_WORDS[results[0].seen],
         traces=len(results),
         scored=len(done),
         good=words.count("good"),
@@ -119,8 +124,8 @@ def summaries(results: Iterable[TraceResult]) -> list[VerdictSummary]:
     """
     groups: dict[str, dict[tuple[Sample, str], list[TraceResult]]] = {}
     for result in results:
-        groups.setdefault(result.model, {}).setdefault((SAMPLE[result.seen], result.semantics), []).append(result)
-    order = list(dict.fromkeys(SAMPLE.values()))
+        groups.setdefault(result.model, {}).setdefault((SAMPLE_WORDS[result.seen], result.semantics), []).append(result)
+    order = list(dict.fromkeys(SAMPLE_WORDS.values()))
     return [
         summary(group)
         for own in groups.values()
@@ -142,7 +147,7 @@ class Gain:
     def sentence(self) -> str:
         """The gain with its numbers."""
         ratio = f" ({self.resampled.mae / self.carried.mae:.2g} times as much)" if self.carried.mae > 0 else ""
-        unit = shown_unit(self.carried.unit)
+        unit = display_unit(self.carried.unit)
         return (
             f"mean MAE {self.carried.mae:.3f} {unit} with the temperature carried over events, "
             f"{self.resampled.mae:.3f} {unit} with it drawn on entry{ratio}; "
@@ -159,7 +164,7 @@ def gain(results: Sequence[TraceResult]) -> Gain | None:
         for name in (CARRIED, RESAMPLED)
     )
     both = [name for name in carried if name in resampled]
-    common = [name for name in both if SAMPLE[carried[name].seen] == "unseen"] or both
+    common = [name for name in both if SAMPLE_WORDS[carried[name].seen] == "unseen"] or both
     if not common:
         return None
     wins = sum(carried[name].mae.value < resampled[name].mae.value for name in common)

@@ -9,17 +9,17 @@ from typing import Any, Literal
 import numpy as np
 
 from sim.lab.judge.rows import (
-    LEAST_FORECASTS,
-    STRETCHES,
+    MIN_FORECASTS,
+    TRACE_PARTS_S,
     SkillRow,
     common,
     difference,
-    grouped,
+    group_rows,
     independent,
     means,
     stretch,
 )
-from sim.sha import DEGREES, shown_unit
+from sim.sha import DEFAULT_UNIT, display_unit
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -43,16 +43,16 @@ class Worth:
 
     @property
     def verdict(self) -> Literal["not known", "better", "as good", "worse"]:
-        """What the model is: as good as the best other method while neither CRPS is AHEAD times the other's.
+        """What the model is: as good as the best other method while neither CRPS is MAX_CRPS_RATIO times the other's.
 
-        Not known from fewer than LEAST_FORECASTS independent forecasts, or where less than LEAST_READ of the moments
+        Not known from fewer than MIN_FORECASTS independent forecasts, or where less than LEAST_READ of the moments
         have an outcome.
         """
-        if self.independent < LEAST_FORECASTS or self.scored < LEAST_READ * self.due:
+        if self.independent < MIN_FORECASTS or self.scored < LEAST_READ * self.due:
             return "not known"
-        if self.crps > AHEAD * self.best_crps:
+        if self.crps > MAX_CRPS_RATIO * self.best_crps:
             return "worse"
-        return "better" if AHEAD * self.crps < self.best_crps else "as good"
+        return "better" if MAX_CRPS_RATIO * self.crps < self.best_crps else "as good"
 
     def sentence(self, unit: str) -> str:
         """The verdict with its figures, in `unit` as people read it."""
@@ -61,9 +61,9 @@ class Worth:
         if self.verdict == "not known":
             had = "1 forecast" if self.scored == 1 else f"{self.scored} forecasts"
             why = (
-                f"{had} had an outcome, worth {_floored(self.independent)} that do not overlap; "
-                f"{LEAST_FORECASTS:g} is the fewest that tell"
-                if self.independent < LEAST_FORECASTS
+                f"{had} had an outcome, worth {_floor_text(self.independent)} that do not overlap; "
+                f"{MIN_FORECASTS:g} is the fewest that tell"
+                if self.independent < MIN_FORECASTS
                 else f"{self.scored} of {self.due} moments have an outcome, which may be the easier ones"
             )
             return (
@@ -90,7 +90,7 @@ class ForecastSkill:
     tables: Mapping[str, Sequence[Mapping[str, Any]]]
     worth: tuple[Worth, ...]
     notes: tuple[str, ...] = ()
-    unit: str = DEGREES
+    unit: str = DEFAULT_UNIT
 
     @property
     def sentences(self) -> list[str]:
@@ -103,7 +103,7 @@ class ForecastSkill:
             if each.machine and (each.verdict == "not known" or not otherwise):
                 continue
             name = f"{each.method}: " if len(self.ours) > 1 else ""
-            told.append(name + each.sentence(shown_unit(self.unit)))
+            told.append(name + each.sentence(display_unit(self.unit)))
         return told
 
     def as_plain(self) -> dict[str, Any]:
@@ -114,7 +114,7 @@ class ForecastSkill:
 
 
 def forecast_skill(
-    rows: Sequence[SkillRow], ours: Sequence[str], *, seed: int = 0, notes: Sequence[str] = (), unit: str = DEGREES
+    rows: Sequence[SkillRow], ours: Sequence[str], *, seed: int = 0, notes: Sequence[str] = (), unit: str = DEFAULT_UNIT
 ) -> ForecastSkill:
     """The skill of the methods `ours` among all that have rows, at the moments that all of them share."""
     shared = common(rows)
@@ -122,8 +122,8 @@ def forecast_skill(
     if rows and not shared:
         said.append("the methods have no forecast for the same moment, so they cannot be compared")
     found = tables(shared, ours, seed)
-    own = grouped(shared, lambda row: (row.method, row.horizon))
-    every = grouped(rows, lambda row: (row.method, row.horizon))
+    own = group_rows(shared, lambda row: (row.method, row.horizon))
+    every = group_rows(rows, lambda row: (row.method, row.horizon))
     said += _unread(every.values(), ours)
     crps: dict[float, dict[str, dict[str, float]]] = {}
     for row in (*found["by horizon"], *found["by machine"]):
@@ -167,14 +167,14 @@ def _unread(every: Iterable[Sequence[SkillRow]], ours: Sequence[str]) -> list[st
     return said
 
 
-def _floored(count: float) -> str:
+def _floor_text(count: float) -> str:
     # Rounded to the nearest, 7.97 would read as the fewest that tell.
     return f"{floor(10.0 * count) / 10.0:g}"
 
 
 LEAST_READ = 0.5
 """Share of the moments that came due which must have an outcome: readings of few moments are no sample of all."""
-AHEAD = 1.05
+MAX_CRPS_RATIO = 1.05
 """A method is as good as the best other one while its CRPS is at most so many times that one's."""
 
 
@@ -183,7 +183,7 @@ def tables(rows: Sequence[SkillRow], ours: Sequence[str], seed: int = 0) -> dict
 
     The best other method of a horizon is the one with the lowest CRPS there.
     """
-    places = {name: place for place, name in enumerate(STRETCHES)}
+    places = {name: place for place, name in enumerate(TRACE_PARTS_S)}
     keys: dict[str, Callable[[SkillRow], Any]] = {
         "horizon": lambda row: row.horizon,
         "machine": lambda row: row.machine,
@@ -198,8 +198,8 @@ def tables(rows: Sequence[SkillRow], ours: Sequence[str], seed: int = 0) -> dict
     crps = {(row["horizon"], row["method"]): row["crps"] for row in found["by horizon"]}
     found["differences"] = []
     rng = np.random.default_rng(seed)
-    for horizon, here in grouped(rows, keys["horizon"]).items():
-        by_method = grouped(here, lambda row: row.method)
+    for horizon, here in group_rows(rows, keys["horizon"]).items():
+        by_method = group_rows(here, lambda row: row.method)
         others = {name: crps[horizon, name] for name in by_method if name not in ours}
         best = min(others, key=lambda name: others[name], default="")
         for name in ours:

@@ -2,24 +2,24 @@
 
 from typing import TYPE_CHECKING
 
-from sim.doors import opened_at_use
+from sim.doors import lazy_getattr
 
 if TYPE_CHECKING:
     from sim.lab.learning.calibrate import MOST_WIDENING, Coverage, HeldOutForecasts, independent_forecasts
     from sim.lab.learning.correction import FORMS, corrected_model, learn_correction
     from sim.lab.learning.data import in_order
-    from sim.lab.learning.drivers import DriverEvidence, drivers_of
+    from sim.lab.learning.drivers import DriverEvidence, find_drivers
     from sim.lab.learning.fleet import (
         FALSE_FINDING_CHANCE,
         GroupTargets,
         StandsOut,
+        find_outliers,
         grouped_targets,
-        outstanding,
         own_targets,
         target_groups,
     )
     from sim.lab.learning.free_run import (
-        RATES,
+        RATE_PARAMETERS,
         FitShape,
         FreeRunFit,
         LinearFit,
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     )
     from sim.lab.learning.held_out import (
         FOLDS,
-        LEAST,
+        MIN_READINGS,
         HeldOutErrors,
         choose,
         cross_validate,
@@ -42,29 +42,29 @@ if TYPE_CHECKING:
     )
     from sim.lab.learning.machines import (
         MachineSpread,
-        believed,
         machine_corrections,
         machine_spread,
-        machines_of,
         next_stay,
-        spread_of,
+        offset_spread,
+        shrink_offset,
+        trace_machines,
     )
     from sim.lab.learning.max_rate import bite, learn_max_rate, with_max_rate
-    from sim.lab.learning.noise import Memories, NoiseLevels, drift_noise, fit_noise, memories_told
-    from sim.lab.learning.outcomes import outcomes_of
+    from sim.lab.learning.noise import Memories, NoiseLevels, drift_noise, fit_noise, observable_memories
+    from sim.lab.learning.outcomes import clean_readings
     from sim.lab.learning.plain import PERSISTENCE, learn_plain
     from sim.lab.learning.preparation import (
-        LEAST_READINGS,
-        LEAST_SHARE,
+        MIN_READING_SHARE,
+        MIN_TRAINING_READINGS,
         check_data,
         initial_law,
         splits,
         with_events,
         with_range,
     )
-    from sim.lab.learning.runs import FreeRuns, Indices, first_switch, free_runs, pieces, sampled, thinned
+    from sim.lab.learning.runs import FreeRuns, Indices, first_switch, free_runs, pieces, sample_runs, thin_runs
     from sim.lab.learning.semi_markov import fit_stays, with_inputs
-    from sim.lab.learning.shape import ParameterNames, Prior, shape_of, with_parameters
+    from sim.lab.learning.shape import ParameterNames, Prior, build_shape, with_parameters
     from sim.lab.learning.structure import (
         SWITCH_STEPS,
         Context,
@@ -75,10 +75,10 @@ if TYPE_CHECKING:
         distance,
         labels,
         level_signals,
-        name_of,
+        location_name,
         nearest,
         product_sha,
         reference,
     )
 else:
-    __getattr__ = opened_at_use(__name__)
+    __getattr__ = lazy_getattr(__name__)

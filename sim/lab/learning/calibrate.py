@@ -6,24 +6,24 @@ from math import exp, inf, log, nan
 
 import numpy as np
 
-from sim.engine import Belief, compiled, observe, on_event, start, with_inputs
-from sim.forecast import LEVELS, Z90, fans, weighted
-from sim.lab.learning.outcomes import outcomes_of
+from sim.engine import Belief, compile_tracker, observe, on_event, start, with_inputs
+from sim.forecast import FAN_LEVELS, Z90, fans, member_weights
+from sim.lab.learning.outcomes import clean_readings
 from sim.lab.learning.plain import PERSISTENCE
 from sim.scores import crps_quantiles
 from sim.sha import UNKNOWN, Array, Event, Model, PlainMember, Trace, plain_model
 
-HORIZONS = (60.0, 300.0, 900.0)
-ORIGINS = 100
+HORIZONS_S = (60.0, 300.0, 900.0)
+FORECAST_COUNT = 100
 """Forecasts that are made in all, spread evenly over the time that may be used."""
-RUNS = 128
-MOST_ROWS = 10_000
+FORECAST_RUNS = 128
+MAX_ROWS = 10_000
 """Rows filtered in all; more are thinned evenly, the forecasts' outcomes are not."""
 PRIOR_FORECASTS, PRIOR_FACTOR = 4.0, 1.25
 """A factor of 1.25 counts for four independent forecasts: the model does not know how wrong its own flows may be."""
-PLAIN_ROWS = 4_000
+MAX_PLAIN_ROWS = 4_000
 """The same of a plain member: what it was worth at training is only where its weight begins."""
-PRIOR = 6.0
+MAX_PRIOR_FORECASTS = 6.0
 """Independent forecasts at most that a plain member's odds at training count for: another machine is not this one."""
 UNSEEN_ODDS, UNSEEN_WIDENING = 10.0, 1.75
 """Where only later times of the training's own traces were held out, nobody knows how the model fits another day: the
@@ -71,22 +71,22 @@ def score_forecasts(
     since: Sequence[float],
     rng: np.random.Generator,
     *,
-    origins: int = ORIGINS,
-    most_rows: int = MOST_ROWS,
+    origins: int = FORECAST_COUNT,
+    most_rows: int = MAX_ROWS,
 ) -> list[Scored]:
     """`origins` forecasts with unknown events from moments at or after `since` (one per trace, absolute s), scored.
 
     The belief is filtered over each whole trace, as it would be on the plant; isolated spikes are no outcomes.
     """
     # The factors of an earlier calibration would widen the very bands that are judged here.
-    tracker = compiled(replace(model, calibration={}))
+    tracker = compile_tracker(replace(model, calibration={}))
     usable = [max(float(trace.times[-1]) - first, 0.0) for trace, first in zip(traces, since, strict=True)]
     every = max(sum(usable) / origins, 1e-9)
     stride = max(sum(trace.times.size for trace in traces) // most_rows, 1)
     seen: list[tuple[Belief, dict[float, float]]] = []
     for trace, first in zip(traces, since, strict=True):
-        raw = trace.drawn(tracker.model.temperature)
-        outcomes = outcomes_of(trace.times, raw, tracker.model.alphabet.gap)
+        raw = trace.signal_course(tracker.model.temperature)
+        outcomes = clean_readings(trace.times, raw, tracker.model.alphabet.gap)
         rows = np.arange(0, trace.times.size, stride)
         inputs = {name: trace.signals[name][rows].tolist() for name in sorted(tracker.inputs) if name in trace.signals}
         # The last event never comes: it spares the loop a look at the end of the list.
@@ -101,24 +101,24 @@ def score_forecasts(
             # The filter gets the raw reading, spikes included: on the plant nobody takes them out beforehand.
             belief = observe(tracker, belief, time, value)
             if time >= following and belief.seen:
-                due = {horizon: outcomes.at(time + horizon) for horizon in HORIZONS}
+                due = {horizon: outcomes.interpolate(time + horizon) for horizon in HORIZONS_S}
                 seen.append((belief, {horizon: value for horizon, value in due.items() if value is not None}))
                 following = max(following + every, time)
     judged = [(belief, due) for belief, due in seen if due]
-    found = fans(tracker, [(belief, tuple(due)) for belief, due in judged], rng, runs=RUNS)
+    found = fans(tracker, [(belief, tuple(due)) for belief, due in judged], rng, runs=FORECAST_RUNS)
     return [score for (belief, due), fan in zip(judged, found, strict=True) for score in _scores(belief.time, due, fan)]
 
 
 def _scores(time: float, due: Mapping[float, float], fan: Array) -> list[Scored]:
     """The `fan` (L, H) of a forecast made at `time` (s) against what came true, horizon -> degC."""
-    low, median, high = (fan[LEVELS.index(level)] for level in (0.05, 0.5, 0.95))
+    low, median, high = (fan[FAN_LEVELS.index(level)] for level in (0.05, 0.5, 0.95))
     scored = []
     for column, (horizon, outcome) in enumerate(due.items()):
         error = outcome - median[column]
         # The law need not be symmetric: an error counts in units of the half of the band on whose side it lies.
         edge = high[column] - median[column] if error >= 0 else median[column] - low[column]
         z = float(Z90 * abs(error) / max(edge, 1e-9))
-        scored.append(Scored(horizon, time + horizon, z, float(crps_quantiles(LEVELS, fan[:, column], outcome))))
+        scored.append(Scored(horizon, time + horizon, z, float(crps_quantiles(FAN_LEVELS, fan[:, column], outcome))))
     return scored
 
 
@@ -144,7 +144,7 @@ class HeldOutForecasts:
         since: Sequence[float],
         rng: np.random.Generator,
         *,
-        origins: int = ORIGINS,
+        origins: int = FORECAST_COUNT,
     ) -> None:
         """Score the forecasts of a part (`score_forecasts`), the plain members' along the same traces."""
         self.machines += [trace.machine for trace in traces]
@@ -153,7 +153,7 @@ class HeldOutForecasts:
             own = np.random.default_rng((self.seed, number + 1, len(self.scored)))
             beside = replace(plain_model(model, member), calibration={})
             self.of_plain.setdefault(member.name, []).extend(
-                score_forecasts(beside, traces, since, own, origins=origins, most_rows=PLAIN_ROWS)
+                score_forecasts(beside, traces, since, own, origins=origins, most_rows=MAX_PLAIN_ROWS)
             )
 
     @property
@@ -162,16 +162,16 @@ class HeldOutForecasts:
         beside = _mean_crps(self.of_plain.get(PERSISTENCE, []))
         return tuple(
             replace(row, persistence=beside.get(row.horizon, nan), other_days=self.other_days)
-            for row in coverage_of(self.scored)
+            for row in horizon_coverage(self.scored)
         )
 
     @property
     def members(self) -> tuple[PlainMember, ...]:
         """The plain members with their factors, and with their odds against the model at each horizon.
 
-        The odds are those that a pool would have come to over as many independent forecasts, PRIOR at most. Forecasts
-        of one unit err together: who was better on all of n is so on the next with odds of n + 1 (Laplace's rule of
-        succession), and no odds are above that.
+        The odds are those that a pool would have come to over as many independent forecasts, MAX_PRIOR_FORECASTS at
+        most. Forecasts of one unit err together: who was better on all of n is so on the next with odds of n + 1
+        (Laplace's rule of succession), and no odds are above that.
         """
         kinds = len(set(self.machines))
         most = 1.0 + (kinds if kinds > 1 else len(self.machines))
@@ -186,9 +186,11 @@ class HeldOutForecasts:
             losses, odds = _mean_crps(scored), {}
             for horizon in own.keys() & losses.keys():
                 pair = np.array([own[horizon], losses[horizon]])
-                weight = weighted(np.ones(2), pair / max(pair.min(), 1e-3), min(independent[horizon], PRIOR))
+                weight = member_weights(
+                    np.ones(2), pair / max(pair.min(), 1e-3), min(independent[horizon], MAX_PRIOR_FORECASTS)
+                )
                 odds[horizon] = float(min(max(weight[1] / weight[0], least), most))
-            rows = (replace(row, other_days=self.other_days) for row in coverage_of(scored))
+            rows = (replace(row, other_days=self.other_days) for row in horizon_coverage(scored))
             factors = {row.horizon: row.widening for row in rows}
             members.append(replace(member, calibration=factors, odds=dict(sorted(odds.items()))))
         return tuple(members)
@@ -210,7 +212,7 @@ def independent_forecasts(times: Array, horizon: float) -> float:
     return 1.0 + float(np.minimum(np.diff(times), horizon).sum()) / horizon if times.size else 0.0
 
 
-def coverage_of(scored: Sequence[Scored]) -> tuple[Coverage, ...]:
+def horizon_coverage(scored: Sequence[Scored]) -> tuple[Coverage, ...]:
     """The factor of each horizon, from the 90 % quantile of z.
 
     Forecasts whose spans overlap err together: n of them that span T seconds count as T / horizon. The quantile is
@@ -218,7 +220,7 @@ def coverage_of(scored: Sequence[Scored]) -> tuple[Coverage, ...]:
     of logarithms as if four independent forecasts had said so.
     """
     table = []
-    for horizon in HORIZONS:
+    for horizon in HORIZONS_S:
         forecasts = sorted((forecast for forecast in scored if forecast.horizon == horizon), key=lambda each: each.due)
         if not forecasts:
             continue
@@ -251,5 +253,5 @@ def calibrate(
     """
     begins = [-inf] * len(traces) if since is None else since
     first = [max(begin, float(trace.times[0])) for trace, begin in zip(traces, begins, strict=True)]
-    coverage = coverage_of(score_forecasts(model, traces, first, rng))
+    coverage = horizon_coverage(score_forecasts(model, traces, first, rng))
     return {row.horizon: row.factor for row in coverage}

@@ -17,13 +17,13 @@ from typing import Literal
 
 import numpy as np
 
-from sim.engine import errors, mean_outputs, measured, open_loop, open_loop_schedule
+from sim.engine import errors, mean_outputs, open_loop, open_loop_schedule, readings
 from sim.lab.learning.data import resolution, without_spikes
-from sim.lab.learning.free_run import HUBER
+from sim.lab.learning.free_run import HUBER_LIMIT
 from sim.lab.learning.held_out import huber_scale
 from sim.lab.learning.runs import Indices
 from sim.lab.learning.structure import LearningError
-from sim.sha import Array, Correction, Model, Trace, content_hash, joint_hash, shown_unit
+from sim.sha import Array, Correction, Model, Trace, content_hash, display_unit, joint_hash
 
 Form = Literal["offset", "gain", "affine"]
 FORMS: tuple[Form, ...] = ("gain", "affine")
@@ -31,16 +31,16 @@ FORMS: tuple[Form, ...] = ("gain", "affine")
 
 Progress = Callable[[str, float], None]
 
-CLUSTERS = 8
+MIN_CLUSTERS = 8
 """Runs that are left out in turn, at least: with fewer traces long ones are cut."""
-LEAST_READINGS = 10
-PIECE_READINGS = 60
+MIN_READINGS = 10
+MIN_PIECE_READINGS = 60
 """Readings that a run must have, and those below which it is cut no further."""
-MOST_READINGS = 400
+MAX_READINGS = 400
 """Readings of one run that enter the fit; more are thinned evenly, the held-out error is taken at all of them."""
 LEAST_GAIN, MOST_GAIN = 0.5, 2.0
 """Bounds of a gain: beyond them a model is wrong, which no calibration mends."""
-WORST_CONDITION = 1e4
+MAX_CONDITION = 1e4
 """Of the scaled regressors: above it the traces cannot tell a gain from an offset."""
 
 
@@ -111,7 +111,7 @@ def learn_correction(
     if len(runs) < 2:
         raise LearningError(
             f"{len(runs)} usable run(s) of {model.temperature!r} in {len(traces)} traces: a correction is judged by "
-            f"runs that it was not learned from, so at least 2 with {LEAST_READINGS} readings each are needed"
+            f"runs that it was not learned from, so at least 2 with {MIN_READINGS} readings each are needed"
         )
     report("running the model", 0.0)
     bare = replace(model, correction=Correction())
@@ -120,7 +120,7 @@ def learn_correction(
     fits: list[tuple[CorrectionFit, Array]] = []
     for number, form in enumerate(forms):
         report(f"fitting {form}", 0.2 + 0.8 * number / len(forms))
-        fits.append(_fit(form, bare, runs, rows, before))
+        fits.append(_fit_form(form, bare, runs, rows, before))
     report("done", 1.0)
     accepted = [pair for pair in fits if pair[0].accepted]
     chosen: CorrectionFit | None = None
@@ -142,15 +142,15 @@ def correction_runs(traces: Sequence[Trace], temperature: str) -> tuple[list[Tra
     runs, skipped = [], []
     for trace in traces:
         column = trace.signals.get(temperature)
-        if column is None or np.count_nonzero(np.isfinite(column)) < LEAST_READINGS:
+        if column is None or np.count_nonzero(np.isfinite(column)) < MIN_READINGS:
             skipped.append(trace.name)
             continue
         cleaned = without_spikes(column, resolution(column))
         runs.append(replace(trace, signals={**trace.signals, temperature: cleaned}))
-    while 0 < len(runs) < CLUSTERS:
+    while 0 < len(runs) < MIN_CLUSTERS:
         place = max(range(len(runs)), key=lambda number: _readings(runs[number], temperature))
         longest = runs[place]
-        if _readings(longest, temperature) < 2 * PIECE_READINGS:
+        if _readings(longest, temperature) < 2 * MIN_PIECE_READINGS:
             break
         # Both halves keep all events and inputs, which say where the automaton is; only the readings are shared out.
         column = longest.signals[temperature]
@@ -171,19 +171,19 @@ def _readings(trace: Trace, temperature: str) -> int:
     return int(np.count_nonzero(np.isfinite(trace.signals[temperature])))
 
 
-def unlimited(bare: Model) -> Model:
+def drop_limits(bare: Model) -> Model:
     """Without limits and clamp, which a course that is affine in its start and its targets cannot have."""
     return replace(bare, sha=replace(bare.sha, max_rate=inf, low=-inf, high=inf))
 
 
 def fitted_readings(readings: int) -> Indices:
-    """The readings of a run that enter a fit: never its first, from which it starts, evenly MOST_READINGS at most."""
-    return np.unique(np.linspace(1, readings - 1, min(readings - 1, MOST_READINGS)).astype(np.intp))
+    """The readings of a run that enter a fit: never its first, from which it starts, evenly MAX_READINGS at most."""
+    return np.unique(np.linspace(1, readings - 1, min(readings - 1, MAX_READINGS)).astype(np.intp))
 
 
 def _regressors(bare: Model, run: Trace) -> _Regressors:
-    free = unlimited(bare)
-    times, values = measured(run, bare.temperature)
+    free = drop_limits(bare)
+    times, values = readings(run, bare.temperature)
     steps = open_loop_schedule(free, run, "resync")
     # D(t) as the difference between two courses whose starts are one degree apart.
     mean, higher = mean_outputs(steps, [(float(values[0]), 0.0), (float(values[0]) + 1.0, 0.0)])
@@ -211,14 +211,14 @@ def robust_fit(columns: Sequence[Array], left: Array) -> Array | None:
     """(p,) the factors of `columns` (each (n,)) in `left`, by Huber's loss; None where they cannot be told apart."""
     scale = np.array([max(float(np.sqrt(np.mean(column**2))), 1e-12) for column in columns])
     X = np.column_stack(columns) / scale
-    if not np.any(X) or np.linalg.cond(X) > WORST_CONDITION:
+    if not np.any(X) or np.linalg.cond(X) > MAX_CONDITION:
         return None
     weight, solved = np.ones(left.size), np.zeros(len(columns))
     for _ in range(30):
         root = np.sqrt(weight)
         before, solved = solved, np.linalg.lstsq(X * root[:, None], left * root, rcond=None)[0]
         error = np.abs(left - X @ solved)
-        limit = HUBER * huber_scale(error)
+        limit = HUBER_LIMIT * huber_scale(error)
         weight = np.minimum(1.0, limit / np.maximum(error, limit * 1e-9))
         if np.allclose(before, solved, rtol=1e-9, atol=1e-12):
             break
@@ -231,7 +231,7 @@ def jackknife_error(left_out: Array) -> Array:
     return np.asarray(np.sqrt((count - 1) / count * np.sum((left_out - left_out.mean(axis=0)) ** 2, axis=0)))
 
 
-def _fit(
+def _fit_form(
     form: Form, bare: Model, runs: Sequence[Trace], rows: Sequence[_Regressors], before: Array
 ) -> tuple[CorrectionFit, Array]:
     """The fit of a form, and the held-out error of each run."""
@@ -251,7 +251,7 @@ def _fit(
     after = np.array([_error(replace(bare, correction=each), run) for each, run in zip(held_in, runs, strict=True)])
     gain, error = _mean_and_error(before - after)
     accepted = gain > error
-    better = f"the held-out error falls by {gain:.3g} +- {error:.2g} {shown_unit(bare.unit)}"
+    better = f"the held-out error falls by {gain:.3g} +- {error:.2g} {display_unit(bare.unit)}"
     fit = CorrectionFit(
         form=form,
         correction=Correction(*whole),

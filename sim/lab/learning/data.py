@@ -6,8 +6,8 @@ import numpy as np
 
 from sim.sha import Array, Trace, content_hash, joint_hash
 
-SPIKE_WINDOW = 5
-SPIKE_LIMIT = 6.0
+SPIKE_WINDOW_ROWS = 5
+SPIKE_LIMIT_SIGMAS = 6.0
 
 
 def in_order(traces: Sequence[Trace]) -> tuple[tuple[Trace, ...], str]:
@@ -44,13 +44,15 @@ def without_spikes(readings: Array, step: float) -> Array:
     `step` and the usual change from one reading to the next). A lasting jump is kept: the median follows it.
     """
     finite = np.flatnonzero(np.isfinite(readings))
-    if finite.size < SPIKE_WINDOW:
+    if finite.size < SPIKE_WINDOW_ROWS:
         return readings
     values = readings[finite]
     # scipy.ndimage has this filter, and takes longer to load than the filter takes for a hundred traces.
-    around = np.lib.stride_tricks.sliding_window_view(np.pad(values, SPIKE_WINDOW // 2, mode="edge"), SPIKE_WINDOW)
-    off = np.abs(values - np.partition(around, SPIKE_WINDOW // 2, axis=1)[:, SPIKE_WINDOW // 2])
+    around = np.lib.stride_tricks.sliding_window_view(
+        np.pad(values, SPIKE_WINDOW_ROWS // 2, mode="edge"), SPIKE_WINDOW_ROWS
+    )
+    off = np.abs(values - np.partition(around, SPIKE_WINDOW_ROWS // 2, axis=1)[:, SPIKE_WINDOW_ROWS // 2])
     scale = max(1.4826 * float(np.median(off)), float(np.median(np.abs(np.diff(values)))), step, 1e-3)
     cleaned = readings.copy()
-    cleaned[finite[off > SPIKE_LIMIT * scale]] = np.nan
+    cleaned[finite[off > SPIKE_LIMIT_SIGMAS * scale]] = np.nan
     return cleaned

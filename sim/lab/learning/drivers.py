@@ -17,24 +17,24 @@ from sim.lab.learning.runs import Indices
 from sim.sha import Array, Trace
 
 Verdict = Literal["drives", "follows", "adds nothing"]
-_STEPS = (1, 3, 10, 30, 100)
+_STRETCH_STEPS = (1, 3, 10, 30, 100)
 """Stretches that are tried, in usual steps between readings: short ones are noise, long ones have no course left."""
-_MOST_STRETCHES = 20_000
-_FEWEST = 60
+_MAX_STRETCHES = 20_000
+_MIN_STRETCHES = 60
 """Stretches below which nothing is said."""
-_BLOCKS = 10
+_BLOCK_COUNT = 10
 """Parts of the time, each held out once."""
-_CLEAR = 2.0
+_CLEAR_SIGMAS = 2.0
 """Standard errors over blocks by which a share must lie above nothing."""
-_LARGE = 0.1
+_LARGE_SHARE = 0.1
 """A share that chance hardly makes on what was held out; blocks differ by what nobody has measured."""
-LEAST_BEYOND = 0.01
+MIN_EXTRA_SHARE = 0.01
 """Of the rise that the others leave, a driver explains at least so much."""
-LEAST_FORETOLD = 0.05
+MIN_FORETOLD_SHARE = 0.05
 """Of its own moves that are left to it, the temperature foretells so much of a signal that follows it."""
-_LEAST_SHARED = 0.2
+_MIN_JUMP_SHARE = 0.2
 """The same of what the signals that jump foretell of one that never does: it is heated by them, too."""
-_JUMP = 0.3
+_JUMP_RANGE_SHARE = 0.3
 """Of a signal's range, in one step: no temperature moves so."""
 _SWITCHED, _FEWEST_SWITCHES = 0.8, 5
 """How surely the temperature tells when a signal is switched (1: it is switched on above, off below), at so many."""
@@ -87,7 +87,7 @@ class _Stretches:
     block: Indices
 
 
-def drivers_of(
+def find_drivers(
     traces: Sequence[Trace], temperature: str, candidates: Sequence[str], *, gap: float
 ) -> tuple[DriverEvidence, ...]:
     """What the traces say of each of `candidates` that moves, in their order.
@@ -99,20 +99,24 @@ def drivers_of(
     moving = [name for name in candidates if name != temperature and _moves(traces, name)]
     if not moving:
         return ()
-    tried = [each for steps in _STEPS if (each := _stretches(traces, temperature, moving, gap, steps)) is not None]
+    tried = [
+        each for steps in _STRETCH_STEPS if (each := _stretches(traces, temperature, moving, gap, steps)) is not None
+    ]
     if not tried:
         return ()
-    data = max(tried, key=lambda each: float(_explained(each, each.rise, [each.start, *each.means.values()])[0].mean()))
+    data = max(
+        tried, key=lambda each: float(_explained_shares(each, each.rise, [each.start, *each.means.values()])[0].mean())
+    )
     jumps = [name for name in moving if _jumps(traces, name)]
     # What is switched is switched from one reading to the next, whatever stretch tells most of the temperature.
-    foretold = {name: _switched(tried[0], name) or _foretold(data, name) for name in moving}
+    foretold = {name: _switching_certainty(tried[0], name) or _foretold(data, name) for name in moving}
     leading = [name for name in jumps if foretold[name] is None]
     for name in (name for name in moving if name not in jumps and foretold[name] is None):
-        foretold[name] = _shared(data, name, leading)
+        foretold[name] = _foretold_share(data, name, leading)
     free = [name for name in moving if foretold[name] is None]
     # What follows is known beside the drivers: a fan's cooling is not put down to another signal.
     beside = [data.means[name] for name in moving if name in jumps and name not in free]
-    chosen = _chosen(data, free, beside)
+    chosen = _choose_drivers(data, free, beside)
     evidence = []
     for name in moving:
         others = [data.means[each] for each in chosen if each != name]
@@ -150,8 +154,8 @@ def _stretches(
         times, values = trace.times[known], trace.signals[temperature][known]
         if times.size < 2 * steps + 1:
             continue
-        columns = [_held(trace, name)[known] for name in names]
-        places = np.arange(0, times.size - 2 * steps, max(steps, -(-total // _MOST_STRETCHES)))
+        columns = [_hold_signal(trace, name)[known] for name in names]
+        places = np.arange(0, times.size - 2 * steps, max(steps, -(-total // _MAX_STRETCHES)))
         middle, end = places + steps, places + 2 * steps
         usual = float(np.median(np.diff(times)))
         even = np.abs((times[end] - times[places]) / (2 * steps * usual) - 1.0) <= 0.5
@@ -170,21 +174,21 @@ def _stretches(
     if not parts:
         return None
     start, rise, times, later, *rest = (np.concatenate(column) for column in zip(*parts, strict=True))
-    if start.size < _FEWEST or float(np.ptp(rise)) == 0.0:
+    if start.size < _MIN_STRETCHES or float(np.ptp(rise)) == 0.0:
         return None
     count = len(names)
     mean, end_of, moved = (dict(zip(names, rest[at * count : (at + 1) * count], strict=True)) for at in range(3))
-    block = np.arange(start.size) * _BLOCKS // start.size
+    block = np.arange(start.size) * _BLOCK_COUNT // start.size
     return _Stretches(start, rise, mean, {**end_of, "": later}, moved, block)
 
 
-def _held(trace: Trace, name: str) -> Array:
+def _hold_signal(trace: Trace, name: str) -> Array:
     """A signal's newest reading in each row."""
     values = trace.signals[name]
     return np.asarray(values[np.maximum.accumulate(np.where(np.isfinite(values), np.arange(values.size), 0))])
 
 
-def _explained(data: _Stretches, outcome: Array, columns: Sequence[Array]) -> tuple[Array, Array]:
+def _explained_shares(data: _Stretches, outcome: Array, columns: Sequence[Array]) -> tuple[Array, Array]:
     """By held-out block the share of the outcome's squares that a linear law of the columns explains, and what is left.
 
     The law is that of the other blocks.
@@ -193,8 +197,8 @@ def _explained(data: _Stretches, outcome: Array, columns: Sequence[Array]) -> tu
     scaled = [(c - c.mean()) / (width if width > 0 else 1.0) for c, width in zip(columns, spread, strict=True)]
     rows = np.column_stack([np.ones(outcome.size), *scaled, outcome])
     # The last column is the outcome: the squares and products of a block are all that a law of the others needs of it.
-    products = np.array([rows[data.block == block].T @ rows[data.block == block] for block in range(_BLOCKS)])
-    left, whole = np.zeros(_BLOCKS), np.zeros(_BLOCKS)
+    products = np.array([rows[data.block == block].T @ rows[data.block == block] for block in range(_BLOCK_COUNT)])
+    left, whole = np.zeros(_BLOCK_COUNT), np.zeros(_BLOCK_COUNT)
     for block, held in enumerate(products):
         others = products.sum(axis=0) - held
         law, *_ = np.linalg.lstsq(others[:-1, :-1], others[:-1, -1], rcond=1e-10)
@@ -202,19 +206,22 @@ def _explained(data: _Stretches, outcome: Array, columns: Sequence[Array]) -> tu
         left[block] = held[-1, -1] - 2.0 * law @ held[:-1, -1] + law @ held[:-1, :-1] @ law
         whole[block] = held[-1, -1] - 2.0 * mean * held[0, -1] + mean**2 * held[0, 0]
     total = max(float(whole.sum()), 1e-300)
-    return (whole - left) * _BLOCKS / total, left
+    return (whole - left) * _BLOCK_COUNT / total, left
 
 
 def _gain(data: _Stretches, outcome: Array, columns: Sequence[Array], more: Array) -> Array:
     """By block, of the squares that a law leaves (their mean over blocks), the share that one more column explains."""
-    without, with_it = _explained(data, outcome, columns)[1], _explained(data, outcome, [*columns, more])[1]
+    without, with_it = (
+        _explained_shares(data, outcome, columns)[1],
+        _explained_shares(data, outcome, [*columns, more])[1],
+    )
     return np.asarray((without - with_it) / max(float(without.mean()), 1e-300))
 
 
 def _clearly(shares: Array, least: float) -> bool:
     """Whether a share is at least so large in the mean, and clearly above nothing: less clearly where it is large."""
     mean, error = float(shares.mean()), float(shares.std(ddof=1)) / np.sqrt(shares.size)
-    return mean >= least and mean > (1.0 if mean >= _LARGE else _CLEAR) * error
+    return mean >= least and mean > (1.0 if mean >= _LARGE_SHARE else _CLEAR_SIGMAS) * error
 
 
 def _foretold(data: _Stretches, name: str) -> float | None:
@@ -224,16 +231,16 @@ def _foretold(data: _Stretches, name: str) -> float | None:
         return None
     shares = _gain(data, outcome, [own], heat)
     law, *_ = np.linalg.lstsq(np.column_stack([np.ones(own.size), own, heat]), outcome, rcond=None)
-    return float(shares.mean()) if law[2] > 0 and _clearly(shares, LEAST_FORETOLD) else None
+    return float(shares.mean()) if law[2] > 0 and _clearly(shares, MIN_FORETOLD_SHARE) else None
 
 
-def _switched(data: _Stretches, name: str) -> float | None:
+def _switching_certainty(data: _Stretches, name: str) -> float | None:
     """How surely a high temperature switches a signal on and a low one off (0 to 1); None where that is not sure."""
     own, move, heat = data.first[name], data.moves[name], data.first[""]
     low = float(own.min()) + float(np.ptp(own)) / 2
     sure = 1.0
     for up, state in ((1.0, own <= low), (-1.0, own > low)):
-        moved = state & (up * move > _JUMP * np.ptp(own))
+        moved = state & (up * move > _JUMP_RANGE_SHARE * np.ptp(own))
         stayed = state & ~moved
         if min(moved.sum(), stayed.sum()) < _FEWEST_SWITCHES:
             return None
@@ -250,21 +257,21 @@ def _jumps(traces: Sequence[Trace], name: str) -> bool:
     """Whether a signal moves by much of its range within one step, as no temperature does."""
     values = [own[np.isfinite(own)] for trace in traces if (own := trace.signals.get(name)) is not None]
     span = float(np.ptp(np.concatenate(values)))
-    return any(own.size > 1 and float(np.abs(np.diff(own)).max()) > _JUMP * span for own in values)
+    return any(own.size > 1 and float(np.abs(np.diff(own)).max()) > _JUMP_RANGE_SHARE * span for own in values)
 
 
-def _shared(data: _Stretches, name: str, leading: Sequence[str]) -> float | None:
+def _foretold_share(data: _Stretches, name: str, leading: Sequence[str]) -> float | None:
     """The share of a signal's moves that those which jump foretell; None where it moves by itself."""
     if not leading or float(np.ptp(data.moves[name])) == 0.0:
         return None
     own = [data.first[name]]
-    left = _explained(data, data.moves[name], own)[1]
-    shared = _explained(data, data.moves[name], [*own, *(data.first[each] for each in leading)])[1]
+    left = _explained_shares(data, data.moves[name], own)[1]
+    shared = _explained_shares(data, data.moves[name], [*own, *(data.first[each] for each in leading)])[1]
     shares = (left - shared) / max(float(left.mean()), 1e-300)
-    return float(shares.mean()) if _clearly(shares, _LEAST_SHARED) else None
+    return float(shares.mean()) if _clearly(shares, _MIN_JUMP_SHARE) else None
 
 
-def _chosen(data: _Stretches, free: Sequence[str], beside: Sequence[Array]) -> list[str]:
+def _choose_drivers(data: _Stretches, free: Sequence[str], beside: Sequence[Array]) -> list[str]:
     """All but those that explain nothing beyond the others, given up one after the other: two may need each other."""
     chosen = list(free)
     while chosen:
@@ -277,7 +284,7 @@ def _chosen(data: _Stretches, free: Sequence[str], beside: Sequence[Array]) -> l
             )
             for name in chosen
         }
-        weak = [name for name in chosen if not _clearly(shares[name], LEAST_BEYOND)]
+        weak = [name for name in chosen if not _clearly(shares[name], MIN_EXTRA_SHARE)]
         if not weak:
             break
         # Of two that say the same the later one goes.

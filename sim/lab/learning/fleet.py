@@ -11,26 +11,26 @@ from math import isfinite
 import numpy as np
 import scipy
 
-from sim.engine import mean_outputs, measured, open_loop_schedule
+from sim.engine import mean_outputs, open_loop_schedule, readings
 from sim.lab.learning.correction import (
     CorrectionFit,
     correction_runs,
+    drop_limits,
     fitted_readings,
     jackknife_error,
     learn_correction,
     robust_fit,
-    unlimited,
 )
-from sim.lab.learning.machines import LEAST_ERROR, LEAST_TOLD
+from sim.lab.learning.machines import MAX_OFFSET_ERROR_DEGC, MIN_OFFSET_ERROR_DEGC
 from sim.lab.learning.runs import first_switch
 from sim.lab.learning.structure import LearningError, contexts, labels
-from sim.sha import RELAXING, Alphabet, Array, Correction, Model, Trace
+from sim.sha import RELAXING_FLOWS, Alphabet, Array, Correction, Model, Trace
 
-LEAST_FLEET = 5
+MIN_FLEET_MACHINES = 5
 """Machines below which none is said to stand out: what the others differ by is not known then."""
 FALSE_FINDING_CHANCE = 0.01
 """The chance, over the whole fleet and all groups, that any machine is said to stand out though all are alike."""
-LEAST_PULL = 0.1
+MIN_PULL_DEGC = 0.1
 """degC (root mean square) by which a degree in the targets of a group must move the readings: less tells nothing."""
 
 
@@ -99,7 +99,7 @@ def grouped_targets(model: Model, traces: Sequence[Trace]) -> dict[str, GroupTar
     alphabet, sha = model.alphabet, model.sha
     groups = target_groups(alphabet)
     runs, _ = correction_runs(traces, model.temperature)
-    relaxing = {location.name for location in sha.locations if location.flow.kind in RELAXING}
+    relaxing = {location.name for location in sha.locations if location.flow.kind in RELAXING_FLOWS}
     rows = [_pulls(replace(model, correction=Correction()), run, relaxing) for run in runs]
     switch = first_switch(alphabet)
     sides = list(groups.values()) if switch is None else [groups[label] for label in labels(switch)]
@@ -114,8 +114,8 @@ def grouped_targets(model: Model, traces: Sequence[Trace]) -> dict[str, GroupTar
 
 def _pulls(bare: Model, run: Trace, relaxing: Collection[str]) -> tuple[Array, dict[str, Array]]:
     """(n,) what a run's readings lie off the model's course, and what a degree in a location's targets adds to it."""
-    free = unlimited(bare)
-    times, values = measured(run, free.temperature)
+    free = drop_limits(bare)
+    times, values = readings(run, free.temperature)
     steps = open_loop_schedule(free, run, "resync")
     keep = fitted_readings(times.size)
     row = np.searchsorted(steps.times, times[keep], side="right") - 1
@@ -138,7 +138,7 @@ def _group_fit(
     ]
     # What the machine never was in has no column.
     columns = [part for number, part in enumerate(columns) if not number or any(np.any(column) for column in part)]
-    if not rows or np.sqrt(np.mean(np.concatenate(columns[0]) ** 2)) < LEAST_PULL:
+    if not rows or np.sqrt(np.mean(np.concatenate(columns[0]) ** 2)) < MIN_PULL_DEGC:
         return None
     everything = range(len(rows))
     fits = [
@@ -152,24 +152,26 @@ def _group_fit(
     if not fits or any(fit is None for fit in fits):
         return None
     *parted, whole = np.array(fits)
-    error = max(float(jackknife_error(np.array(parted))[0]), LEAST_ERROR)
-    return GroupTargets(float(whole[0]), error, len(rows)) if isfinite(error) and error < LEAST_TOLD else None
+    error = max(float(jackknife_error(np.array(parted))[0]), MIN_OFFSET_ERROR_DEGC)
+    return (
+        GroupTargets(float(whole[0]), error, len(rows)) if isfinite(error) and error < MAX_OFFSET_ERROR_DEGC else None
+    )
 
 
-def outstanding(fleet: Mapping[str, Mapping[str, GroupTargets]]) -> dict[str, tuple[StandsOut, ...]]:
+def find_outliers(fleet: Mapping[str, Mapping[str, GroupTargets]]) -> dict[str, tuple[StandsOut, ...]]:
     """The machines whose targets stand out of the others', and where, by their targets by machine and group.
 
-    FALSE_FINDING_CHANCE is shared evenly among the groups that LEAST_FLEET machines tell of; in each the machines are
-    judged by Holm's step-down (1979). One that stands out is not among the others when the next is judged, since two
-    would else hide one another. The least likely machine first, of each the least likely group.
+    FALSE_FINDING_CHANCE is shared evenly among the groups that MIN_FLEET_MACHINES machines tell of; in each the
+    machines are judged by Holm's step-down (1979). One that stands out is not among the others when the next is judged,
+    since two would else hide one another. The least likely machine first, of each the least likely group.
     """
     groups = sorted({group for own in fleet.values() for group in own})
     told = {group: {name: own[group] for name, own in fleet.items() if group in own} for group in groups}
-    told = {group: machines for group, machines in told.items() if len(machines) >= LEAST_FLEET}
+    told = {group: machines for group, machines in told.items() if len(machines) >= MIN_FLEET_MACHINES}
     found: dict[str, list[StandsOut]] = {}
     for group, machines in told.items():
         left = dict(machines)
-        while len(left) >= LEAST_FLEET:
+        while len(left) >= MIN_FLEET_MACHINES:
             beyond, differ, chances = _held_against_others(list(left.values()))
             place = int(np.argmin(chances))
             chance = min(1.0, float(chances[place]) * len(left) * len(told))
@@ -196,7 +198,7 @@ def _held_against_others(machines: Sequence[GroupTargets]) -> tuple[Array, Array
     mean, error = ((values.sum() - values) / (count - 1) for values in (offset, square))
     centred = offset - offset.mean()
     scatter = ((centred**2).sum() - centred**2 * count / (count - 1)) / (count - 2)
-    scatter = np.maximum(scatter, LEAST_ERROR**2)
+    scatter = np.maximum(scatter, MIN_OFFSET_ERROR_DEGC**2)
     between = np.maximum(scatter - error, 0.0)
     of_mean = scatter / (count - 1)
     variance = np.maximum(between + square, scatter) + of_mean

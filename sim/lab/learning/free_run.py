@@ -23,14 +23,14 @@ from sim.engine import linear_recursion
 from sim.lab.learning.runs import FreeRuns, Indices
 from sim.sha import FLOWS, Array, Flow, Mask, coefficients
 
-HUBER = 1.345
+HUBER_LIMIT = 1.345
 ROUNDS, SETTLED = 12, 0.02
 """Rounds of fitting, reweighting and measuring the noise, at most: it ends when sigma changes by less than 2 %."""
-RATES = {"exponential": "k", "driven": "k", "logarithmic": "t0", "transient": "tau"}
+RATE_PARAMETERS = {"exponential": "k", "driven": "k", "logarithmic": "t0", "transient": "tau"}
 """The constant that enters a flow's mean otherwise than linearly."""
-LEAST_RUNS = 8
+MIN_RUNS = 8
 """Runs from which standard errors by run are to be had."""
-REACH = 4.0
+RATE_SEARCH_SPREADS = 4.0
 """log(rate) is looked for within so many spreads of its prior's centre."""
 
 Loss = Literal["huber", "squares"]
@@ -116,13 +116,13 @@ class _StepsOfRuns:
     alike: tuple[_StepsOfOneKind, ...]
     first: Mask
 
-    def at(self, log_rates: Array) -> tuple[Array, Array]:
+    def step_coefficients(self, log_rates: Array) -> tuple[Array, Array]:
         """(decay, pull) of every step at the given log(rate); exactly (0, 0) where a run begins."""
         decay, pull = np.ones(self.first.size), np.zeros(self.first.size)
         for each in self.alike:
             params = dict.fromkeys(FLOWS[each.kind].params, 0.0)
-            if each.kind in RATES:
-                params[RATES[each.kind]] = float(np.exp(log_rates[each.rate]))
+            if each.kind in RATE_PARAMETERS:
+                params[RATE_PARAMETERS[each.kind]] = float(np.exp(log_rates[each.rate]))
             decay[each.rows], pull[each.rows], _ = coefficients(Flow(each.kind, params), each.age, each.dt)
         # Nothing is carried over from the run before: exactly 0, so that one recursion serves all runs.
         decay[self.first] = 0.0
@@ -130,12 +130,12 @@ class _StepsOfRuns:
         return decay, pull
 
 
-def _steps_of(runs: FreeRuns, shape: FitShape) -> _StepsOfRuns:
+def _run_steps(runs: FreeRuns, shape: FitShape) -> _StepsOfRuns:
     # Locations of one kind and rate make the same steps, and are done together.
     alike: dict[tuple[str, int], list[int]] = {}
     for place in np.flatnonzero(np.bincount(runs.place)).tolist():
         kind = shape.kinds[place]
-        alike.setdefault((kind, int(shape.rate[place]) if kind in RATES else -1), []).append(place)
+        alike.setdefault((kind, int(shape.rate[place]) if kind in RATE_PARAMETERS else -1), []).append(place)
     found = []
     for (kind, rate), places in alike.items():
         inside = np.zeros(len(shape.kinds), dtype=bool)
@@ -147,7 +147,7 @@ def _steps_of(runs: FreeRuns, shape: FitShape) -> _StepsOfRuns:
 
 def steps(runs: FreeRuns, shape: FitShape, log_rates: Array) -> tuple[Array, Array]:
     """(decay, pull) of every step at the given log(rate); exactly (0, 0) where a run begins."""
-    return _steps_of(runs, shape).at(log_rates)
+    return _run_steps(runs, shape).step_coefficients(log_rates)
 
 
 def loads(runs: FreeRuns, shape: FitShape) -> Array:
@@ -202,7 +202,7 @@ class _Problem:
         return columns - start[:, None] * np.repeat(part, self.sizes, axis=0), part
 
 
-def _problem_of(runs: FreeRuns, shape: FitShape) -> _Problem:
+def _initial_problem(runs: FreeRuns, shape: FitShape) -> _Problem:
     """The problem before there is a residual: all readings weigh the same."""
     rows = np.flatnonzero(np.isfinite(runs.reading))
     reading = runs.reading[rows]
@@ -210,7 +210,7 @@ def _problem_of(runs: FreeRuns, shape: FitShape) -> _Problem:
     return _Problem(
         runs=runs,
         shape=shape,
-        steps=_steps_of(runs, shape),
+        steps=_run_steps(runs, shape),
         load=loads(runs, shape),
         rows=rows,
         reading=reading,
@@ -226,7 +226,7 @@ def _problem_of(runs: FreeRuns, shape: FitShape) -> _Problem:
 def _solve(problem: _Problem, log_rates: Array) -> _Linear:
     """Golub & Pereyra's variable projection (1973): at fixed rates all else is linear and solved for exactly."""
     shape, first = problem.shape, problem.steps.first
-    decay, pull = problem.steps.at(log_rates)
+    decay, pull = problem.steps.step_coefficients(log_rates)
     # Column j is the whole course that a unit of parameter j alone would make; `begun` that of a unit of a run's start.
     full = linear_recursion(decay[:, None], pull[:, None] * problem.load, np.zeros(shape.centre.size))
     begun = linear_recursion(decay, first.astype(float), 0.0)
@@ -259,13 +259,13 @@ def _sensitivity(problem: _Problem, log_rates: Array, solved: _Linear) -> Array:
     target = problem.load @ solved.linear
     before = np.concatenate([[0.0], solved.mean[:-1]])
     groups = np.append(shape.rate, -1)[runs.place]
-    up, down = (problem.steps.at(log_rates + sign * step) for sign in (1, -1))
+    up, down = (problem.steps.step_coefficients(log_rates + sign * step) for sign in (1, -1))
     forcing = ((up[0] - down[0]) * before + (up[1] - down[1]) * target) / (2 * step)
     forcings = np.where(groups[:, None] == np.arange(log_rates.size), forcing[:, None], 0.0)
     return np.asarray(linear_recursion(solved.decay[:, None], forcings, np.zeros(log_rates.size))[problem.rows])
 
 
-def _stacked(problem: _Problem, log_rates: Array, solved: _Linear) -> Array:
+def _stack_columns(problem: _Problem, log_rates: Array, solved: _Linear) -> Array:
     shape = problem.shape
     return np.concatenate(
         [
@@ -299,11 +299,11 @@ def _best_rates(problem: _Problem, begin: Array) -> Array:
     if not begin.size:
         return begin
     shape = problem.shape
-    low, high = (shape.rate_centre + sign * REACH * shape.rate_spread for sign in (-1, 1))
+    low, high = (shape.rate_centre + sign * RATE_SEARCH_SPREADS * shape.rate_spread for sign in (-1, 1))
     # least_squares asks for residuals and slopes at the same point one after the other: one solution serves both.
     kept: dict[bytes, _Linear] = {}
 
-    def solved(log_rates: Array) -> _Linear:
+    def solve_linear(log_rates: Array) -> _Linear:
         key = log_rates.tobytes()
         if key not in kept:
             kept.clear()
@@ -311,10 +311,10 @@ def _best_rates(problem: _Problem, begin: Array) -> Array:
         return kept[key]
 
     def residuals(log_rates: Array) -> Array:
-        return _stacked(problem, log_rates, solved(log_rates))
+        return _stack_columns(problem, log_rates, solve_linear(log_rates))
 
     def slopes(log_rates: Array) -> Array:
-        return _jacobian(problem, log_rates, solved(log_rates))
+        return _jacobian(problem, log_rates, solve_linear(log_rates))
 
     search = scipy.optimize.least_squares(
         residuals,
@@ -362,7 +362,7 @@ def fit_free_run(runs: FreeRuns, shape: FitShape, *, begin: Array | None = None,
     `begin` (r,) are the rates from which the search starts (default: the best of a coarse scan). With `huber` a reading
     further than 1.345 robust standard deviations from the free run pulls no stronger than one at that distance.
     """
-    problem = _problem_of(runs, shape)
+    problem = _initial_problem(runs, shape)
     rows, reading = problem.rows, problem.reading
     begins = np.zeros(rows.size, dtype=bool)
     begins[problem.bounds] = True
@@ -370,7 +370,7 @@ def fit_free_run(runs: FreeRuns, shape: FitShape, *, begin: Array | None = None,
         # The search is local, so it starts at the best of nine shifts of all rates together from the prior's centre,
         # two spreads to each side.
         trials = [shape.rate_centre + shift * shape.rate_spread for shift in np.linspace(-2.0, 2.0, 9)]
-        costs = [float(np.sum(_stacked(problem, trial, _solve(problem, trial)) ** 2)) for trial in trials]
+        costs = [float(np.sum(_stack_columns(problem, trial, _solve(problem, trial)) ** 2)) for trial in trials]
         log_rates = np.asarray(trials[int(np.argmin(costs))])
     else:
         log_rates = np.log(begin)
@@ -417,7 +417,7 @@ def fit_at_rates(
 
     `loss` is the mean of Huber's loss at `scale` (degC; default: the fit's own), so that rates can be compared.
     """
-    problem, log_rates = _problem_of(runs, shape), np.log(rates)
+    problem, log_rates = _initial_problem(runs, shape), np.log(rates)
     for _ in range(rounds):
         solved = _solve(problem, log_rates)
         error = problem.reading - solved.mean[problem.rows]
@@ -429,13 +429,13 @@ def fit_at_rates(
 
 def huber_loss(z: Array) -> Array:
     """Huber's loss of standardised distances z >= 0: z^2 / 2 up to 1.345, a straight line from there on."""
-    return np.where(z < HUBER, 0.5 * z * z, HUBER * z - 0.5 * HUBER**2)
+    return np.where(z < HUBER_LIMIT, 0.5 * z * z, HUBER_LIMIT * z - 0.5 * HUBER_LIMIT**2)
 
 
 def _weights(error: Array, sigma: float, loss: Loss) -> Array:
     if loss == "squares":
         return np.ones(error.size)
-    return np.minimum(1.0, HUBER * sigma / np.maximum(np.abs(error), 1e-12))
+    return np.minimum(1.0, HUBER_LIMIT * sigma / np.maximum(np.abs(error), 1e-12))
 
 
 def _covariance(problem: _Problem, columns: Array, error: Array) -> Array:
@@ -450,7 +450,7 @@ def _covariance(problem: _Problem, columns: Array, error: Array) -> Array:
     inverse = np.linalg.inv(columns.T @ weighted + np.diag(prior))
     covariance = noise * inverse
     count = problem.bounds.size
-    if count < LEAST_RUNS:
+    if count < MIN_RUNS:
         return np.asarray(covariance)
     # Whole runs are independent of one another where readings are not, so scores are summed by run;
     # count / (count - 1) is the usual correction for few of them.

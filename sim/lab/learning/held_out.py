@@ -6,16 +6,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.lab.learning.free_run import HUBER, FitShape, FreeRunFit, fit_at_rates, fit_free_run, huber_loss, predict
+from sim.lab.learning.free_run import HUBER_LIMIT, FitShape, FreeRunFit, fit_at_rates, fit_free_run, huber_loss, predict
 from sim.lab.learning.runs import FreeRuns, pieces
 from sim.sha import Array, Mask
 
 FOLDS = 5
-PIECES = 10
+MIN_PIECES = 10
 """Runs that a cross-validation has at least; long ones are halved for it."""
-LEAST = 20
+MIN_READINGS = 20
 """Readings that a cross-validation needs in all: fewer, and the simplest candidate is taken."""
-TAUGHT = 10
+MIN_LOCATION_READINGS = 10
 """Readings in a location from which its target is known well enough for a candidate to be judged there."""
 
 
@@ -59,31 +59,33 @@ class HeldOutErrors:
 
 
 def folds(runs: FreeRuns) -> FreeRuns | None:
-    """The runs of a cross-validation, long ones halved until there are PIECES; None if there are too few data."""
-    cut = pieces(runs, PIECES)
-    enough = np.count_nonzero(np.isfinite(cut.reading)) >= LEAST and np.unique(cut.run).size >= 2
+    """The runs of a cross-validation, long ones halved until there are MIN_PIECES; None if there are too few data."""
+    cut = pieces(runs, MIN_PIECES)
+    enough = np.count_nonzero(np.isfinite(cut.reading)) >= MIN_READINGS and np.unique(cut.run).size >= 2
     return cut if enough else None
 
 
 def judged_part(runs: FreeRuns) -> Mask | None:
     """(n,) the knots of `folds` at which candidates over the same locations can be told apart; None if too few.
 
-    A held-out run is judged up to where it enters a location of which the other folds have fewer than TAUGHT readings:
-    its target there is the prior's, and that error, which is nobody's, would hide how the candidates differ elsewhere
-    (the only rest of a campaign that runs for days).
+    A held-out run is judged up to where it enters a location of which the other folds have fewer than
+    MIN_LOCATION_READINGS readings: its target there is the prior's, and that error, which is nobody's, would hide how
+    the candidates differ elsewhere (the only rest of a campaign that runs for days).
     """
     order = _fold_order(runs)
     ending = np.isfinite(runs.reading) & ~runs.first
     strange = np.zeros(len(runs), dtype=bool)
     for held in range(min(FOLDS, int(order[-1]) + 1)):
         in_fold = order % FOLDS == held
-        taught = np.bincount(runs.place[ending & ~in_fold], minlength=int(runs.place.max()) + 1) >= TAUGHT
+        taught = (
+            np.bincount(runs.place[ending & ~in_fold], minlength=int(runs.place.max()) + 1) >= MIN_LOCATION_READINGS
+        )
         strange |= in_fold & ~runs.first & ~taught[runs.place]
     # The free run carries the error on: all that follows in the run goes with it.
     entered = np.cumsum(strange)
     judged = np.asarray(entered == np.maximum.accumulate(np.where(runs.first, entered, 0)))
     rows = judged & np.isfinite(runs.reading)
-    return judged if np.count_nonzero(rows) >= LEAST and np.unique(order[rows]).size >= 2 else None
+    return judged if np.count_nonzero(rows) >= MIN_READINGS and np.unique(order[rows]).size >= 2 else None
 
 
 def _fold_order(runs: FreeRuns) -> NDArray[np.intp]:
@@ -107,15 +109,15 @@ def cross_validate(
     mean = np.full(len(runs), np.nan)
     for held in range(min(FOLDS, int(order[-1]) + 1)):
         in_fold = order % FOLDS == held
-        rest, ahead = runs.where(~in_fold), in_fold & judged
+        rest, ahead = runs.select(~in_fold), in_fold & judged
         if not ahead.any():
             continue
         if fixed:
             at_rates = fit_at_rates(rest, shape, begin)
-            mean[ahead] = predict(runs.where(ahead), shape, at_rates.linear, begin, at_rates.sigma)
+            mean[ahead] = predict(runs.select(ahead), shape, at_rates.linear, begin, at_rates.sigma)
         else:
             fit = fit_free_run(rest, shape, begin=begin)
-            mean[ahead] = predict(runs.where(ahead), shape, fit.linear, fit.rates, fit.sigma)
+            mean[ahead] = predict(runs.select(ahead), shape, fit.linear, fit.rates, fit.sigma)
     rows = np.flatnonzero(judged & np.isfinite(runs.reading))
     return HeldOutErrors((runs.reading - mean)[rows], np.unique(order[rows], return_inverse=True)[1])
 
@@ -129,7 +131,7 @@ def huber_scale(error: Array) -> float:
     scale = max(float(np.sqrt(np.mean(size**2))), 1e-6)
     for _ in range(50):
         z = size / scale
-        scale *= max(float(np.sqrt(np.mean(z * np.minimum(z, HUBER)))), 1e-3)
+        scale *= max(float(np.sqrt(np.mean(z * np.minimum(z, HUBER_LIMIT)))), 1e-3)
     return max(scale, 1e-6)
 
 

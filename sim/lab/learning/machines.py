@@ -20,15 +20,15 @@ from sim.lab.learning.free_run import FitShape, FreeRunFit, steps
 from sim.lab.learning.noise import NoiseLevels
 from sim.lab.learning.runs import FreeRuns, Indices
 from sim.lab.learning.structure import LearningError
-from sim.sha import RELAXING, Array, Effect, MachineCorrection, Model, Trace
+from sim.sha import RELAXING_FLOWS, Array, Effect, MachineCorrection, Model, Trace
 
-FIRST_SCATTER = 3.0
+PRIOR_SCATTER_DEGC = 3.0
 """degC by which the m of stays are believed to differ before any is seen; it counts for one stay."""
-SURE_OF_A_SENSOR = 2.0
+MIN_SENSOR_SIGMAS = 2.0
 """Standard errors by which the error must fall: the runs of one machine lie in few days, and share what these had."""
-LEAST_TOLD = 100.0
+MAX_OFFSET_ERROR_DEGC = 100.0
 """degC: a run whose offset is not known better than this says nothing of its machine."""
-LEAST_ERROR = 1e-3
+MIN_OFFSET_ERROR_DEGC = 1e-3
 """degC: no offset is known better, whatever its runs say."""
 
 
@@ -51,7 +51,7 @@ class MachineSpread:
         return (Effect("machine-offset", {"sigma": self.sigma}),) if self.sigma > 0 else ()
 
 
-def machines_of(traces: Sequence[Trace], temperature: str) -> tuple[str, ...]:
+def trace_machines(traces: Sequence[Trace], temperature: str) -> tuple[str, ...]:
     """The machine of each trace that has readings of `temperature`: as `free_runs` numbers them."""
     return tuple(trace.machine for trace in traces if np.isfinite(trace.signals.get(temperature, np.empty(0))).any())
 
@@ -59,10 +59,10 @@ def machines_of(traces: Sequence[Trace], temperature: str) -> tuple[str, ...]:
 def next_stay(scatter: float, stays: int, kind: str) -> float:
     """The sigma of the next stay's m, in the unit of m, where `stays` of them scatter by `scatter` in a flow of `kind`.
 
-    As wide as so few allow (`small_sample`). Where m is a temperature it is drawn towards FIRST_SCATTER as if one stay
-    had shown that; of a drift nothing is believed before: three degrees are no drift.
+    As wide as so few allow (`small_sample`). Where m is a temperature it is drawn towards PRIOR_SCATTER_DEGC as if one
+    stay had shown that; of a drift nothing is believed before: three degrees are no drift.
     """
-    first = FIRST_SCATTER if kind in RELAXING else scatter
+    first = PRIOR_SCATTER_DEGC if kind in RELAXING_FLOWS else scatter
     drawn = np.sqrt((stays * scatter**2 + first**2) / (stays + 1))
     return float(drawn) * small_sample(stays)
 
@@ -95,16 +95,18 @@ def machine_spread(
     names = sorted(set(machines))
     numbers = np.array([names.index(each) for each in machines], dtype=np.intp)
     value, variance = _offsets(runs, shape, fit, noise=noise, groups=groups, machine=numbers)
-    return spread_of(dict(zip(names, value.tolist(), strict=True)), dict(zip(names, np.sqrt(variance), strict=True)))
+    return offset_spread(
+        dict(zip(names, value.tolist(), strict=True)), dict(zip(names, np.sqrt(variance), strict=True))
+    )
 
 
-def spread_of(offsets: Mapping[str, float], errors: Mapping[str, float]) -> MachineSpread:
+def offset_spread(offsets: Mapping[str, float], errors: Mapping[str, float]) -> MachineSpread:
     """The spread of machines whose targets lie by `offsets` off the model's, with standard errors (degC), by name.
 
-    Those of which nothing is known (an error that is no number, or LEAST_TOLD and more) are left out.
+    Those of which nothing is known (an error that is no number, or MAX_OFFSET_ERROR_DEGC and more) are left out.
     """
-    offset = {name: float(value) for name, value in offsets.items() if errors[name] < LEAST_TOLD}
-    error = {name: max(float(errors[name]), LEAST_ERROR) for name in offset}
+    offset = {name: float(value) for name, value in offsets.items() if errors[name] < MAX_OFFSET_ERROR_DEGC}
+    error = {name: max(float(errors[name]), MIN_OFFSET_ERROR_DEGC) for name in offset}
     count = len(offset)
     if count < 2:
         return MachineSpread(offset, 0.0, 0.0, error)
@@ -126,19 +128,19 @@ def machine_corrections(model: Model, traces: Sequence[Trace], spread: MachineSp
     if spread.between <= 0:
         return own
     for name, offset in spread.offsets.items():
-        own[name] = believed(offset, spread.errors[name], spread.between)
+        own[name] = shrink_offset(offset, spread.errors[name], spread.between)
         machine = of_machine(replace(model, machines=own), name)
         try:
             fit = learn_correction(machine, [trace for trace in traces if trace.machine == name])
         except LearningError:
             continue  # too few runs to tell anything more of it
         best = fit.best
-        if fit.chosen is not None and best.improvement > SURE_OF_A_SENSOR * best.improvement_error:
+        if fit.chosen is not None and best.improvement > MIN_SENSOR_SIGMAS * best.improvement_error:
             own[name] = replace(own[name], gain=fit.correction.gain, offset=fit.correction.offset)
     return own
 
 
-def believed(offset: float, error: float, between: float) -> MachineCorrection:
+def shrink_offset(offset: float, error: float, between: float) -> MachineCorrection:
     """A machine's targets, where its runs say `offset` with a standard `error`, of machines `between` apart (degC)."""
     share = between**2 / (between**2 + error**2)
     return MachineCorrection(targets=share * offset, targets_error=float(np.sqrt(share) * error))
@@ -154,7 +156,7 @@ def _offsets(
     together, so offsets are drawn to 0 by a hair.
     """
     decay, pull = steps(runs, shape, np.log(fit.rates))
-    relaxing = np.array([kind in RELAXING for kind in shape.kinds])[runs.place]
+    relaxing = np.array([kind in RELAXING_FLOWS for kind in shape.kinds])[runs.place]
     pull = np.where(relaxing, pull, 0.0)
     first, known = runs.first, np.isfinite(runs.reading)
     run, of_machine = np.cumsum(first) - 1, machine[runs.trace]

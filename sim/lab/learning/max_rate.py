@@ -20,7 +20,7 @@ from sim.sha import Array, Model, Trace
 WINDOW_SECONDS, WINDOW_READINGS = 30.0, 10
 """A window lasts this long and has so many readings, whichever is longer."""
 REACHED = 3
-MARGIN = 1.5
+RATE_MARGIN = 1.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +47,7 @@ class Bite:
     accepted: bool
 
 
-def learn_max_rate(traces: Sequence[Trace], temperature: str, *, margin: float = MARGIN) -> MaxRate:
+def learn_max_rate(traces: Sequence[Trace], temperature: str, *, margin: float = RATE_MARGIN) -> MaxRate:
     """The limit that the readings of `temperature` suggest.
 
     Raises LearningError when there are fewer than 30 windows, or the temperature never moves beyond its noise.
@@ -66,7 +66,7 @@ def learn_max_rate(traces: Sequence[Trace], temperature: str, *, margin: float =
             cuts = np.searchsorted(times, np.arange(times[0], times[-1] + span, span))
             # A window with half of its readings still has a slope; with fewer than three none has a standard error.
             rates += [
-                _vouched(times[begin:end], values[begin:end])
+                _certain_slope(times[begin:end], values[begin:end])
                 for begin, end in pairwise(cuts.tolist())
                 if end - begin >= max(WINDOW_READINGS // 2, 3)
             ]
@@ -78,7 +78,7 @@ def learn_max_rate(traces: Sequence[Trace], temperature: str, *, margin: float =
     return MaxRate(margin * observed, observed, margin, len(rates), float(np.median(spans)))
 
 
-def _vouched(times: Array, values: Array) -> float:
+def _certain_slope(times: Array, values: Array) -> float:
     """|slope| of the readings less two standard errors, degC/s: the rate that they vouch for; 0 at least."""
     t, y = times - times.mean(), values - values.mean()
     room = float(t @ t)

@@ -20,34 +20,34 @@ import scipy
 from sim.effects import DisturbanceStep, disturbance_step
 from sim.engine import repeat_factor
 from sim.lab.learning.data import resolution
-from sim.lab.learning.free_run import RATES, FitShape, FreeRunFit, loads
-from sim.lab.learning.runs import FreeRuns, Indices, sampled, stretches
-from sim.sha import FLOWS, RELAXING, Array, Effect, Flow, Mask, Trace, coefficients
+from sim.lab.learning.free_run import RATE_PARAMETERS, FitShape, FreeRunFit, loads
+from sim.lab.learning.runs import FreeRuns, Indices, sample_runs, stretches
+from sim.sha import FLOWS, RELAXING_FLOWS, Array, Effect, Flow, Mask, Trace, coefficients
 
-HORIZONS = (60.0, 300.0, 900.0)
-CHUNK = 150
+HORIZONS_S = (60.0, 300.0, 900.0)
+CHUNK_KNOTS = 150
 """Knots of a chunk at most: the filter's loop has so many rounds, however long the runs are."""
-ORIGINS = 400
+MAX_PAIRS = 400
 """Pairs of readings by which each horizon is judged, at most."""
-LONG_STEP = 150.0
+LONG_STEP_S = 150.0
 """s between the readings that are looked at, on average, from which on a record is long: the horizon of 300 s has less
 than two of them, and that of 60 s none. What the flows do not describe adds up over such a step, and would be taken for
 noise of every second."""
-CLOSE_STEP = 60.0
+CLOSE_STEP_S = 60.0
 """s between the readings from which the noise of a long record is told: the shortest horizon."""
-STEP = 1e-4
+GRADIENT_STEP = 1e-4
 """Of the logarithms, for the gradient by forward differences."""
-WORTH = 2.0
+MIN_GAIN_NATS = 2.0
 """Nats of held-out log-likelihood, in all independent looks, that a memory must gain."""
 UNKNOWN_OFFSET_SIGMA = 10.0
 """degC by which m is taken to be unknown while memories of the sensor's error are compared. In the training each m is
 known from all the rest; a gateway on another machine learns it from minutes of readings, and there it counts whether
 these err together."""
-FIRST_HEAT = 1e-3
+INITIAL_HEAT_DEGC_PER_S = 1e-3
 """degC/s with which the search for a disturbance begins."""
-SCAN = 12
+SCAN_STEPS = 12
 """Steps of the searches that only compare memories."""
-DRIFT_SPAN = 300.0
+DRIFT_SPAN_S = 300.0
 """The changes over so many seconds set the noise of locations in which nothing is known."""
 
 
@@ -59,7 +59,7 @@ class Memories:
     sensor: tuple[float, ...] = (5.0, 15.0, 45.0)
 
 
-def memories_told(traces: Sequence[Trace], temperature: str) -> Memories | None:
+def observable_memories(traces: Sequence[Trace], temperature: str) -> Memories | None:
     """The memories that traces can tell: None for any; none where part of the course is drawn between what was stored.
 
     A line between two values errs for as long as it lasts, which a disturbance of heat would be made of.
@@ -71,7 +71,7 @@ def memories_told(traces: Sequence[Trace], temperature: str) -> Memories | None:
 class NoiseLevels:
     """`sensor` (degC); `process` (G,), degC/sqrt(s), by group of locations; `scatter` (L,), the sigma of each m.
 
-    `score` is the mean log-likelihood per reading of the one-step predictions and of those at each of HORIZONS.
+    `score` is the mean log-likelihood per reading of the one-step predictions and of those at each of HORIZONS_S.
     `heat` (degC/s) is the disturbance's standard deviation, 0 without one, and `memory` (s) how long it lasts;
     `sensor_memory` (s) is how long the sensor's error lasts, 0 where each reading errs by itself.
     """
@@ -151,10 +151,10 @@ def _steps(runs: FreeRuns, shape: FitShape, fit: FreeRunFit, groups: Indices) ->
     for place in np.unique(runs.place):
         kind, rows = shape.kinds[place], runs.place == place
         params = dict.fromkeys(FLOWS[kind].params, 1.0)
-        if kind in RATES:
-            params[RATES[kind]] = float(fit.rates[shape.rate[place]])
+        if kind in RATE_PARAMETERS:
+            params[RATE_PARAMETERS[kind]] = float(fit.rates[shape.rate[place]])
         decay[rows], pull[rows], density[rows] = coefficients(Flow(kind, params), runs.age[rows], runs.dt[rows])
-        if kind in RELAXING:
+        if kind in RELAXING_FLOWS:
             rate[rows] = params["k"]
     return _KnotSteps(
         decay=decay,
@@ -180,7 +180,7 @@ def _chunks(steps: _KnotSteps) -> Indices:
     for low, high in zip(first, [*first[1:], steps.run.size], strict=True):
         begin = int(low)
         while begin < high - 1:
-            end = min(begin + CHUNK, int(high))
+            end = min(begin + CHUNK_KNOTS, int(high))
             known = np.flatnonzero(np.isfinite(steps.reading[begin:end]))
             if known.size < 2:
                 break
@@ -196,7 +196,7 @@ def _chunks(steps: _KnotSteps) -> Indices:
     return table
 
 
-def _filtered(
+def _filter_knots(
     steps: _KnotSteps, table: Indices, *, sensor: Array, process: Array, scatter: Array, rough: Array
 ) -> tuple[Array, Array]:
     """(log-likelihoods (n, Q), states (9, n, Q) after each knot) for Q sets of `sensor` (Q,), `process` (G, Q), ...
@@ -315,7 +315,7 @@ def _aheads(
     """The predictions over `horizon`, one for each of `heats` (None: no disturbance); none when no two readings are so
     far apart.
 
-    They are made for ORIGINS pairs at most of readings of one run, `horizon` to 1.2 times as far apart.
+    They are made for MAX_PAIRS pairs at most of readings of one run, `horizon` to 1.2 times as far apart.
     """
     known = np.flatnonzero(np.isfinite(steps.reading))
     of_runs: list[Indices] = []
@@ -327,7 +327,7 @@ def _aheads(
     pairs = np.concatenate(of_runs)
     # After a gap the next reading may come much later: that would be another horizon.
     pairs = pairs[steps.time[pairs[:, 1]] - steps.time[pairs[:, 0]] <= 1.2 * horizon]
-    chosen = np.unique(np.linspace(0, len(pairs) - 1, min(len(pairs), ORIGINS)).astype(np.intp))
+    chosen = np.unique(np.linspace(0, len(pairs) - 1, min(len(pairs), MAX_PAIRS)).astype(np.intp))
     # Those with most knots before them first: those that go on are then always the first of all.
     chosen = chosen[np.argsort(pairs[chosen, 0] - pairs[chosen, 1], kind="stable")]
     origin, end = pairs[chosen, 0], pairs[chosen, 1]
@@ -401,7 +401,7 @@ def _aheads(
     return made
 
 
-def _mean_known(scores: Array) -> Array:
+def _known_mean(scores: Array) -> Array:
     """(Q,) the mean of the rows (n, Q) that are known; 0, which prefers nothing, where none is."""
     return np.asarray(np.nansum(scores, axis=0) / np.maximum(np.sum(~np.isnan(scores), axis=0), 1))
 
@@ -439,10 +439,10 @@ class _Objective:
     def scores(self, theta: Array) -> list[Array]:
         """(Q,) the mean log-likelihood one step ahead, then at each horizon."""
         sensor, process, scatter, rough = self.unpack(theta)
-        one_step, states = _filtered(
+        one_step, states = _filter_knots(
             self.steps, self.table, sensor=sensor, process=process, scatter=scatter, rough=rough
         )
-        scores = [_mean_known(one_step)]
+        scores = [_known_mean(one_step)]
         for ahead in self.aheads:
             # An origin outside all chunks has no state: NaN, which the mean leaves out.
             x, m, d, xx, xm, mm, xd, md, dd = (part[ahead.origin] for part in states)
@@ -451,7 +451,7 @@ class _Objective:
             variance = a * a * xx + 2 * a * own * xm + own * own * mm
             variance = variance + warm * (2.0 * (a * xd + own * md) + warm * dd) + ahead.disturbed[:, None] * rough**2
             variance = variance + ahead.process @ process**2 + ahead.scatter @ scatter**2 + sensor**2
-            scores.append(_mean_known(_log_score(ahead.outcome[:, None] - mean, variance)))
+            scores.append(_known_mean(_log_score(ahead.outcome[:, None] - mean, variance)))
         return scores
 
     def loss(self, theta: Array, weight: float) -> Array:
@@ -471,7 +471,7 @@ class _Objective:
         # White noise in second differences has 1 + 4 + 1 = 6 times its variance; a slow course nearly vanishes in them.
         rough = 1.4826 * float(np.median(np.abs(np.diff(reading, 2)))) / sqrt(6.0) if reading.size > 2 else 0.0
         logs = [log(max(rough, self.floor) * 1.01), *[log(0.005)] * self.groups, *[log(2.0)] * self.seen.size]
-        return np.array(logs if self.memory is None else [*logs, log(FIRST_HEAT)])
+        return np.array(logs if self.memory is None else [*logs, log(INITIAL_HEAT_DEGC_PER_S)])
 
     def bounds(self) -> list[tuple[float, float]]:
         """Of the logarithms: no sensor is better than its rounding, no plant without noise."""
@@ -479,7 +479,7 @@ class _Objective:
         bounds = [sensor, *[(log(1e-4), log(1.0))] * self.groups, *[(log(0.05), log(60.0))] * self.seen.size]
         return bounds if self.memory is None else [*bounds, (log(1e-7), log(1.0))]
 
-    def fitted(
+    def fit_theta(
         self, weight: float, begin: Array | None = None, *, iterations: int = 60, free: Mask | None = None
     ) -> Array:
         """(P,) the theta of least loss, from `begin` (P,); only what is `free` (P,) moves."""
@@ -530,7 +530,7 @@ def fit_noise(
 
     `groups` (L,) numbers the locations that share one process noise. `floor` is the least sensor sigma (degC); the
     sensor's own rounding, step/sqrt(12), is taken where that is more. Rows are sampled to about `budget` knots; where
-    those are LONG_STEP apart, so many knots of `whole` are taken that are close together: the runs before they were
+    those are LONG_STEP_S apart, so many knots of `whole` are taken that are close together: the runs before they were
     thinned for the means (default: `runs`). Of disturbances and errors of the sensor with one of the `memories` the
     likeliest is taken, if it is worth it on data held out.
     """
@@ -550,15 +550,15 @@ def fit_noises(
 ) -> list[NoiseLevels]:
     """The noise without a disturbance and, where one is worth it, the noise with it (`fit_noise`)."""
     memories = memories or Memories()
-    few = sampled(runs, budget)
-    if few.dt.sum() > LONG_STEP * len(few):
-        few = stretches(runs if whole is None else whole, budget, CLOSE_STEP)
+    few = sample_runs(runs, budget)
+    if few.dt.sum() > LONG_STEP_S * len(few):
+        few = stretches(runs if whole is None else whole, budget, CLOSE_STEP_S)
     steps = _steps(few, shape, fit, groups)
     floor = max(floor, resolution(runs.reading) / sqrt(12.0))
     task, *heated = _tasks(steps, groups, shape, floor, (None, *memories.heat))
     # As many independent looks as the data have stretches of 300 s, spread over one step and the horizons.
     weight = max(float(few.dt.sum()) / 300.0, 10.0)
-    best = task.fitted(weight)
+    best = task.fit_theta(weight)
     if task.table.shape[1] < 2:
         return [_levels(task, best)]  # nothing could be held out
     # The sensor's error first: one that lasts looks like heat with a short memory.
@@ -574,14 +574,14 @@ def fit_noises(
         lasting = []
     if (found := _worth_it(task, strange, lasting, strange, weight)) is not None:
         task = found[0]
-        best = task.fitted(weight, best)
+        best = task.fit_theta(weight, best)
     levels = [_levels(task, best)]
     heated = [
         replace(one, steps=replace(task.steps, heat=one.steps.heat), sensor_memory=task.sensor_memory) for one in heated
     ]
-    if (found := _worth_it(task, best, heated, np.append(best, log(FIRST_HEAT)), weight)) is not None:
+    if (found := _worth_it(task, best, heated, np.append(best, log(INITIAL_HEAT_DEGC_PER_S)), weight)) is not None:
         trial, theta = found
-        levels.append(_levels(trial, trial.fitted(weight, theta)))
+        levels.append(_levels(trial, trial.fit_theta(weight, theta)))
     return levels
 
 
@@ -598,13 +598,13 @@ def _worth_it(
     scored = []
     for trial in trials:
         half = trial.half(0)
-        theta = half.fitted(weight / 2.0, begin, iterations=SCAN, free=free)
+        theta = half.fit_theta(weight / 2.0, begin, iterations=SCAN_STEPS, free=free)
         scored.append((float(half.loss(theta[:, None], weight / 2.0)[0]), trial, theta))
     _, trial, theta = min(scored, key=lambda each: each[0])
     own = free[: best.size]
-    plain = task.half(0).fitted(weight / 2.0, best, iterations=SCAN, free=own)
-    gain = _held_out(trial, theta, begin, free, weight) - _held_out(task, plain, best, own, weight)
-    return (trial, theta) if weight * gain > WORTH else None
+    plain = task.half(0).fit_theta(weight / 2.0, best, iterations=SCAN_STEPS, free=own)
+    gain = _score_halves(trial, theta, begin, free, weight) - _score_halves(task, plain, best, own, weight)
+    return (trial, theta) if weight * gain > MIN_GAIN_NATS else None
 
 
 def _repeats(steps: _KnotSteps, memory: float) -> Array:
@@ -639,7 +639,7 @@ def _tasks(
     """A task for each memory (s) of the disturbance, None without one; what does not depend on it is made once."""
     heats = [None if memory is None else disturbance_step(memory, steps.k, steps.dt) for memory in memories]
     count = int(groups.max()) + 1
-    aheads = [_aheads(steps, heats, horizon, count, groups.size) for horizon in HORIZONS]
+    aheads = [_aheads(steps, heats, horizon, count, groups.size) for horizon in HORIZONS_S]
     table = _chunks(steps)
     return [
         _Objective(
@@ -656,13 +656,13 @@ def _tasks(
     ]
 
 
-def _held_out(task: _Objective, first: Array, begin: Array, free: Mask, weight: float) -> float:
+def _score_halves(task: _Objective, first: Array, begin: Array, free: Mask, weight: float) -> float:
     """The composite score, per look, of each half of the chunks under the noise fitted to the other.
 
     `first` is the one fitted to the first half; that of the second is searched from `begin`.
     """
     other = task.half(1)
-    second = other.fitted(weight / 2.0, begin, iterations=SCAN, free=free)
+    second = other.fit_theta(weight / 2.0, begin, iterations=SCAN_STEPS, free=free)
     judged = ((other, first), (task.half(0), second))
     return 0.5 * sum(float(np.sum(half.scores(theta[:, None]), axis=0)[0]) for half, theta in judged)
 
@@ -674,9 +674,9 @@ def _value_and_slope(point: Array, task: _Objective, weight: float, theta: Array
     percent: small against what the loss curves by, large against its rounding.
     """
     trials = np.repeat(theta[:, None], point.size + 1, axis=1)
-    trials[free] = point[:, None] + STEP * np.eye(point.size, point.size + 1, 1)
+    trials[free] = point[:, None] + GRADIENT_STEP * np.eye(point.size, point.size + 1, 1)
     values = task.loss(trials, weight)
-    return float(values[0]), (values[1:] - values[0]) / STEP
+    return float(values[0]), (values[1:] - values[0]) / GRADIENT_STEP
 
 
 def drift_noise(runs: FreeRuns) -> float:
@@ -689,7 +689,7 @@ def drift_noise(runs: FreeRuns) -> float:
     for number in np.unique(run):
         of_run = run == number
         at, value = time[of_run], reading[of_run]
-        span = min(DRIFT_SPAN, float(at[-1] - at[0]))
+        span = min(DRIFT_SPAN_S, float(at[-1] - at[0]))
         later = np.minimum(np.searchsorted(at, at + span), at.size - 1)
         whole = at[later] - at >= span
         if span > 0:

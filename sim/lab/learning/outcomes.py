@@ -16,7 +16,7 @@ class Outcomes:
     values: Array
     gap: float
 
-    def at(self, due: float) -> float | None:
+    def interpolate(self, due: float) -> float | None:
         """The temperature at `due` (absolute s), linear between the readings around it; None without them."""
         after = int(np.searchsorted(self.times, due))
         if after == 0 or after == self.times.size or self.times[after] - self.times[after - 1] > self.gap:
@@ -24,7 +24,7 @@ class Outcomes:
         return float(np.interp(due, self.times[after - 1 : after + 1], self.values[after - 1 : after + 1]))
 
 
-def outcomes_of(times: Array, raw: Array, gap: float) -> Outcomes:
+def clean_readings(times: Array, raw: Array, gap: float) -> Outcomes:
     """The good ones of the readings `raw` (n,) at `times` (n,), isolated spikes left out.
 
     A spike is a fault of the measurement: no forecast is right or wrong for having missed it.

@@ -12,13 +12,13 @@ from dataclasses import replace
 import numpy as np
 
 from sim.lab.learning.free_run import FitShape, FreeRunFit
-from sim.lab.learning.noise import HORIZONS, NoiseLevels, fit_noises
-from sim.lab.learning.runs import free_runs, sampled
+from sim.lab.learning.noise import HORIZONS_S, NoiseLevels, fit_noises
+from sim.lab.learning.runs import free_runs, sample_runs
 from sim.sha import SHA, Flow, Location, PlainMember, Trace
 
 PERSISTENCE, TREND = "persistence", "damped trend"
 """What a member is called, and so whatever else forecasts by the last reading."""
-BUDGET = 2500
+MAX_KNOTS = 2500
 """Knots to which the readings are sampled."""
 
 
@@ -29,7 +29,7 @@ def learn_plain(traces: Sequence[Trace], temperature: str) -> tuple[PlainMember,
     """
     anywhere = SHA("plain", (Location("any", Flow("constant", {"noise": 0.0}), entry="none"),), (), "any")
     whole = free_runs([replace(trace, events=()) for trace in traces], anywhere, temperature)
-    runs = sampled(whole, BUDGET)
+    runs = sample_runs(whole, MAX_KNOTS)
     none, nothing = np.full(1, -1, dtype=np.intp), np.zeros(0)
     shape = FitShape(
         kinds=("constant",),
@@ -52,7 +52,7 @@ def learn_plain(traces: Sequence[Trace], temperature: str) -> tuple[PlainMember,
         start=nothing,
     )
     group = np.zeros(1, dtype=np.intp)
-    walk, *trends = fit_noises(runs, shape, fit, group, budget=BUDGET, whole=whole)
+    walk, *trends = fit_noises(runs, shape, fit, group, budget=MAX_KNOTS, whole=whole)
     return (
         PlainMember(PERSISTENCE, 0.0, _walk_between_readings(walk)),
         *(
@@ -70,6 +70,6 @@ def learn_plain(traces: Sequence[Trace], temperature: str) -> tuple[PlainMember,
 
 
 def _walk_between_readings(noise: NoiseLevels) -> float:
-    """The walk (degC/sqrt(s)) whose changes are those between two readings over HORIZONS, both of which err."""
-    over = np.array(HORIZONS)
+    """The walk (degC/sqrt(s)) whose changes are those between two readings over HORIZONS_S, both of which err."""
+    over = np.array(HORIZONS_S)
     return float(np.exp(np.mean(0.5 * np.log(noise.process[0] ** 2 + 2.0 * noise.sensor**2 / over))))

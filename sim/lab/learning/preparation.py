@@ -9,15 +9,15 @@ from sim.lab.learning.runs import FreeRuns
 from sim.lab.learning.structure import LearningError
 from sim.sha import SHA, Alphabet, Distribution, Trace, encode
 
-LEAST_READINGS = 10
-LEAST_SHARE = 0.1
+MIN_TRAINING_READINGS = 10
+MIN_READING_SHARE = 0.1
 """A location in which a channel is not known is fitted like the known ones when it holds this share of the readings."""
 
 
 def with_events(trace: Trace, alphabet: Alphabet) -> Trace:
     """The trace that a model is to be learned from, with its events: those it has, else those of `alphabet`.
 
-    One that meets a model which there is already gets them from `sim.sha.encoded`.
+    One that meets a model which there is already gets them from `sim.sha.encode_trace`.
     """
     return trace if trace.events else replace(trace, events=encode(trace, alphabet))
 
@@ -34,10 +34,10 @@ def check_data(traces: Sequence[Trace], temperature: str) -> None:
     readings = np.concatenate(finite)
     if not readings.size:
         raise LearningError(f"the temperature {temperature!r} has no reading in any trace")
-    if readings.size < LEAST_READINGS:
+    if readings.size < MIN_TRAINING_READINGS:
         raise LearningError(
             f"the temperature {temperature!r} has {readings.size} reading{'s' if readings.size > 1 else ''} in all; "
-            f"a model needs at least {LEAST_READINGS}"
+            f"a model needs at least {MIN_TRAINING_READINGS}"
         )
     if np.ptp(readings) == 0:
         raise LearningError(

@@ -6,14 +6,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from sim.lab.learning.free_run import FitShape, FreeRunFit, Loss, fit_free_run
-from sim.lab.learning.runs import FreeRuns, free_runs, sampled
-from sim.lab.learning.shape import ParameterNames, Prior, shape_of, with_parameters
+from sim.lab.learning.runs import FreeRuns, free_runs, sample_runs
+from sim.lab.learning.shape import ParameterNames, Prior, build_shape, with_parameters
 from sim.lab.learning.structure import LearningError
 from sim.sha import SHA, Trace
 
-BUDGET = 40_000
-SPREAD = 40.0
-SWING = 40.0
+MAX_KNOTS = 40_000
+TARGET_SPREAD_DEGC = 40.0
+INPUT_SWING_DEGC = 40.0
 """degC that an input may move a target by, over one standard deviation of it: the spread of the gains' prior."""
 
 
@@ -49,8 +49,8 @@ def refit(
     """
     signals = tuple(dict.fromkeys(driver.signal for location in sha.locations for driver in location.flow.inputs))
     moving = np.array([location.flow.kind != "constant" for location in sha.locations])
-    runs = sampled(
-        free_runs(traces, sha, temperature, signals=signals, modelled=moving, rising=rising, cycle=cycle), BUDGET
+    runs = sample_runs(
+        free_runs(traces, sha, temperature, signals=signals, modelled=moving, rising=rising, cycle=cycle), MAX_KNOTS
     )
     seen = [sha.locations[place].name for place in np.unique(runs.place[~runs.first])]
     if not seen:
@@ -58,8 +58,10 @@ def refit(
     reading = runs.reading[np.isfinite(runs.reading)]
     known = {signal: runs.inputs[np.isfinite(runs.inputs[:, n]), n] for n, signal in enumerate(signals)}
     # An input that never moves says nothing of its gain, and would divide by 0 here.
-    spreads = {signal: SWING / float(np.std(values)) for signal, values in known.items() if np.ptp(values) > 0}
-    prior = Prior((float(np.median(reading)), SPREAD), spreads)
-    shape, names = shape_of(sha, seen, signals, prior, rates=rates, gains=gains)
+    spreads = {
+        signal: INPUT_SWING_DEGC / float(np.std(values)) for signal, values in known.items() if np.ptp(values) > 0
+    }
+    prior = Prior((float(np.median(reading)), TARGET_SPREAD_DEGC), spreads)
+    shape, names = build_shape(sha, seen, signals, prior, rates=rates, gains=gains)
     fit = fit_free_run(runs, shape, loss=loss)
     return Refit(with_parameters(sha, shape, fit), fit, shape, names, runs)

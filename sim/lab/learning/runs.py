@@ -13,8 +13,8 @@ from sim.sha import SHA, UNKNOWN, Alphabet, Array, Mask, Switch, Trace, transiti
 
 Indices = NDArray[np.intp]
 
-WINDOWS = 20
-"""Into which what is too long is cut (`sampled`, `stretches`)."""
+WINDOW_COUNT = 20
+"""Into which what is too long is cut (`sample_runs`, `stretches`)."""
 
 
 @dataclass(frozen=True)
@@ -45,13 +45,13 @@ class FreeRuns:
         """(n,) whether a knot begins a run."""
         return np.asarray(np.diff(self.run, prepend=-1) != 0)
 
-    def where(self, keep: Mask | slice) -> "FreeRuns":
+    def select(self, keep: Mask | slice) -> "FreeRuns":
         """The knots of whole runs, or of parts of runs cut by `pieces`; runs and stays keep their numbers. A slice
         copies nothing."""
         return FreeRuns(**{field.name: getattr(self, field.name)[keep] for field in fields(self)})
 
 
-def _held(column: Array) -> Array:
+def _hold_column(column: Array) -> Array:
     """Each reading held until the next; NaN before the first."""
     last = np.maximum.accumulate(np.where(np.isnan(column), -1, np.arange(column.size)))
     return np.where(last < 0, np.nan, column[last])
@@ -68,7 +68,7 @@ def _cycle_starts(started: Sequence[float], begins: Array, least: float) -> Arra
     return np.array(chosen)
 
 
-def _cut(time: Array, moments: Array) -> Mask:
+def _cut_mask(time: Array, moments: Array) -> Mask:
     """(n,) whether a moment lies in (time of the knot before, time of the knot]; never at the first knot."""
     passed = np.searchsorted(moments, time, side="right")
     return np.diff(passed, prepend=passed[:1]) > 0
@@ -118,12 +118,12 @@ def _of_trace(
     begin = np.concatenate([time[:1], time[:-1]])
     done = np.searchsorted(happened, begin, side="right")
     place, since_when = np.array(places, dtype=np.intp)[done], np.array(entered)[done]
-    columns = [_held(np.concatenate([trace.signals[name], nothing])[order]) for name in signals]
+    columns = [_hold_column(np.concatenate([trace.signals[name], nothing])[order]) for name in signals]
     inputs = np.column_stack(columns) if columns else np.empty((time.size, 0))
-    cut = _cut(time, np.array(broken)) | ~modelled[place]
+    cut = _cut_mask(time, np.array(broken)) | ~modelled[place]
     cut[0] = True
     # Start-ups last: which of them count depends on where the runs begin without them.
-    cut |= _cut(time, _cycle_starts(started, time[cut], cycle))
+    cut |= _cut_mask(time, _cycle_starts(started, time[cut], cycle))
     stay = np.cumsum(cut | (np.diff(since_when, prepend=-np.inf) != 0)) - 1
     return FreeRuns(
         time=time,
@@ -138,7 +138,7 @@ def _of_trace(
     )
 
 
-def _trimmed(runs: FreeRuns) -> FreeRuns:
+def _trim_runs(runs: FreeRuns) -> FreeRuns:
     """Each run from its first reading to its last one; runs with fewer than two readings are left out."""
     known = np.isfinite(runs.reading)
     upto = np.cumsum(known)
@@ -148,11 +148,11 @@ def _trimmed(runs: FreeRuns) -> FreeRuns:
     # `seen` readings of the run up to a knot: 0 before its first one, and after its last one all, without one here.
     seen = upto - before
     last = (seen < total) | ((seen == total) & known)
-    kept = runs.where((total >= 2) & (seen >= 1) & last)
+    kept = runs.select((total >= 2) & (seen >= 1) & last)
     return replace(kept, dt=np.where(kept.first, 0.0, kept.dt))
 
 
-def _joined(parts: Sequence[FreeRuns]) -> FreeRuns:
+def _concatenate_runs(parts: Sequence[FreeRuns]) -> FreeRuns:
     """Several traces' runs as one, with runs and stays numbered through."""
     shifted: list[FreeRuns] = []
     run = stay = 0
@@ -205,7 +205,7 @@ def free_runs(
     moves = transitions(sha)
     parts = []
     for trace in traces:
-        reading = trace.drawn(temperature) if temperature in trace.signals else np.empty(0)
+        reading = trace.signal_course(temperature) if temperature in trace.signals else np.empty(0)
         if not np.isfinite(reading).any():
             continue
         cleaned = without_spikes(reading, resolution(reading))
@@ -225,11 +225,11 @@ def free_runs(
             reading=cleaned,
             cycle=cycle,
         )
-        parts.append(_trimmed(runs))
-    return _joined(parts)
+        parts.append(_trim_runs(runs))
+    return _concatenate_runs(parts)
 
 
-def thinned(runs: FreeRuns, budget: int) -> FreeRuns:
+def thin_runs(runs: FreeRuns, budget: int) -> FreeRuns:
     """The same runs with about `budget` knots at most: exact steps are merged, inputs averaged over the merged step.
 
     The last reading of each window of equal length stays, and so does every change of location; so time, stays and
@@ -258,15 +258,15 @@ def thinned(runs: FreeRuns, budget: int) -> FreeRuns:
     mass = np.add.reduceat(weight * np.nan_to_num(runs.inputs), begins, axis=0)
     with np.errstate(invalid="ignore", divide="ignore"):
         inputs = np.where(share > 0, mass / share, runs.inputs[lasts])
-    return replace(runs.where(keep), dt=np.add.reduceat(runs.dt, begins), inputs=inputs, age=runs.age[begins])
+    return replace(runs.select(keep), dt=np.add.reduceat(runs.dt, begins), inputs=inputs, age=runs.age[begins])
 
 
-def sampled(runs: FreeRuns, budget: int) -> FreeRuns:
-    """`thinned`, and where changes of location alone are too many, windows spread evenly over the whole time.
+def sample_runs(runs: FreeRuns, budget: int) -> FreeRuns:
+    """`thin_runs`, and where changes of location alone are too many, windows spread evenly over the whole time.
 
     There are twenty windows, each a run of its own; what lies between them is left out.
     """
-    few = thinned(runs, budget)
+    few = thin_runs(runs, budget)
     return few if len(few) <= 1.5 * budget else _windows(few, budget)
 
 
@@ -276,20 +276,20 @@ def stretches(runs: FreeRuns, budget: int, step: float) -> FreeRuns:
     its own.
     """
     changes = int(np.count_nonzero(np.diff(runs.stay)))
-    fine = thinned(runs, max(budget, changes + int(runs.dt.sum() / step)))
+    fine = thin_runs(runs, max(budget, changes + int(runs.dt.sum() / step)))
     return fine if len(fine) <= 1.5 * budget else _windows(fine, budget)
 
 
 def _windows(runs: FreeRuns, budget: int) -> FreeRuns:
-    """WINDOWS parts of about `budget` knots in all, spread evenly over the knots, each a run of its own."""
-    count = WINDOWS * max(len(runs) // budget, 1)
+    """WINDOW_COUNT parts of about `budget` knots in all, spread evenly over the knots, each a run of its own."""
+    count = WINDOW_COUNT * max(len(runs) // budget, 1)
     window = np.arange(len(runs)) * count // len(runs)
-    kept = np.unique(np.linspace(0, int(window[-1]), WINDOWS).astype(np.intp))
+    kept = np.unique(np.linspace(0, int(window[-1]), WINDOW_COUNT).astype(np.intp))
     inside = np.isin(window, kept)
-    part = runs.where(inside)
+    part = runs.select(inside)
     # A run may span several windows, and a window several runs: each pair of the two is a run of its own.
     mark = part.run * (int(window[-1]) + 1) + window[inside]
-    return _trimmed(replace(part, run=np.cumsum(np.diff(mark, prepend=mark[:1]) != 0)))
+    return _trim_runs(replace(part, run=np.cumsum(np.diff(mark, prepend=mark[:1]) != 0)))
 
 
 def pieces(runs: FreeRuns, least: int) -> FreeRuns:

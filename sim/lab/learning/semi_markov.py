@@ -13,11 +13,11 @@ from math import exp, inf, log
 import numpy as np
 import scipy
 
-from sim.effects import signals_of
-from sim.engine import Tracker, compiled, next_location
+from sim.effects import effect_signals
+from sim.engine import Tracker, compile_tracker, next_location
 from sim.sha import UNKNOWN, Array, Distribution, Mask, Model, Stay, Trace
 
-LEAST_ENDED = 12
+MIN_ENDED_STAYS = 12
 """Ended stays below which a location's sojourn law is exponential: two parameters are not to be had from so few."""
 
 PRIOR_STAYS = 0.5
@@ -26,7 +26,7 @@ PRIOR_STAYS = 0.5
 PRIOR_MOVES = 0.5
 """The moves that each possible next location counts for before any is seen (Krichevsky & Trofimov 1981)."""
 
-SHORTEST = 1e-3
+MIN_STAY_S = 1e-3
 """Seconds; a stay is not taken to be shorter, a clock in milliseconds cannot tell."""
 
 
@@ -49,7 +49,7 @@ def sojourns(model: Model | Tracker, trace: Trace) -> tuple[Sojourn, ...]:
 
     Events without an edge follow the tracker's policy. Raises ValueError when the trace has no rows.
     """
-    tracker = compiled(model)
+    tracker = compile_tracker(model)
     if not trace.times.size:
         raise ValueError(f"trace {trace.name!r} has no rows")
     location, since, gap = tracker.model.sha.initial, float(trace.times[0]), False
@@ -82,11 +82,11 @@ def fit_law(lengths: Sequence[float], ended: Sequence[bool], typical: float) -> 
     times, seen = np.asarray(lengths, dtype=float), np.asarray(ended, dtype=bool)
     if times.shape != seen.shape or not np.all((times >= 0) & (times < inf)) or not 0 < typical < inf:
         raise ValueError("stays need as many ends as lengths, lengths of 0 s or more and a typical length above 0 s")
-    times = np.maximum(times, SHORTEST)
+    times = np.maximum(times, MIN_STAY_S)
     count = float(seen.sum())
     mean = (float(times.sum()) + PRIOR_STAYS * typical) / (count + PRIOR_STAYS)
     simple = Distribution("exponential", {"mean": mean})
-    if count < LEAST_ENDED:
+    if count < MIN_ENDED_STAYS:
         return simple
     best, lowest = simple, 2.0 * (count * log(mean) + float(times.sum()) / mean) + 2.0 + 4.0 / (count - 2.0)
     for law, loss in (_fit_weibull(times, seen), _fit_lognormal(times, seen)):
@@ -103,16 +103,16 @@ def _fit_weibull(times: Array, seen: Mask) -> tuple[Distribution, float]:
 
     # At a given shape the scale of greatest likelihood is known: scale^shape is the sum of all t^shape (cut off ones
     # too) by the number of ended stays. Logarithms are taken about their mean, or t^20 would overflow.
-    def scaled(shape: float) -> float:
+    def best_scale(shape: float) -> float:
         return float(np.log(np.exp(shape * (logs - centre)).sum() / count))
 
     def loss(point: Array) -> float:
         shape = exp(float(point[0]))
-        return count * (scaled(shape) - log(shape) + 1.0 + centre)
+        return count * (best_scale(shape) - log(shape) + 1.0 + centre)
 
     search = scipy.optimize.minimize(loss, [0.0], method="L-BFGS-B", bounds=[(log(0.2), log(20.0))])
     shape = exp(float(search.x[0]))
-    scale = exp(centre + scaled(shape) / shape)
+    scale = exp(centre + best_scale(shape) / shape)
     return Distribution("weibull", {"shape": shape, "scale": scale}), float(search.fun)
 
 
@@ -140,12 +140,12 @@ def fit_stays(model: Model | Tracker, traces: Sequence[Trace]) -> dict[str, Stay
     traces stay at some time; a location that is never left gets no stay. The result does not depend on the traces'
     order. Raises ValueError when the model cannot be run or a trace has no rows.
     """
-    tracker = compiled(model)
+    tracker = compile_tracker(model)
     by_location = _stays_by_location(tracker, traces)
     lengths = [stay.end - stay.start for stays in by_location.values() for stay, _ in stays]
     ends = sum(stay.to is not None for stays in by_location.values() for stay, _ in stays)
     # Sums run over sorted values here and below: in floating point they would depend on the traces' order otherwise.
-    typical = max(float(np.sum(np.sort(lengths))) / max(ends, 1), SHORTEST) if lengths else 1.0
+    typical = max(float(np.sum(np.sort(lengths))) / max(ends, 1), MIN_STAY_S) if lengths else 1.0
     ahead: dict[str, set[str]] = {location: set() for location in by_location}
     for edge in tracker.model.sha.edges:
         if edge.source in ahead and edge.source != edge.target and edge.symbol != UNKNOWN:
@@ -170,7 +170,7 @@ def with_inputs(model: Model, traces: Sequence[Trace]) -> Model:
 
     For an automaton that reads more signals than before: an input of which the traces say nothing is kept.
     """
-    tracker = compiled(model)
+    tracker = compile_tracker(model)
     by_location = _stays_by_location(tracker, traces)
     stays = {
         name: replace(stay, inputs={**stay.inputs, **_inputs(tracker, name, by_location.get(name, []))})
@@ -198,7 +198,7 @@ def _inputs(
     """
     moments = {}
     own = [driver.signal for driver in tracker.modes[location].location.flow.inputs]
-    for signal in dict.fromkeys([*own, *signals_of(tracker.model.sha, location)]):
+    for signal in dict.fromkeys([*own, *effect_signals(tracker.model.sha, location)]):
         # By the trace's identity: traces are compared by their arrays, and two may have one name.
         read: dict[int, tuple[Array, Array]] = {}
         for _, trace in stays:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.lab.learning.free_run import RATES, FitShape, FreeRunFit
+from sim.lab.learning.free_run import RATE_PARAMETERS, FitShape, FreeRunFit
 from sim.sha import SHA, Distribution, Flow, Input, Location, distributions
 
 
@@ -36,7 +36,7 @@ class ParameterNames:
     gains: tuple[tuple[str, str], ...]
 
 
-def shape_of(
+def build_shape(
     sha: SHA,
     free: Sequence[str],
     signals: Sequence[str],
@@ -53,7 +53,9 @@ def shape_of(
     """
     chosen = [location for location in sha.locations if location.name in set(free)]
     targets = [location.name for location in chosen if location.flow.kind != "constant"]
-    group_of_rate = {each.name: (rates or {}).get(each.name, each.name) for each in chosen if each.flow.kind in RATES}
+    group_of_rate = {
+        each.name: (rates or {}).get(each.name, each.name) for each in chosen if each.flow.kind in RATE_PARAMETERS
+    }
     group_of_gain = {
         (each.name, driver.signal): ((gains or {}).get(each.name, each.name), driver.signal)
         for each in chosen
@@ -82,7 +84,9 @@ def shape_of(
     priors = [laws.get(by_name[name].flow.kind, prior.temperature) for name in names.targets]
     priors += [(0.0, prior.gain.get(signal, 1.0)) for _, signal in names.gains]
     constant_of_group = {
-        group_of_rate[each.name]: RATES[each.flow.kind] for each in reversed(chosen) if each.flow.kind in RATES
+        group_of_rate[each.name]: RATE_PARAMETERS[each.flow.kind]
+        for each in reversed(chosen)
+        if each.flow.kind in RATE_PARAMETERS
     }
     taus = [1.0 / prior.tau if constant_of_group[group] == "k" else prior.tau for group in names.rates]
     shape = FitShape(
@@ -114,7 +118,7 @@ def with_parameters(sha: SHA, shape: FitShape, fit: FreeRunFit) -> SHA:
             continue
         flow, params = location.flow, dict(location.flow.params)
         if shape.rate[place] >= 0:
-            params[RATES[flow.kind]] = float(fit.rates[shape.rate[place]])
+            params[RATE_PARAMETERS[flow.kind]] = float(fit.rates[shape.rate[place]])
         columns = [column for column in shape.gain[place] if column >= 0]
         inputs = tuple(
             Input(driver.signal, float(fit.linear[column]), driver.reference)

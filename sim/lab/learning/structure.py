@@ -42,7 +42,7 @@ def announcements(channel: Switch | Bins) -> tuple[str, ...]:
     return (channel.falling, channel.rising) if isinstance(channel, Switch) else channel.symbols
 
 
-def name_of(context: Context, alphabet: Alphabet) -> str:
+def location_name(context: Context, alphabet: Alphabet) -> str:
     """The location's name: "ON/200-300", "?/0-100"; "?" alone when no channel is known."""
     if all(value is None for value in context):
         return "?"
@@ -54,7 +54,7 @@ def name_of(context: Context, alphabet: Alphabet) -> str:
 def contexts(alphabet: Alphabet) -> Mapping[str, Context]:
     """Every location's name and what is known in it; the wholly unknown one first."""
     choices = [(None, *range(len(labels(channel)))) for channel in alphabet.channels]
-    return MappingProxyType({name_of(context, alphabet): context for context in product(*choices)})
+    return MappingProxyType({location_name(context, alphabet): context for context in product(*choices)})
 
 
 @lru_cache(maxsize=16)
@@ -65,8 +65,8 @@ def edges(alphabet: Alphabet) -> tuple[Edge, ...]:
         for place, channel in enumerate(alphabet.channels):
             for value, symbol in enumerate(announcements(channel)):
                 after = (*context[:place], value, *context[place + 1 :])
-                moves.append(Edge(name, symbol, name_of(after, alphabet)))
-        moves.append(Edge(name, UNKNOWN, name_of((None,) * len(context), alphabet)))
+                moves.append(Edge(name, symbol, location_name(after, alphabet)))
+        moves.append(Edge(name, UNKNOWN, location_name((None,) * len(context), alphabet)))
     return tuple(moves)
 
 
@@ -76,7 +76,7 @@ def product_sha(alphabet: Alphabet, locations: Mapping[str, Location], name: str
         name=name,
         locations=tuple(locations[each] for each in contexts(alphabet)),
         edges=edges(alphabet),
-        initial=name_of((None,) * len(alphabet.channels), alphabet),
+        initial=location_name((None,) * len(alphabet.channels), alphabet),
     )
 
 

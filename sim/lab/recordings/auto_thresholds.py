@@ -12,16 +12,16 @@ import numpy as np
 
 from sim.sha import Alphabet, Array, Bins, Trace
 
-MOST_LEVELS = 4
+MAX_LEVELS = 4
 """Bins at most: as many as the plant's own engineers cut. More only share the same data out among more locations."""
-_POINTS = 256
+_QUANTILE_COUNT = 256
 """Quantiles that stand for a distribution: a few wild readings are none of them."""
-_LEAST_SHARE = 0.03
-_LEAST_NOISES = 3.0
+_MIN_SHARE = 0.03
+_MIN_NOISE_SIGMAS = 3.0
 """Distance of two levels in standard deviations of the noise, below which a threshold would count noise as events."""
-_WITHIN = 4 / 3
+_MAX_WITHIN_RATIO = 4 / 3
 """Of the scatter within levels: halves of one even scatter lie 3.5 of their own deviations apart, levels over 4."""
-_MOST_MOVE = 0.2
+_MAX_MOVE_SHARE = 0.2
 """How far a threshold may move when a tenth of the record is left out, as a share of the distance of its levels."""
 _PARTS, _STRETCHES = 10, 50
 
@@ -38,7 +38,7 @@ class AutoBins(Bins):
     lowest: str = ""
     own_hysteresis: bool = False
 
-    def cut(self, levels: "Levels") -> Bins:
+    def make_bins(self, levels: "Levels") -> Bins:
         """The bins that these levels make."""
         first = self.lowest or f"{self.prefix}0"
         start = 0 if self.lowest else 1
@@ -63,20 +63,20 @@ class AutoGap(Alphabet):
     """An alphabet whose gap follows the recording's own interval when traces are loaded; until then it is the least."""
 
 
-LEAST_GAP = 30.0
+MIN_GAP_S = 30.0
 """Seconds of silence, at least, after which nothing is known."""
-_LEAST_STEPS = 10
+_MIN_STEPS = 10
 """Steps between rows below which nobody knows which is the usual one."""
 _STEPS_IN_GAP = 5
 """Of the usual steps between rows: so many lost in a row are no hiccup of the recorder."""
 
 
-def gap_of(traces: Sequence[Trace], interval: float | None = None) -> float:
+def suitable_gap(traces: Sequence[Trace], interval: float | None = None) -> float:
     """The gap (s) that suits recordings of their usual interval, or of the one given, in round figures."""
     steps = np.concatenate([np.empty(0), *(np.diff(trace.times) for trace in traces)])
     steps = steps[steps > 0]
-    usual = interval or (float(np.median(steps)) if steps.size >= _LEAST_STEPS else 1.0)
-    return max(LEAST_GAP, round_to(_STEPS_IN_GAP * usual, usual))
+    usual = interval or (float(np.median(steps)) if steps.size >= _MIN_STEPS else 1.0)
+    return max(MIN_GAP_S, round_value(_STEPS_IN_GAP * usual, usual))
 
 
 def with_gap(alphabet: Alphabet, traces: Sequence[Trace], interval: float | None = None) -> Alphabet:
@@ -84,7 +84,7 @@ def with_gap(alphabet: Alphabet, traces: Sequence[Trace], interval: float | None
     if not isinstance(alphabet, AutoGap):
         return alphabet
     values = {each.name: getattr(alphabet, each.name) for each in fields(Alphabet)}
-    return Alphabet(**values | {"gap": gap_of(traces, interval)})
+    return Alphabet(**values | {"gap": suitable_gap(traces, interval)})
 
 
 def with_thresholds(alphabet: Alphabet, traces: Sequence[Trace]) -> Alphabet:
@@ -92,13 +92,15 @@ def with_thresholds(alphabet: Alphabet, traces: Sequence[Trace]) -> Alphabet:
     if not any(isinstance(channel, AutoBins) for channel in alphabet.channels):
         return alphabet
     channels = [
-        channel.cut(levels_of(traces, channel.signal, alphabet.gap)) if isinstance(channel, AutoBins) else channel
+        channel.make_bins(find_levels(traces, channel.signal, alphabet.gap))
+        if isinstance(channel, AutoBins)
+        else channel
         for channel in alphabet.channels
     ]
     return replace(alphabet, channels=tuple(channels))
 
 
-def driven_by(alphabet: Alphabet, signals: Sequence[str], traces: Sequence[Trace]) -> Alphabet:
+def with_levels(alphabet: Alphabet, signals: Sequence[str], traces: Sequence[Trace]) -> Alphabet:
     """The alphabet with these level signals in place of its own, each with the thresholds of the traces."""
     levels = [
         AutoBins(signal, (), (f"{chr(ord('A') + place)}_0",), prefix=f"{chr(ord('A') + place)}_")
@@ -108,7 +110,7 @@ def driven_by(alphabet: Alphabet, signals: Sequence[str], traces: Sequence[Trace
     return with_thresholds(replace(alphabet, channels=(*switches, *levels)), traces)
 
 
-def levels_of(traces: Sequence[Trace], signal: str, gap: float) -> Levels:
+def find_levels(traces: Sequence[Trace], signal: str, gap: float) -> Levels:
     """The levels of a signal over all traces; `gap` (s) is the time beyond which a reading says nothing of the next.
 
     The order of the traces does not matter to the levels. A reading counts for the time until the next one, so that a
@@ -140,26 +142,26 @@ def levels_of(traces: Sequence[Trace], signal: str, gap: float) -> Levels:
     whole = _points(readings[order], times[order], times.sum())
     fewer: dict[int, Array] = {}
 
-    def without(part: int) -> Array:
+    def drop_part(part: int) -> Array:
         if part not in fewer:
             kept = order[parts[order] != part]
             fewer[part] = _points(readings[kept], times[kept], times[parts != part].sum())
         return fewer[part]
 
-    for count in range(MOST_LEVELS, 1, -1):
+    for count in range(MAX_LEVELS, 1, -1):
         cuts, centres = _clusters(whole, count)
         apart = np.diff(centres)
         level = np.searchsorted(cuts, readings, side="right")
         shares = np.bincount(level, times, count) / times.sum()
         if held and centres.size == count:
-            noise = _WITHIN * float(np.sqrt(np.average((readings - centres[level]) ** 2, weights=times)))
-        if cuts.size != count - 1 or shares.min() < _LEAST_SHARE or apart.min() < _LEAST_NOISES * noise:
+            noise = _MAX_WITHIN_RATIO * float(np.sqrt(np.average((readings - centres[level]) ** 2, weights=times)))
+        if cuts.size != count - 1 or shares.min() < _MIN_SHARE or apart.min() < _MIN_NOISE_SIGMAS * noise:
             continue
-        others = (_clusters(without(part), count)[0] for part in range(_PARTS))
-        if all(other.size == cuts.size and np.all(np.abs(other - cuts) <= _MOST_MOVE * apart) for other in others):
-            thresholds = tuple(dict.fromkeys(round_to(float(c), float(apart.min()) / 10) for c in cuts))
+        others = (_clusters(drop_part(part), count)[0] for part in range(_PARTS))
+        if all(other.size == cuts.size and np.all(np.abs(other - cuts) <= _MAX_MOVE_SHARE * apart) for other in others):
+            thresholds = tuple(dict.fromkeys(round_value(float(c), float(apart.min()) / 10) for c in cuts))
             quarter = float(apart.min()) / 4
-            return Levels(thresholds, round_to(min(3.0 * noise, quarter), quarter / 10))
+            return Levels(thresholds, round_value(min(3.0 * noise, quarter), quarter / 10))
     return Levels()
 
 
@@ -167,14 +169,16 @@ def _points(readings: Array, times: Array, total: float) -> Array:
     """The quantiles of ascending readings that each stand for a time, `total` in all."""
     reached = np.cumsum(times) / total
     return np.asarray(
-        readings[np.searchsorted(reached, (np.arange(_POINTS) + 0.5) / _POINTS).clip(max=readings.size - 1)]
+        readings[
+            np.searchsorted(reached, (np.arange(_QUANTILE_COUNT) + 0.5) / _QUANTILE_COUNT).clip(max=readings.size - 1)
+        ]
     )
 
 
 def _clusters(points: Array, count: int) -> tuple[Array, Array]:
     """(count - 1 thresholds, count centres) of the clusters of least squares, fewer if there are fewer values."""
     sums, squares = (np.concatenate(([0.0], np.cumsum(points**power))) for power in (1, 2))
-    size = np.arange(_POINTS + 1)
+    size = np.arange(_QUANTILE_COUNT + 1)
     with np.errstate(divide="ignore", invalid="ignore"):
         # cost[i, j]: the squared distances of points i..j-1 from their mean.
         cost = (squares - squares[:, None]) - (sums - sums[:, None]) ** 2 / (size - size[:, None])
@@ -184,7 +188,7 @@ def _clusters(points: Array, count: int) -> tuple[Array, Array]:
         total = best[:, None] + cost
         starts.append(np.argmin(total, axis=0))
         best = np.min(total, axis=0)
-    end, edges = _POINTS, [_POINTS]
+    end, edges = _QUANTILE_COUNT, [_QUANTILE_COUNT]
     for start in reversed(starts):
         end = int(start[end])
         edges.append(end)
@@ -193,7 +197,7 @@ def _clusters(points: Array, count: int) -> tuple[Array, Array]:
     return np.unique((centres[1:] + centres[:-1]) / 2), centres
 
 
-def round_to(value: float, grain: float) -> float:
+def round_value(value: float, grain: float) -> float:
     """The value to the next 1, 2 or 5 times a power of ten that is no coarser than `grain`: 97.3 by 6 is 95."""
     if not grain > 0:
         return value

@@ -25,7 +25,7 @@ RUN_WORDS = frozenset(SWITCH_WORDS[3][0])
 _BLANKS = re.compile(r"(?<=\d)[ '’\xa0\u202f](?=\d{3}(?!\d))")
 _SIGNED = re.compile(r"^([+-])\s+(?=[\d.,])")
 """A sign that stands apart from its number, as recorders print columns."""
-_GROUPED = {mark: re.compile(rf"[+-]?\d{{1,3}}(?:{re.escape(mark)}\d{{3}})+") for mark in ".,"}
+_GROUPED_PATTERNS = {mark: re.compile(rf"[+-]?\d{{1,3}}(?:{re.escape(mark)}\d{{3}})+") for mark in ".,"}
 """Thousands that are set apart by a mark; twice the same mark in a cell can be nothing else."""
 _MEASURED = re.compile(r"([+-]?[\d.,'’\xa0\u202f ]*\d(?:[eE][+-]?\d+)?)\s*([^\d\s].*)")
 """A number and its unit in one cell, as dashboards show them."""
@@ -50,7 +50,7 @@ def _number(cell: str, decimal: Decimal) -> float:
         return np.nan
     cell = _SIGNED.sub(r"\1", _BLANKS.sub("", cell))
     for mark in ".,":
-        if cell.count(mark) > 1 and _GROUPED[mark].fullmatch(cell):
+        if cell.count(mark) > 1 and _GROUPED_PATTERNS[mark].fullmatch(cell):
             cell = cell.replace(mark, "")
     if decimal == ",":
         whole, comma, fraction = cell.partition(",")
@@ -59,7 +59,7 @@ def _number(cell: str, decimal: Decimal) -> float:
         cell = whole.replace(".", "") + comma.replace(",", ".") + fraction
     elif "," in cell:
         whole, point, fraction = cell.partition(".")
-        if not _GROUPED[","].fullmatch(whole):
+        if not _GROUPED_PATTERNS[","].fullmatch(whole):
             return np.nan
         cell = whole.replace(",", "") + point + fraction
     try:
@@ -68,7 +68,7 @@ def _number(cell: str, decimal: Decimal) -> float:
         return np.nan
 
 
-def measured(cell: str, decimal: Decimal) -> tuple[float, str]:
+def parse_quantity(cell: str, decimal: Decimal) -> tuple[float, str]:
     """A cell's number and the unit behind it: "1.20 kW" is (1.2, "kW"); (NaN, "") for any other cell."""
     match = _MEASURED.fullmatch(cell.strip())
     decimal = decimal_mark([cell]) if decimal == "auto" else decimal
@@ -105,7 +105,7 @@ def numbers(cells: Sequence[str], decimal: Decimal = "auto", unit: str = "") -> 
     values[filled] = plain if plain is not None else [_number(cell, decimal) for cell in texts]
     values[np.isinf(values)] = np.nan
     for index in np.flatnonzero(np.isnan(values) & filled).tolist() if unit else ():
-        value, own = measured(stripped[index], decimal)
+        value, own = parse_quantity(stripped[index], decimal)
         scale, offset = conversion(own, unit)
         values[index] = value * scale + offset
     return values, np.isnan(values) & filled

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sim.lab.recordings.auto_thresholds import Levels, levels_of
-from sim.lab.recordings.load_report import TraceError, listed
+from sim.lab.recordings.auto_thresholds import Levels, find_levels
+from sim.lab.recordings.load_report import TraceError, list_names
 from sim.sha import Alphabet, Bins, Switch, Trace
 
-MOST_IN_ONE_BIN = 0.95
+MAX_BIN_SHARE = 0.95
 """Share of a signal's readings in one bin beyond which the other bins are learned from next to nothing."""
 
 
@@ -40,7 +40,8 @@ def channel_uses(traces: Sequence[Trace], alphabet: Alphabet) -> tuple[ChannelUs
     wanted = [channel.signal for channel in alphabet.channels]
     if not set(wanted) & set(present):
         raise TraceError(
-            f"the alphabet watches {listed(wanted)}, and the traces have none of them but {listed(present)}; in the "
+            f"the alphabet watches {list_names(wanted)}, and the traces have none of them but {list_names(present)}; "
+            "in the "
             f"column map, name the columns in [signals] so, or give an [alphabet] whose channels watch what is there: "
             f"{example(alphabet, present)}"
         )
@@ -74,7 +75,8 @@ def _absent(signal: str, present: Sequence[str]) -> ChannelUse:
         0,
         0,
         sentence=f"{signal}: no trace has this signal, so the model never hears of it; the signals are "
-        f"{listed(present)}: name one of them {signal} in the column map, or leave the channel out of its [alphabet]",
+        f"{list_names(present)}: name one of them {signal} in the column map, or leave the channel out of its "
+        "[alphabet]",
     )
 
 
@@ -107,9 +109,9 @@ def _bins_use(
     filled = np.bincount(np.searchsorted(channel.thresholds, values, side="right"), minlength=len(channel.symbols))
     fullest = int(filled.argmax())
     share = float(filled[fullest] / values.size)
-    proposal = levels_of(traces, signal, alphabet.gap)
+    proposal = find_levels(traces, signal, alphabet.gap)
     sentence = ""
-    if share > MOST_IN_ONE_BIN and (channel.thresholds or proposal.thresholds):
+    if share > MAX_BIN_SHARE and (channel.thresholds or proposal.thresholds):
         cuts = ", ".join(f"{cut:g}" for cut in channel.thresholds) or "none"
         low, high = np.quantile(values, (0.01, 0.99))
         sentence = (

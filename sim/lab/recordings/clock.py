@@ -21,9 +21,9 @@ if TYPE_CHECKING:
     from pandas import DatetimeIndex
 
 _OFFSET = re.compile(r":.*(?:[Zz]|[+-]\d\d(?::?\d\d)?)\s*$")
-_DATE = 10
+_DATE_CHARS = 10
 """Characters of a date with its marks."""
-_DAY = 86400.0
+_DAY_S = 86400.0
 _MIDNIGHT = re.compile(r"(?<=[ T])24(?=[:.]00)")
 """The end of a day, which programs read as no hour of any."""
 
@@ -56,7 +56,7 @@ def read_clock(clock: ClockColumns, columns: Sequence[Sequence[str]], decimal: D
         else:
             seconds[left], local[left] = _dates(texts, format_)
     if clock.daily:
-        return np.mod(seconds, _DAY), np.zeros(seconds.shape, dtype=bool)
+        return np.mod(seconds, _DAY_S), np.zeros(seconds.shape, dtype=bool)
     return seconds, local
 
 
@@ -78,7 +78,7 @@ def _dates(texts: list[str], format_: str) -> tuple[Array, Mask]:
     if format_ == "ISO8601":
         # A bare number is no date here, though ISO 8601 would read 1999 as a year.
         texts = [text if "-" in text or ":" in text else "" for text in texts]
-    seconds = _parsed(texts, format_)
+    seconds = _parse_times(texts, format_)
     texts = list(texts)
     # Words in other languages, and the hour 24, only where the format does not read the cell as it stands.
     for index in np.flatnonzero(np.isnan(seconds)).tolist():
@@ -87,17 +87,17 @@ def _dates(texts: list[str], format_: str) -> tuple[Array, Mask]:
     if unread.size:
         left = [texts[index] for index in unread]
         late = np.array([_MIDNIGHT.search(text) is not None for text in left], dtype=bool)
-        seconds[unread] = _parsed([_MIDNIGHT.sub("00", text) for text in left], format_) + _DAY * late
+        seconds[unread] = _parse_times([_MIDNIGHT.sub("00", text) for text in left], format_) + _DAY_S * late
     if format_ == "ISO8601":
         # What follows the date has a mark of its own wherever a zone is said.
-        zoned = any("-" in text[_DATE:] or "+" in text or "Z" in text or "z" in text for text in texts)
+        zoned = any("-" in text[_DATE_CHARS:] or "+" in text or "Z" in text or "z" in text for text in texts)
         return seconds, np.array([not zoned or _OFFSET.search(text) is None for text in texts], dtype=bool)
     return seconds, np.full(len(texts), "%z" not in format_)
 
 
-def _parsed(texts: list[str], format_: str) -> Array:
+def _parse_times(texts: list[str], format_: str) -> Array:
     # The usual writing of ISO 8601 is told by its mark between date and time.
-    mark = "T" if next(iter(texts), "")[_DATE : _DATE + 1] == "T" else " "
+    mark = "T" if next(iter(texts), "")[_DATE_CHARS : _DATE_CHARS + 1] == "T" else " "
     usual = f"%Y-%m-%d{mark}%H:%M:%S" if format_ == "ISO8601" else format_
     seconds = _fixed_width(texts, usual)
     left = np.flatnonzero(np.isnan(seconds))
@@ -109,7 +109,7 @@ def _parsed(texts: list[str], format_: str) -> Array:
     return _parsed_by_pandas(texts, format_)
 
 
-_WIDTHS = {"Y": 4, "m": 2, "d": 2, "H": 2, "M": 2, "S": 2}
+_FIELD_WIDTHS = {"Y": 4, "m": 2, "d": 2, "H": 2, "M": 2, "S": 2}
 """Digits of what a format names, where a text writes all of them."""
 _NAMED = re.compile(r"%(.)|(.)", re.DOTALL)
 
@@ -128,11 +128,11 @@ def _fixed_width(texts: list[str], format_: str) -> Array:
             marks[width] = ord(mark)
             width += 1
             continue
-        if name not in _WIDTHS or name in fields:
+        if name not in _FIELD_WIDTHS or name in fields:
             return seconds
-        fields[name] = slice(width, width + _WIDTHS[name])
-        width += _WIDTHS[name]
-    if not {"Y", "m", "d"} <= fields.keys() or any(mark > _ASCII for mark in marks.values()):
+        fields[name] = slice(width, width + _FIELD_WIDTHS[name])
+        width += _FIELD_WIDTHS[name]
+    if not {"Y", "m", "d"} <= fields.keys() or any(mark > _MAX_ASCII for mark in marks.values()):
         return seconds
     rows = np.flatnonzero(np.fromiter(map(len, texts), dtype=np.intp, count=len(texts)) == width)
     whole = "".join(texts[index] for index in rows.tolist()) if rows.size < len(texts) else "".join(texts)
@@ -140,11 +140,11 @@ def _fixed_width(texts: list[str], format_: str) -> Array:
         return seconds
     letters = np.frombuffer(whole.encode("ascii"), dtype=np.uint8).reshape(-1, width)
     good = np.all([letters[:, at] == mark for at, mark in marks.items()], axis=0) if marks else np.ones(rows.size, bool)
-    found = dict.fromkeys(_WIDTHS, np.zeros(rows.size, dtype=np.int64))
+    found = dict.fromkeys(_FIELD_WIDTHS, np.zeros(rows.size, dtype=np.int64))
     for name, place in fields.items():
         digits = letters[:, place].astype(np.int64) - ord("0")
         good &= np.all((digits >= 0) & (digits <= 9), axis=1)
-        found[name] = digits @ 10 ** np.arange(_WIDTHS[name] - 1, -1, -1)
+        found[name] = digits @ 10 ** np.arange(_FIELD_WIDTHS[name] - 1, -1, -1)
     good &= (found["m"] >= 1) & (found["m"] <= 12) & (found["d"] >= 1) & (found["Y"] >= 1)
     good &= (found["H"] < 24) & (found["M"] < 60) & (found["S"] < 60)
     months = ((found["Y"] - 1970) * 12 + found["m"] - 1)[good].astype("datetime64[M]")
@@ -156,7 +156,7 @@ def _fixed_width(texts: list[str], format_: str) -> Array:
     return seconds
 
 
-_ASCII = 127
+_MAX_ASCII = 127
 """The last letter that takes one byte."""
 
 
@@ -202,8 +202,8 @@ def unroll_midnight(seconds: Array) -> Array:
     """
     steps = np.diff(seconds)
     steps[np.isnan(steps)] = 0.0
-    days = np.cumsum((steps < -_DAY / 2).astype(float) - (steps > _DAY - 600.0))
-    return seconds + _DAY * np.concatenate(([0.0], days)) if steps.size else seconds
+    days = np.cumsum((steps < -_DAY_S / 2).astype(float) - (steps > _DAY_S - 600.0))
+    return seconds + _DAY_S * np.concatenate(([0.0], days)) if steps.size else seconds
 
 
 def spread_evenly(times: Array) -> Array:
@@ -225,7 +225,7 @@ def spread_evenly(times: Array) -> Array:
     return np.asarray(times + steps[at] * place / size[at])
 
 
-def longest_rising(times: Array) -> Mask:
+def longest_rising_rows(times: Array) -> Mask:
     """A mask that keeps as many rows as can be kept so that the clock never goes back (patience sorting)."""
     if not np.any(np.diff(times) < 0):
         return np.ones(times.shape, dtype=bool)

@@ -27,11 +27,11 @@ from sim.lab.recordings.load_report import TraceError
 from sim.sha import Alphabet
 
 
-def _listed(value: object) -> object:
+def _as_list(value: object) -> object:
     return (value,) if isinstance(value, str) else value
 
 
-Names = Annotated[tuple[str, ...], BeforeValidator(_listed)]
+Names = Annotated[tuple[str, ...], BeforeValidator(_as_list)]
 """One name or several: the first that the file has is taken."""
 
 
@@ -82,7 +82,7 @@ class ClockColumns(_MapPart):
 
     @field_validator("formats")
     @classmethod
-    def _formats_are_known(cls, formats: tuple[str, ...]) -> tuple[str, ...]:
+    def _check_formats(cls, formats: tuple[str, ...]) -> tuple[str, ...]:
         for format_ in formats:
             if format_ not in (*COUNTS, "ISO8601") and "%" not in format_:
                 known = f"{', '.join(map(repr, COUNTS))}, 'ISO8601' or a pattern like '%d/%m/%Y %H:%M:%S'"
@@ -193,7 +193,7 @@ class ByColumn(_MapPart):
     column: Names
 
 
-def _one_of(word: str, known: Collection[str]) -> str:
+def _require_word(word: str, known: Collection[str]) -> str:
     return f"it must be one of {', '.join(known)}; {did_you_mean(word, known)}".rstrip("; ")
 
 
@@ -273,11 +273,11 @@ class ColumnMap(_MapPart):
                 "a long map needs clock_back = 'sort', duplicates 'agree', 'last' or 'average', and no extra"
             )
         if self.temperature not in self.signals:
-            raise ValueError(f"temperature names {self.temperature!r}; {_one_of(self.temperature, self.signals)}")
+            raise ValueError(f"temperature names {self.temperature!r}; {_require_word(self.temperature, self.signals)}")
         for name, derived in self.derived.items():
             strange = [source for source in derived.sources if source not in self.signals]
             if strange:
-                raise ValueError(f"derived.{name} needs {strange[0]!r}; {_one_of(strange[0], self.signals)}")
+                raise ValueError(f"derived.{name} needs {strange[0]!r}; {_require_word(strange[0], self.signals)}")
         self._check_roles()
         return self
 
@@ -285,7 +285,7 @@ class ColumnMap(_MapPart):
         known = (*self.signals, *self.derived)
         for role, signal in ({} if self.effects is None else self.effects.roles).items():
             if signal not in known and not self.extra:
-                raise ValueError(f"effects.{role} names {signal!r}; {_one_of(signal, known)}")
+                raise ValueError(f"effects.{role} names {signal!r}; {_require_word(signal, known)}")
 
     @property
     def by_column(self) -> tuple[Names, ...]:
@@ -293,7 +293,7 @@ class ColumnMap(_MapPart):
         machine = self.machine.column if isinstance(self.machine, ByColumn) else ()
         return (machine, self.session.column if self.session else ())
 
-    def names_of(self, signal: str) -> tuple[str, ...]:
+    def signal_names(self, signal: str) -> tuple[str, ...]:
         """The column names under which a signal may come."""
         return self.signals[signal].column or (signal,)
 

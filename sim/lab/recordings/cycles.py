@@ -68,7 +68,7 @@ def split_cycles(
         own = trace.events[bounds[number] : bounds[number + 1]]
         piece = silent.between(start, end)
         name = f"{trace.name}-{number + 1}"
-        pieces.append(replace(piece, name=name, events=_announced(start, known, own, channels)))
+        pieces.append(replace(piece, name=name, events=_announce_state(start, known, own, channels)))
         _learn(known, own, channels)
     return pieces
 
@@ -82,7 +82,7 @@ def _learn(known: dict[int, str], events: Sequence[Event], channels: Mapping[str
             known[channels[event.symbol]] = event.symbol
 
 
-def _announced(
+def _announce_state(
     start: float, known: Mapping[int, str], own: tuple[Event, ...], channels: Mapping[str, int]
 ) -> tuple[Event, ...]:
     """A piece's own events after what was known at its start and is not told there anew, in alphabet order."""

@@ -4,7 +4,7 @@ import numpy as np
 
 from sim.sha import Array
 
-CODES = (
+POSSIBLE_CODES = (
     -32768.0, 32767.0, 32768.0, 65535.0, 65536.0, 65534.0, -3276.8, 3276.7, 6553.5, -327.68, 327.67, 655.35,
     -127.0, 85.0, -200.0, 850.0, -242.0, 988.0, -99.0, -99.9, -999.0, 999.0, -999.9, 999.9, -9999.0, 9999.0, -9999.9,
     9999.9, 99999.0, -99999.0, 999999.0, -1e6, 2147483647.0, -2147483648.0, 4294967295.0, 1e30, -1e30,
@@ -13,22 +13,22 @@ CODES = (
 """Ends of integers (also in tenths and hundredths), of a Pt100 and of a float, DS18B20's -127 and 85, rows of nines."""
 POSSIBLE = frozenset({85.0, 850.0, 988.0, 999.0, 999.9})
 """Codes that a speed, a valve or a pressure may well reach: they count only where they are rare."""
-_RARE = 0.05
+_MAX_CODE_SHARE = 0.05
 """Share of the readings up to which a possible number is a code."""
-_VARIED = 10
+_MIN_DISTINCT = 10
 """Distinct other readings from which on a signal moves by itself: what is 0 or 850 is switched, and has no code."""
-_SAME = 1e-6
-_FAR = 0.25
+_EQUAL_TOLERANCE = 1e-6
+_MIN_RANGE_SHARE = 0.25
 """Of the range of all other readings: so far a code lies from the readings beside it."""
 _ABSURD = 1e7
 """Times the usual reading: no quantity of a plant is so large, but what a float holds that nobody has written is."""
 _SLOW = (0.0, -1.0)
 """What programs write for a temperature that they do not have; it passes these numbers, and does not jump to them."""
-_MOST = 0.5
+_MAX_VALUE_SHARE = 0.5
 """Share of the readings beyond which a value is what the plant does."""
 
 
-def codes_in(values: Array, *, slow: bool = False) -> dict[float, int]:
+def find_codes(values: Array, *, slow: bool = False) -> dict[float, int]:
     """The codes among readings in the order of time, and how often: values of the table that jump out of the others.
 
     `slow` readings, as of a temperature, have codes that others reach in one step.
@@ -40,12 +40,12 @@ def codes_in(values: Array, *, slow: bool = False) -> dict[float, int]:
     if max(-least, most) > _ABSURD:
         usual = float(np.sort(np.abs(finite))[finite.size // 2])
         known |= np.abs(finite) > _ABSURD * max(1.0, usual)
-    for code in (*CODES, *(_SLOW if slow else ())):
-        width = _SAME * max(1.0, abs(code))
+    for code in (*POSSIBLE_CODES, *(_SLOW if slow else ())):
+        width = _EQUAL_TOLERANCE * max(1.0, abs(code))
         if least - width <= code <= most + width:
             known |= np.abs(finite - code) <= width
     others = finite[~known]
-    if not known.any() or others.size < 2 or known.mean() > _MOST:
+    if not known.any() or others.size < 2 or known.mean() > _MAX_VALUE_SHARE:
         return {}
     span = float(np.ptp(np.quantile(others, (0.001, 0.999)))) or 1.0
     where = np.flatnonzero(~known)
@@ -53,12 +53,12 @@ def codes_in(values: Array, *, slow: bool = False) -> dict[float, int]:
     at = np.searchsorted(where, np.flatnonzero(known))
     left, right = others[(at - 1).clip(min=0)], others[at.clip(max=others.size - 1)]
     away = np.minimum(np.abs(finite[known] - left), np.abs(finite[known] - right))
-    varied = np.unique(others).size >= _VARIED
+    varied = np.unique(others).size >= _MIN_DISTINCT
     for code in np.unique(finite[known]).tolist():
         own = finite[known] == code
         possible = code in POSSIBLE or code in _SLOW or (-1000.0 < code < 0.0 and others.min() < 0.0)
-        if possible and not (varied and own.sum() <= _RARE * finite.size):
+        if possible and not (varied and own.sum() <= _MAX_CODE_SHARE * finite.size):
             continue
-        if np.all(away[own] > _FAR * span):
+        if np.all(away[own] > _MIN_RANGE_SHARE * span):
             found[float(code)] = int(own.sum())
     return found

@@ -12,7 +12,7 @@ from sim.sha import DECANTER, Alphabet
 _COUNTS = (
     "rows", "used", "aside", "refused", "merged", "bad_cells", "cells", "used_cells", "refused_cells", "merged_cells",
 )  # fmt: skip
-DETAILS = 20
+MAX_DETAILS = 20
 """So many refused rows or cells are named one by one for each file; the rest are only counted."""
 
 
@@ -97,7 +97,7 @@ class FileReport:
         if not lines:
             return
         self.reasons[reason] += len(lines)
-        for index, line in enumerate(lines[: DETAILS - len(self.details)]):
+        for index, line in enumerate(lines[: MAX_DETAILS - len(self.details)]):
             self.details.append(RefusedRow(line, f"{reason}: {details[index]}" if details else reason))
 
     def sentences(self) -> list[str]:
@@ -123,7 +123,7 @@ class FileReport:
             alike.setdefault(refused.reason, []).append(refused.line)
         for reason, at in alike.items():
             more = max(self.reasons[reason] - len(at), 0)
-            where = f"line {at[0]}" if len(at) == 1 and not more else f"lines {listed(map(str, at), 8, more)}"
+            where = f"line {at[0]}" if len(at) == 1 and not more else f"lines {list_names(map(str, at), 8, more)}"
             lines.append(f"{self.path}: {where}: {reason}")
         return lines + [f"{self.path}: {note}" for note in (*self.warnings, *self.notes)]
 
@@ -190,10 +190,10 @@ def _account(files: Sequence[FileReport]) -> str:
     )
     columns: Counter[str] = sum((file.unused for file in files), Counter())
     line = f"{cells} cells = {used} used + {refused} refused + {merged} merged + {columns.total()} not used"
-    return f"{line} (no signal of the map: {listed(columns)})" if columns else line
+    return f"{line} (no signal of the map: {list_names(columns)})" if columns else line
 
 
-def listed(names: Iterable[str], limit: int = 30, more: int = 0) -> str:
+def list_names(names: Iterable[str], limit: int = 30, more: int = 0) -> str:
     """Names for a sentence, the first `limit` of them; `more` are counted that nobody has listed."""
     all_names = list(names)
     more += max(len(all_names) - limit, 0)

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from sim.lab.recordings.cells import SWITCH_WORDS, booleans, numbers
 from sim.lab.recordings.clock import clock_columns, read_clock, to_utc
 from sim.lab.recordings.column_map import ColumnMap, Long, Names, SignalColumn
-from sim.lab.recordings.fault_codes import codes_in
-from sim.lab.recordings.load_report import FileReport, TraceError, listed
-from sim.lab.recordings.sources import stem_of
-from sim.lab.recordings.text_table import TextLayout, find_layout, place_of, read_rows
+from sim.lab.recordings.fault_codes import find_codes
+from sim.lab.recordings.load_report import FileReport, TraceError, list_names
+from sim.lab.recordings.sources import recording_name
+from sim.lab.recordings.text_table import TextLayout, find_column, find_layout, read_rows
 from sim.sha import Array, Mask
 
 Rows = NDArray[np.intp]
@@ -63,7 +63,7 @@ class _Chunk:
     local: Mask
     whose: list[Whose]
 
-    def at(self, rows: Rows) -> "_Chunk":
+    def select(self, rows: Rows) -> "_Chunk":
         """Some of the rows."""
         kept = rows.tolist()
         columns = [[column[index] for index in kept] for column in self.columns]
@@ -102,15 +102,15 @@ def unread_hash(path: Path, column_map: ColumnMap) -> str:
     """
     report = FileReport(path)
     layout = _layout(path, column_map, report)
-    read: set[int | None] = {_needed(layout.header, names) for names in clock_columns(column_map.clock)}
-    read |= {place_of(layout.header, column_map.names_of(name)) for name in column_map.signals}
+    read: set[int | None] = {_required_columns(layout.header, names) for names in clock_columns(column_map.clock)}
+    read |= {find_column(layout.header, column_map.signal_names(name)) for name in column_map.signals}
     if column_map.extra:
         read |= set(range(len(layout.header)))
     # What a long file says of signals that are not in the map stands in the columns that the map does read.
     others = [index for index in range(len(layout.header)) if column_map.long is not None or index not in read]
     digests = {index: sha256(f"{layout.header[index]}\n".encode()) for index in others}
     for current, lines, columns in read_rows(path, layout, column_map.comment, report):
-        places = {index: place_of(current.header, (layout.header[index],)) for index in others}
+        places = {index: find_column(current.header, (layout.header[index],)) for index in others}
         for index, digest in digests.items():
             place = places[index]
             cells = [""] * lines.size if place is None else columns[place]
@@ -136,13 +136,13 @@ def _layout(path: Path, column_map: ColumnMap, report: FileReport) -> TextLayout
 
 def _aliases(path: Path, column_map: ColumnMap, signal: str) -> Names:
     """The names under which a signal may come in one file: of a part also those that say the file's own name."""
-    return _in_file(path, column_map, column_map.names_of(signal))
+    return _in_file(path, column_map, column_map.signal_names(signal))
 
 
 def _in_file(path: Path, column_map: ColumnMap, names: Names) -> Names:
     if not column_map.parts:
         return names
-    own = f"{stem_of(path)}/"
+    own = f"{recording_name(path)}/"
     return (*names, *(name.removeprefix(own) for name in names if name.startswith(own)))
 
 
@@ -150,16 +150,16 @@ def _chunks(path: Path, layout: TextLayout, column_map: ColumnMap, report: FileR
     """The rows with a time. What has none is refused."""
     for current, lines, columns in read_rows(path, layout, column_map.comment, report):
         header = current.header
-        places = [_needed(header, names) for names in clock_columns(column_map.clock)]
+        places = [_required_columns(header, names) for names in clock_columns(column_map.clock)]
         seconds, local = read_clock(column_map.clock, [columns[place] for place in places], column_map.decimal)
         chunk = _Chunk(header, lines, columns, seconds, local, whose=[])
         timeless = np.flatnonzero(np.isnan(seconds)).tolist()
         if timeless:
             shown = ["'" + " ".join(columns[at][index].strip() for at in places)[:60] + "'" for index in timeless[:20]]
             report.refuse(lines[timeless].tolist(), "it has no time that the map's formats fit", shown)
-            report.refuse_cells(sum(_filled([column[index] for index in timeless]) for column in columns))
-            chunk = chunk.at(np.flatnonzero(~np.isnan(seconds)))
-        by = [place_of(header, names) if names else None for names in column_map.by_column]
+            report.refuse_cells(sum(_count_cells([column[index] for index in timeless]) for column in columns))
+            chunk = chunk.select(np.flatnonzero(~np.isnan(seconds)))
+        by = [find_column(header, names) if names else None for names in column_map.by_column]
         if any(place is not None for place in by):
             machine, session = (
                 [""] * chunk.lines.size if at is None else list(map(str.strip, chunk.columns[at])) for at in by
@@ -170,22 +170,22 @@ def _chunks(path: Path, layout: TextLayout, column_map: ColumnMap, report: FileR
             if not somebodys.all():
                 nobodys = np.flatnonzero(~somebodys).tolist()
                 report.refuse(chunk.lines[nobodys].tolist(), "it does not say its machine or session")
-                report.refuse_cells(sum(_filled([column[index] for index in nobodys]) for column in chunk.columns))
-                chunk = chunk.at(np.flatnonzero(somebodys))
+                report.refuse_cells(sum(_count_cells([column[index] for index in nobodys]) for column in chunk.columns))
+                chunk = chunk.select(np.flatnonzero(somebodys))
         if chunk.lines.size:
-            report.cells += sum(map(_filled, chunk.columns))
+            report.cells += sum(map(_count_cells, chunk.columns))
             yield chunk
 
 
-def _filled(cells: Sequence[str]) -> int:
+def _count_cells(cells: Sequence[str]) -> int:
     """How many of some cells hold something."""
     return sum(map(bool, map(str.strip, cells)))
 
 
-def _needed(header: Sequence[str], names: Names) -> int:
-    place = place_of(header, names)
+def _required_columns(header: Sequence[str], names: Names) -> int:
+    place = find_column(header, names)
     if place is None:  # find_layout has made sure of it, as has the row that was taken for a header
-        raise TraceError(f"there is no column {names[0]!r}; the columns are {listed(header)}")
+        raise TraceError(f"there is no column {names[0]!r}; the columns are {list_names(header)}")
     return place
 
 
@@ -225,7 +225,7 @@ def _not_good(place: int, columns: Sequence[Sequence[str]], places: Sequence[int
     return np.array([cell.strip().casefold() not in good for cell in columns[at]], dtype=bool)
 
 
-def _distrusted(name: str, values: Array, not_good: Mask) -> dict[str, Mask]:
+def _reject_values(name: str, values: Array, not_good: Mask) -> dict[str, Mask]:
     """The fault of those of the values that are not good, which become NaN."""
     mask = not_good & np.isfinite(values)
     values[mask] = np.nan
@@ -235,13 +235,13 @@ def _distrusted(name: str, values: Array, not_good: Mask) -> dict[str, Mask]:
 def _quality_places(path: Path, chunk: _Chunk, column_map: ColumnMap, report: FileReport) -> list[int]:
     """The places of the columns that say how good readings are, whose cells are used up by that."""
     names = () if column_map.quality is None else column_map.quality.column
-    found = {name: place_of(chunk.header, _in_file(path, column_map, (name,))) for name in names}
+    found = {name: find_column(chunk.header, _in_file(path, column_map, (name,))) for name in names}
     places = sorted({place for place in found.values() if place is not None})
     # Of parts each has the quality of its own tags, or one that has none says it of all.
     if not column_map.parts:
         for name in (each for each, place in found.items() if place is None):
             report.warn(f"there is no column {name!r}, a quality by the map: no reading is refused by it")
-    report.used_cells += sum(_filled(chunk.columns[place]) for place in places)
+    report.used_cells += sum(_count_cells(chunk.columns[place]) for place in places)
     return places
 
 
@@ -262,7 +262,7 @@ def judged(readings: FileReadings, files: Sequence[FileReport]) -> FileReadings:
             continue
         at = np.searchsorted(said[order], readings.times[column.rows], "right")
         values, bad = column.values.copy(), column.bad.copy()
-        for reason, mask in _distrusted(name, values, words[at] == 0.0).items():
+        for reason, mask in _reject_values(name, values, words[at] == 0.0).items():
             for index, file in enumerate(files):
                 own = column.rows[mask & (readings.files[column.rows] == index)]
                 file.bad(readings.lines[own].tolist(), reason, [])
@@ -292,11 +292,11 @@ def _read_wide(path: Path, layout: TextLayout, column_map: ColumnMap, report: Fi
     values: dict[str, list[Array]] = {}
     bad: dict[str, list[Mask]] = {}
     for chunk in _chunks(path, layout, column_map, report):
-        taken = {_needed(chunk.header, names) for names in clock_columns(column_map.clock)}
-        taken |= {place for names in column_map.by_column if (place := place_of(chunk.header, names)) is not None}
+        taken = {_required_columns(chunk.header, names) for names in clock_columns(column_map.clock)}
+        taken |= {place for names in column_map.by_column if (place := find_column(chunk.header, names)) is not None}
         qualities = _quality_places(path, chunk, column_map, report)
         taken.update(qualities)
-        places = {name: place for name in aliases if (place := place_of(chunk.header, aliases[name])) is not None}
+        places = {name: place for name in aliases if (place := find_column(chunk.header, aliases[name])) is not None}
         if column_map.extra:
             others = [index for index in range(len(chunk.header)) if index not in {*taken, *places.values()}]
             places |= {chunk.header[index]: index for index in others}
@@ -306,13 +306,13 @@ def _read_wide(path: Path, layout: TextLayout, column_map: ColumnMap, report: Fi
         for name, place in places.items():
             cells = chunk.columns[place]
             column, faults = _convert(name, signals[name], cells, column_map, report)
-            faults |= _distrusted(name, column, _not_good(place, chunk.columns, qualities, column_map))
+            faults |= _reject_values(name, column, _not_good(place, chunk.columns, qualities, column_map))
             # Rows of the chunks before, under headers that did not have it.
             values.setdefault(name, [np.full(each.seconds.size, np.nan) for each in chunks]).append(column)
             own = bad.setdefault(name, [np.zeros(each.seconds.size, dtype=bool) for each in chunks])
             own.append(_count_faults(report, chunk.lines, cells, faults))
             if place in seen:
-                report.cells += _filled(cells)  # one cell read as two signals counts twice
+                report.cells += _count_cells(cells)  # one cell read as two signals counts twice
             seen.add(place)
         if column_map.parts and qualities and not places:
             said = np.array([bool(cell.strip()) for cell in chunk.columns[qualities[0]]], dtype=bool)
@@ -323,13 +323,13 @@ def _read_wide(path: Path, layout: TextLayout, column_map: ColumnMap, report: Fi
             values[name].append(np.full(chunk.seconds.size, np.nan))
             bad[name].append(np.zeros(chunk.seconds.size, dtype=bool))
         for place in set(range(len(chunk.header))) - seen - taken:
-            report.unused[chunk.header[place] or f"column {place + 1}"] += _filled(chunk.columns[place])
+            report.unused[chunk.header[place] or f"column {place + 1}"] += _count_cells(chunk.columns[place])
         chunk.columns.clear()
         chunks.append(chunk)
     # Of parts that have one tag each, a file is not asked for the tags of the others.
     if chunks and not (column_map.parts and len(values) == 1):
         for name in column_map.signals.keys() - values.keys() - column_map.derived.keys():
-            names = " or ".join(map(repr, column_map.names_of(name)))
+            names = " or ".join(map(repr, column_map.signal_names(name)))
             report.notes.append(f"there is no column {names}: no {name}")
     series = {}
     every = np.arange(sum(chunk.seconds.size for chunk in chunks))
@@ -339,28 +339,28 @@ def _read_wide(path: Path, layout: TextLayout, column_map: ColumnMap, report: Fi
         present = fault | ~np.isnan(column)
         rows = every if present.all() else np.flatnonzero(present)
         series[name] = Series(rows, *((column, fault) if rows is every else (column[rows], fault[rows])))
-    return _finished(chunks, series, layout, column_map, report)
+    return _collect_readings(chunks, series, layout, column_map, report)
 
 
 def _read_long(
     path: Path, layout: TextLayout, column_map: ColumnMap, long: Long, report: FileReport
 ) -> list[FileReadings]:
-    names = {alias: name for name in column_map.signals for alias in column_map.names_of(name)}
+    names = {alias: name for name in column_map.signals for alias in column_map.signal_names(name)}
     pieces: dict[str, list[Series]] = {}
     chunks: list[_Chunk] = []
     unmapped: Counter[str] = Counter()
     start = 0
     for chunk in _chunks(path, layout, column_map, report):
         header, columns, lines = chunk.header, chunk.columns, chunk.lines
-        name_at, value_at = _needed(header, long.name), _needed(header, long.value)
-        object_at = _needed(header, long.object) if long.objects else None
-        taken = {_needed(header, each) for each in clock_columns(column_map.clock)}
-        taken |= {place for each in column_map.by_column if (place := place_of(header, each)) is not None}
+        name_at, value_at = _required_columns(header, long.name), _required_columns(header, long.value)
+        object_at = _required_columns(header, long.object) if long.objects else None
+        taken = {_required_columns(header, each) for each in clock_columns(column_map.clock)}
+        taken |= {place for each in column_map.by_column if (place := find_column(header, each)) is not None}
         qualities = _quality_places(path, chunk, column_map, report)
         taken.update(qualities)
         for place in set(range(len(header))) - taken - {value_at}:
             # What says which reading a row is of is no reading itself.
-            report.unused[header[place] or f"column {place + 1}"] += _filled(columns[place])
+            report.unused[header[place] or f"column {place + 1}"] += _count_cells(columns[place])
         groups: defaultdict[str, list[int]] = defaultdict(list)
         for index, field in enumerate(map(str.strip, columns[name_at])):
             known = object_at is None or columns[object_at][index].strip() in long.objects
@@ -371,13 +371,13 @@ def _read_long(
                 report.aside += len(where)
                 what = field or "another object"
                 unmapped[what] += len(where)
-                cells = _filled([columns[value_at][index] for index in where])
+                cells = _count_cells([columns[value_at][index] for index in where])
                 owners = len(clock_columns(column_map.clock)) + sum(map(bool, column_map.by_column))
                 report.unused[what] += cells + len(where) * owners
                 continue
             name, cells_ = names[field], [columns[value_at][index] for index in where]
             values, faults = _convert(name, column_map.signals[name], cells_, column_map, report)
-            faults |= _distrusted(name, values, not_good[where])
+            faults |= _reject_values(name, values, not_good[where])
             # A row of a long file is there to say something: a blank value says that there was none to be had.
             blank = np.array([not cell.strip() for cell in cells_], dtype=bool)
             if blank.any():
@@ -389,12 +389,12 @@ def _read_long(
         chunk.columns.clear()
         chunks.append(chunk)
     if unmapped:
-        report.notes.append(f"rows of {listed(unmapped)} are not in the map")
-    series = {name: _joined(parts) for name, parts in pieces.items()}
-    return _finished(chunks, series, layout, column_map, report)
+        report.notes.append(f"rows of {list_names(unmapped)} are not in the map")
+    series = {name: _concatenate_series(parts) for name, parts in pieces.items()}
+    return _collect_readings(chunks, series, layout, column_map, report)
 
 
-def _joined(parts: Sequence[Series]) -> Series:
+def _concatenate_series(parts: Sequence[Series]) -> Series:
     return Series(
         np.concatenate([part.rows for part in parts]),
         np.concatenate([part.values for part in parts]),
@@ -402,7 +402,7 @@ def _joined(parts: Sequence[Series]) -> Series:
     )
 
 
-def _finished(
+def _collect_readings(
     chunks: Sequence[_Chunk],
     series: Mapping[str, Series],
     layout: TextLayout,
@@ -442,7 +442,7 @@ def _say_codes(series: Mapping[str, Series], column_map: ColumnMap, report: File
         signal = column_map.signals.get(name)
         if signal is not None and signal.boolean:
             continue
-        for code, count in codes_in(column.values).items():
+        for code, count in find_codes(column.values).items():
             report.warn(
                 f"{count} readings of {name} are {code:g}, a number that devices send where they have no reading; "
                 f"if it is one, the column map's bad = [{code:g}] for {name} refuses it"
@@ -476,10 +476,10 @@ def refuse_rows(readings: FileReadings, rows: Mask, reason: str, reports: Sequen
         own = rows & (readings.files == index)
         if own.any():
             report.refuse(readings.lines[own].tolist(), reason)
-            report.refused_cells += cells_of(readings, own)
+            report.refused_cells += count_usable_cells(readings, own)
 
 
-def cells_of(readings: FileReadings, rows: Mask) -> int:
+def count_usable_cells(readings: FileReadings, rows: Mask) -> int:
     """The cells of some rows that can be used: those of the clock and the good readings."""
     good = sum(int((rows[series.rows] & ~series.bad).sum()) for series in readings.series.values())
     return good + readings.clock_cells * int(rows.sum())
@@ -513,7 +513,7 @@ def select(readings: FileReadings, order: Rows) -> FileReadings:
     )
 
 
-def joined(parts: Sequence[FileReadings]) -> FileReadings:
+def concatenate_readings(parts: Sequence[FileReadings]) -> FileReadings:
     """The readings of several files, one after the other."""
     if len(parts) == 1:
         return parts[0]
@@ -526,7 +526,7 @@ def joined(parts: Sequence[FileReadings]) -> FileReadings:
         np.concatenate([part.times for part in parts]),
         np.concatenate([part.lines for part in parts]),
         np.concatenate([part.files for part in parts]),
-        {name: _joined(series) for name, series in pieces.items()},
+        {name: _concatenate_series(series) for name, series in pieces.items()},
         tuple(comment for part in parts for comment in part.comments),
         clock_cells=parts[0].clock_cells,
         whose=parts[0].whose,

@@ -16,58 +16,58 @@ from drivers.csv_rows import write_rows
 from drivers.named_files import regular
 from sim.lab.recordings.load_report import TraceError
 
-UNPACKING = (EOFError, zlib.error, zipfile.BadZipFile)
+UNPACK_ERRORS = (EOFError, zlib.error, zipfile.BadZipFile)
 """What a packed file raises that is cut off, while it is read."""
-_PACKED = (".gz", ".zip", ".zst")
-_TEXT = (".csv", ".txt", ".tsv", ".dat", ".log")
+_PACKED_SUFFIXES = (".gz", ".zip", ".zst")
+_TEXT_SUFFIXES = (".csv", ".txt", ".tsv", ".dat", ".log")
 
 
-_DAMAGED = (KeyError, ValueError, RuntimeError, SyntaxError)
+_DAMAGE_ERRORS = (KeyError, ValueError, RuntimeError, SyntaxError)
 """What the libraries raise beside: of a password, of a packing they do not know, of XML that is none."""
 
 
-MOST_UNPACKED = 512 << 20
+MAX_UNPACKED_BYTES = 512 << 20
 """Bytes of XML of a workbook, at most: a sheet of its greatest length, a million rows of ten columns."""
 
 
-def opened(path: Path) -> BinaryIO:
+def open_source(path: Path) -> BinaryIO:
     """The bytes of a recording's text. Raises TraceError for a packed file that holds none or several, OSError."""
     kind = _KINDS.get(path.suffix.lower())
     if kind is None:
         return regular(path).open("rb")
     try:
         return kind(regular(path))
-    except (zipfile.BadZipFile, gzip.BadGzipFile, zlib.error, EOFError, *_DAMAGED) as error:
+    except (zipfile.BadZipFile, gzip.BadGzipFile, zlib.error, EOFError, *_DAMAGE_ERRORS) as error:
         if isinstance(error, TraceError):
             raise
         raise TraceError(f"{path}: it is no {path.suffix[1:]} file that can be unpacked ({error})") from None
 
 
-def head_of(path: Path, size: int) -> bytes:
+def read_head(path: Path, size: int) -> bytes:
     """The first bytes of a recording's text. Raises TraceError for a packed file that ends too early, OSError."""
     try:
-        with opened(path) as stream:
+        with open_source(path) as stream:
             return stream.read(size)
-    except UNPACKING as error:
+    except UNPACK_ERRORS as error:
         raise TraceError(f"{path}: it ends within what was packed ({error}); give the whole file") from None
 
 
-def stem_of(path: Path) -> str:
+def recording_name(path: Path) -> str:
     """The name of a recording's file without what says how it is written."""
-    packed = path.suffix.lower() in _PACKED and Path(path.stem).suffix
+    packed = path.suffix.lower() in _PACKED_SUFFIXES and Path(path.stem).suffix
     return Path(path.stem).stem if packed else path.stem
 
 
 def is_recording(path: Path) -> bool:
     """Whether a file of a folder is a recording by its name: a CSV, also packed, or a table of another program."""
     names = [suffix.lower() for suffix in path.suffixes]
-    packed = names[-2:-1] == [".csv"] and names[-1] in _PACKED
+    packed = names[-2:-1] == [".csv"] and names[-1] in _PACKED_SUFFIXES
     return names[-1:] in ([".csv"], [".xlsx"], [".parquet"]) or packed
 
 
 def _zip(path: Path) -> BinaryIO:
     archive = zipfile.ZipFile(path)
-    members = [name for name in archive.namelist() if Path(name).suffix.lower() in _TEXT]
+    members = [name for name in archive.namelist() if Path(name).suffix.lower() in _TEXT_SUFFIXES]
     if len(members) != 1:
         raise TraceError(f"{path}: {len(members)} of its files are tables; unpack it, and give the one or the folder")
     return cast(BinaryIO, archive.open(members[0]))
@@ -87,9 +87,10 @@ def _xlsx(path: Path) -> BinaryIO:
     with zipfile.ZipFile(path) as parts:
         # Sheets are XML that is packed to a twentieth, and a crafted one to a thousandth.
         size = sum(part.file_size for part in parts.infolist())
-    if size > MOST_UNPACKED:
+    if size > MAX_UNPACKED_BYTES:
         raise TraceError(
-            f"{path}: its sheets are {size >> 20} MiB of XML, {MOST_UNPACKED >> 20} MiB are the most that is opened; "
+            f"{path}: its sheets are {size >> 20} MiB of XML, {MAX_UNPACKED_BYTES >> 20} MiB are the most that is "
+            "opened; "
             "export it as CSV"
         )
     book = load_workbook(path, read_only=True, data_only=True)
@@ -97,7 +98,7 @@ def _xlsx(path: Path) -> BinaryIO:
     if len(filled) != 1:
         names = ", ".join(sheet.title for sheet in filled)
         raise TraceError(f"{path}: {len(filled)} of its sheets are tables ({names}); give a file with one")
-    return _written(filled[0].iter_rows(values_only=True))
+    return _write_rows(filled[0].iter_rows(values_only=True))
 
 
 def _parquet(path: Path) -> BinaryIO:
@@ -110,10 +111,10 @@ def _parquet(path: Path) -> BinaryIO:
     except arrow.ArrowInvalid as error:
         raise TraceError(f"{path}: it is no Parquet file: {error}") from None
     rows = zip(*(column.to_pylist() for column in table.columns), strict=True)
-    return _written([table.column_names, *rows])
+    return _write_rows([table.column_names, *rows])
 
 
-def _written(rows: Iterable[Iterable[object]]) -> BinaryIO:
+def _write_rows(rows: Iterable[Iterable[object]]) -> BinaryIO:
     text = io.StringIO()
     write_rows(text, rows)
     return io.BytesIO(text.getvalue().encode())

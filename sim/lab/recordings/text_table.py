@@ -16,31 +16,31 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.csv_rows import unguarded
+from drivers.csv_rows import strip_guards
 from drivers.errors import did_you_mean
 from sim.lab.recordings.cells import numbers
 from sim.lab.recordings.column_map import ColumnMap, Names
-from sim.lab.recordings.load_report import FileReport, TraceError, listed
-from sim.lab.recordings.sources import head_of, opened
+from sim.lab.recordings.load_report import FileReport, TraceError, list_names
+from sim.lab.recordings.sources import open_source, read_head
 
 Lines = NDArray[np.intp]
 """Numbers of lines of a file, from 1."""
 SEPARATORS = {",": ",", ";": ";", "tab": "\t", "|": "|"}
-_HEAD = 262_144
-_CHUNK = 50_000
-_BLOCK = 500
+_HEAD_BYTES = 262_144
+_CHUNK_LINES = 50_000
+_BLOCK_LINES = 500
 """Lines that are split in one call where none of them has a quotation mark. One mark costs its block the short way."""
-MOST_LINES = 50
+MAX_ROW_LINES = 50
 """Lines that one row may take. A quotation mark that stays open for longer is a fault of its line."""
-_NEVER_IN_NUMBERS = ";\t|"
+_SURE_SEPARATORS = ";\t|"
 """Separators that no number or time has within."""
 _SHOWN_ROWS = 5
 """Rows under a header that show the separator they are written with."""
-_LONG_NAME = 3
+_MIN_NAME_LETTERS = 3
 """Letters of a name that hardly stands in a row by chance."""
-MOST_BEFORE = 60
+MAX_HEADER_LINE = 60
 """Lines among which a header is looked for, comments not counted."""
-UNNAMED = "column 1"
+UNNAMED_COLUMN = "column 1"
 """What a first column without a name is called: an index that a program has written beside its table."""
 _BOMS = ((codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"))
 
@@ -59,20 +59,20 @@ class TextLayout:
     comments: tuple[str, ...]
     clock: tuple[Names, ...] = ()
 
-    def begins_anew(self, cells: Sequence[str]) -> bool:
+    def is_header(self, cells: Sequence[str]) -> bool:
         """Whether a row is a header."""
         names = tuple(cell.strip() for cell in cells)
-        if names == self.header or (self.header[:1] == (UNNAMED,) and names == ("", *self.header[1:])):
+        if names == self.header or (self.header[:1] == (UNNAMED_COLUMN,) and names == ("", *self.header[1:])):
             return True
-        return bool(self.clock) and all(place_of(cells, names) is not None for names in self.clock)
+        return bool(self.clock) and all(find_column(cells, names) is not None for names in self.clock)
 
 
-def folded(name: str) -> str:
+def fold_name(name: str) -> str:
     """A name without the spelling of its blanks and of its letters' case."""
     return " ".join(name.split()).casefold()
 
 
-def told_apart(names: Sequence[str]) -> list[str]:
+def number_equal_names(names: Sequence[str]) -> list[str]:
     """A header whose equal names are numbered: Value, Value_2, Value_3."""
     apart: list[str] = []
     for name in names:
@@ -90,7 +90,7 @@ def with_row_names(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list
     counts = [int(cell) for cell in first if cell.isdecimal()]
     counted = len(counts) == len(first) > 1 and all(after == before + 1 for before, after in pairwise(counts))
     longer = all(len(row) == len(header) + 1 for row in rows) and any(row[-1].strip() for row in rows)
-    return [UNNAMED, *header] if counted and longer and UNNAMED not in header else list(header)
+    return [UNNAMED_COLUMN, *header] if counted and longer and UNNAMED_COLUMN not in header else list(header)
 
 
 def rows_mark(lines: Sequence[str], width: int, mark: str) -> str:
@@ -100,7 +100,7 @@ def rows_mark(lines: Sequence[str], width: int, mark: str) -> str:
     """
     rows = [line for line in lines if line.strip()]
 
-    def fit(each: str) -> int:
+    def count_numbers(each: str) -> int:
         """Cells that are numbers, less those that another mark would cut, if all rows have the width."""
         split = [_header([row], each)[0] for row in rows]
         if not all(len(cells) == width for cells in split):
@@ -108,20 +108,20 @@ def rows_mark(lines: Sequence[str], width: int, mark: str) -> str:
         # Cell by cell: the points of a date are no decimal points.
         every = [cell for cells in split for cell in cells]
         whole = sum(bool(np.isfinite(numbers([cell])[0][0])) for cell in every)
-        return max(whole - sum(any(mark in cell for mark in _NEVER_IN_NUMBERS) for cell in every), 0)
+        return max(whole - sum(any(mark in cell for mark in _SURE_SEPARATORS) for cell in every), 0)
 
-    best = max(SEPARATORS.values(), key=lambda each: (fit(each), each == mark))
-    return best if rows and fit(best) > max(fit(mark), 0) else mark
+    best = max(SEPARATORS.values(), key=lambda each: (count_numbers(each), each == mark))
+    return best if rows and count_numbers(best) > max(count_numbers(mark), 0) else mark
 
 
-def place_of(header: Sequence[str], names: Names) -> int | None:
+def find_column(header: Sequence[str], names: Names) -> int | None:
     """Where the first of `names` that the header has stands; upper and lower case matter only if both are there."""
-    alike = [folded(name) for name in header]
+    alike = [fold_name(name) for name in header]
     for name in names:
         if name in header:
             return header.index(name)
-        if alike.count(folded(name)) == 1:
-            return alike.index(folded(name))
+        if alike.count(fold_name(name)) == 1:
+            return alike.index(fold_name(name))
     return None
 
 
@@ -133,7 +133,7 @@ def find_layout(
     Raises TraceError unless all columns of `clock` and `sources` are there.
     """
     needed = [*clock, *sources]
-    head = head_of(path, _HEAD)
+    head = read_head(path, _HEAD_BYTES)
     if not head:
         raise TraceError(f"{path}: the file is empty; give one with a header and rows")
     encoding, text, note = decode_head(path, head, column_map.encoding)
@@ -156,15 +156,15 @@ def find_layout(
     marks = sorted(SEPARATORS.values(), key=lambda mark: mark != own)
     # An export may begin with a title, its query or a list of columns: the header is the first row that has the names.
     at, fits = first, list[str]()
-    for at in range(first, min(first + MOST_BEFORE, len(lines))):
-        headers = {mark: _header(lines[at : at + MOST_LINES], mark) for mark in marks}
-        fits = [mark for mark in marks if all(place_of(headers[mark][0], group) is not None for group in needed)]
+    for at in range(first, min(first + MAX_HEADER_LINE, len(lines))):
+        headers = {mark: _header(lines[at : at + MAX_ROW_LINES], mark) for mark in marks}
+        fits = [mark for mark in marks if all(find_column(headers[mark][0], group) is not None for group in needed)]
         if fits:
             break
     if fits and at > first:
         report.notes.append(f"lines {first + 1} to {at} come before its header")
     if not fits:
-        headers = {mark: _header(lines[first : first + MOST_LINES], mark) for mark in marks}
+        headers = {mark: _header(lines[first : first + MAX_ROW_LINES], mark) for mark in marks}
     # Without a header: only where the map names the columns and the first line has one number for each.
     bare: list[str] = []
     for mark, (cells, _) in headers.items():
@@ -183,17 +183,17 @@ def find_layout(
     if own is not None and separator != own:
         report.notes.append(f"its separator is {separator!r}, not {column_map.separator!r} as the map says")
     if not fits:
-        report.notes.append(f"it has no header; its columns are taken for {listed(column_map.columns)}")
+        report.notes.append(f"it has no header; its columns are taken for {list_names(column_map.columns)}")
     if fits:
         shown = [cells for line in lines[skip : skip + _SHOWN_ROWS] if (cells := _header([line], separator)[0])]
         header = tuple(with_row_names(header, shown))
         kept = header[: _narrower(lines[skip:], separator, len(header))]
-        if kept != header and all(place_of(kept, names) is not None for names in needed):
-            report.warn(f"none of its rows has a cell for {listed(header[len(kept) :])}")
+        if kept != header and all(find_column(kept, names) is not None for names in needed):
+            report.warn(f"none of its rows has a cell for {list_names(header[len(kept) :])}")
             header = kept
-    named = tuple(told_apart(header))
+    named = tuple(number_equal_names(header))
     if named != tuple(header):
-        report.warn(f"columns have the same name; they are told apart as {listed(set(named) - set(header))}")
+        report.warn(f"columns have the same name; they are told apart as {list_names(set(named) - set(header))}")
     report.columns = named
     return TextLayout(encoding, separator, named, skip, tuple(comments), clock=tuple(clock) if fits else ())
 
@@ -241,30 +241,30 @@ def _header(lines: Sequence[str], separator: str) -> tuple[tuple[str, ...], int]
     """The names in the row that begins with the first of `lines`, and how many lines it takes; no names: no row."""
     reader = csv.reader(lines, delimiter=separator, skipinitialspace=True, strict=True)
     try:
-        return tuple(_trimmed(unguarded(next(reader)))), reader.line_num
+        return tuple(_trim_header(strip_guards(next(reader)))), reader.line_num
     except csv.Error:
         return (), 1
 
 
-def _trimmed(cells: Sequence[str]) -> list[str]:
+def _trim_header(cells: Sequence[str]) -> list[str]:
     """The names of a header, without blank ones at its end; a first one that is blank is that of an index."""
     names = [cell.strip() for cell in cells]
     while names and not names[-1]:
         names.pop()
-    return [names[0] or UNNAMED, *names[1:]] if len(names) > 1 else names
+    return [names[0] or UNNAMED_COLUMN, *names[1:]] if len(names) > 1 else names
 
 
 def _no_header(
     path: Path, number: int, headers: Sequence[Sequence[str]], needed: Sequence[Names], column_map: ColumnMap
 ) -> str:
     names = max(headers, key=len)
-    lacking = [" or ".join(map(repr, group)) for group in needed if place_of(names, group) is None]
+    lacking = [" or ".join(map(repr, group)) for group in needed if find_column(names, group) is None]
     if len(names) > 1:
-        present = f"its columns are {listed(names)}"
+        present = f"its columns are {list_names(names)}"
     else:
         present = f"its only column is {repr(names[0][:60]) if names else 'blank'}"
     # The nearest name of what is lacking, if there is one: most often a letter or a blank is the whole difference.
-    questions = (did_you_mean(name, names) for group in needed if place_of(names, group) is None for name in group)
+    questions = (did_you_mean(name, names) for group in needed if find_column(names, group) is None for name in group)
     meant = next(filter(None, questions), "")
     bare = f", and it is no row of {len(column_map.columns)} numbers without header" if column_map.columns else ""
     return (
@@ -290,7 +290,7 @@ class _Gathered:
             known += more
         self.count += lines.size
 
-    def taken(self) -> tuple[Lines, list[list[str]]]:
+    def take(self) -> tuple[Lines, list[list[str]]]:
         """What is there, which is not there any more then."""
         lines, columns = np.concatenate(self.lines), self.columns
         self.lines, self.columns, self.count = [], [], 0
@@ -306,7 +306,7 @@ def read_rows(
     """
     rows = _Gathered(len(layout.header))
     # A byte that does not decode makes its cell no number, which is then reported; it must not end the reading.
-    with io.TextIOWrapper(opened(path), encoding=layout.encoding, errors="replace", newline=None) as stream:
+    with io.TextIOWrapper(open_source(path), encoding=layout.encoding, errors="replace", newline=None) as stream:
         lines = islice(stream, layout.skip, None)
         below = layout.skip + 1  # the number of the next line
 
@@ -317,7 +317,7 @@ def read_rows(
                 yield below - 1, line
 
         # No block is longer than the room in the chunk, so that chunks end at the same rows whatever way they came.
-        while block := list(islice(lines, min(_BLOCK, _CHUNK - rows.count))):
+        while block := list(islice(lines, min(_BLOCK_LINES, _CHUNK_LINES - rows.count))):
             # Most files have no quotation mark: their lines are rows, and one call splits a whole block. Where anything
             # is unusual, each row is looked at by itself.
             first, below = below, below + len(block)
@@ -325,8 +325,8 @@ def read_rows(
             if plain is not None:
                 report.rows += len(block)
                 rows.add(np.arange(first, below), plain)
-                if rows.count == _CHUNK:
-                    yield layout, *rows.taken()
+                if rows.count == _CHUNK_LINES:
+                    yield layout, *rows.take()
                 continue
             width = [len(layout.header)]
             singly = split_rows(
@@ -337,17 +337,17 @@ def read_rows(
                 filled = sum(map(bool, map(str.strip, cells)))
                 if fault:
                     report.refuse([number], "it cannot be split into cells", [fault])
-                elif cells and layout.begins_anew(cells):
-                    header = tuple(told_apart(_trimmed(cells)))
+                elif cells and layout.is_header(cells):
+                    header = tuple(number_equal_names(_trim_header(cells)))
                     report.refuse_cells(filled)
                     if header == layout.header:
                         report.refuse([number], "it is the header again")
                         continue
                     report.refuse([number], "a header of other names, or in another order, begins here")
                     if rows.count:
-                        yield layout, *rows.taken()
+                        yield layout, *rows.take()
                     layout = replace(layout, header=header)
-                    report.columns += tuple(name for name in header if place_of(report.columns, (name,)) is None)
+                    report.columns += tuple(name for name in header if find_column(report.columns, (name,)) is None)
                     width[0] = rows.width = len(header)
                 elif len(cells) != len(layout.header):
                     detail = f"{len(cells)}, not {len(layout.header)}"
@@ -355,10 +355,10 @@ def read_rows(
                     report.refuse_cells(filled)
                 else:
                     rows.add(np.array([number]), [[cell] for cell in cells])
-                if rows.count == _CHUNK:
-                    yield layout, *rows.taken()
+                if rows.count == _CHUNK_LINES:
+                    yield layout, *rows.take()
     if rows.count:
-        yield layout, *rows.taken()
+        yield layout, *rows.take()
 
 
 def _plain_columns(lines: Sequence[str], layout: TextLayout, comment: str) -> Sequence[Sequence[str]] | None:
@@ -377,7 +377,7 @@ def _plain_columns(lines: Sequence[str], layout: TextLayout, comment: str) -> Se
         columns = [list(map(_without_first_blanks, column)) for column in columns]
     if _names_a_column(columns, text, layout):
         return None
-    return [unguarded(column) for column in columns] if "'" in text else columns
+    return [strip_guards(column) for column in columns] if "'" in text else columns
 
 
 def _quoted_columns(lines: Sequence[str], text: str, layout: TextLayout) -> Sequence[Sequence[str]] | None:
@@ -391,7 +391,7 @@ def _quoted_columns(lines: Sequence[str], text: str, layout: TextLayout) -> Sequ
     columns = list(zip(*rows, strict=True))
     if _names_a_column(columns, text, layout):
         return None
-    return [unguarded(column) for column in columns] if "'" in text else columns
+    return [strip_guards(column) for column in columns] if "'" in text else columns
 
 
 def _without_first_blanks(cell: str) -> str:
@@ -405,8 +405,8 @@ def _names_a_column(columns: Sequence[Sequence[str]], text: str, layout: TextLay
     small = text.casefold()
     for names in layout.clock[:1]:
         for name in names:
-            words = folded(name).split() or [""]
-            if words[0] in small and (len(words[0]) >= _LONG_NAME or any(name in column for column in columns)):
+            words = fold_name(name).split() or [""]
+            if words[0] in small and (len(words[0]) >= _MIN_NAME_LETTERS or any(name in column for column in columns)):
                 return True
     return False
 
@@ -425,7 +425,7 @@ def split_rows(
 
     A quoted cell may go on over several lines (RFC 4180), and so may its row. But a quotation mark that somebody forgot
     to close must not swallow the rows below it. So a row of several lines only counts if the mark is closed within
-    MOST_LINES and `width[0]` cells come out; if not, its first line alone is the bad row, and reading resumes on the
+    MAX_ROW_LINES and `width[0]` cells come out; if not, its first line alone is the bad row, and reading resumes on the
     next.
     """
     ahead = deque(block)  # lines to be split, those included that a bad row had taken beyond its first
@@ -442,7 +442,7 @@ def split_rows(
                 continue
             taken.append(numbered)
             yield line
-            if len(taken) == MOST_LINES:
+            if len(taken) == MAX_ROW_LINES:
                 return  # inside a quoted cell, too: the same fault
 
     while ahead:
@@ -456,7 +456,7 @@ def split_rows(
                     break
                 number = taken[0][0]
                 taken.clear()
-                yield number, unguarded(cells), ""
+                yield number, strip_guards(cells), ""
             else:
                 return
         except csv.Error as error:

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 
 from drivers.csv_rows import write_rows
-from drivers.named_files import writing
-from sim.lab.recordings.traces import SYNTHETIC
+from drivers.named_files import name_write_errors
+from sim.lab.recordings.traces import SYNTHETIC_MARK
 from sim.sha import Trace
 
 
@@ -27,9 +27,9 @@ def write_trace(trace: Trace, path: str | Path) -> None:
             cells[row] = "nan"
         columns.append(cells)
     rows = zip(trace.times.tolist(), *columns, strict=True)
-    with writing(path), Path(path).open("w", encoding="utf-8", newline="\n") as stream:
+    with name_write_errors(path), Path(path).open("w", encoding="utf-8", newline="\n") as stream:
         stream.write(f"# origin: {' '.join((trace.origin or trace.name).split())}\n")
         if trace.synthetic:
-            stream.write(f"# {SYNTHETIC}: not measured on a plant\n")
+            stream.write(f"# {SYNTHETIC_MARK}: not measured on a plant\n")
         write_rows(stream, [("time", *trace.signals)])
         write_rows(stream, rows)

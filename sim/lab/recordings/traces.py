@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from sim.lab.recordings.auto_thresholds import with_gap, with_thresholds
-from sim.lab.recordings.clock import longest_rising, spread_evenly, unroll_midnight
+from sim.lab.recordings.clock import longest_rising_rows, spread_evenly, unroll_midnight
 from sim.lab.recordings.column_map import ByColumn, ColumnMap
 from sim.lab.recordings.load_report import FileReport, LoadReport, TraceError
 from sim.lab.recordings.readings import (
@@ -17,21 +17,21 @@ from sim.lab.recordings.readings import (
     Rows,
     Series,
     Whose,
-    joined,
+    concatenate_readings,
     judged,
     read_file,
     refuse_rows,
     select,
 )
-from sim.lab.recordings.sources import UNPACKING, is_recording, stem_of
+from sim.lab.recordings.sources import UNPACK_ERRORS, is_recording, recording_name
 from sim.sha import Alphabet, Array, Mask, Trace, encode, holds_roughly
 
 Source = str | Path | Iterable[str | Path]
-SYNTHETIC = "SYNTHETIC"
+SYNTHETIC_MARK = "SYNTHETIC"
 """A comment that begins with this word says that no plant made the rows."""
-MOST_CONTRADICTIONS = 0.01
+MAX_CONTRADICTION_SHARE = 0.01
 """Share of the rows that may contradict another one of the same time before `last` would be a guess."""
-MOST_HELD = 5_000_000
+MAX_HELD_ROWS = 5_000_000
 """Rows that held values may make of one trace."""
 
 
@@ -65,7 +65,7 @@ def load_traces(source: Source, column_map: ColumnMap) -> tuple[list[Trace], Loa
         groups += [(len(loaded), files)]
     # One alphabet for all traces, whose readings may decide its gap and its thresholds: known when all are there.
     alphabet = with_gap(column_map.alphabet, traces, column_map.interval if column_map.stored == "on change" else None)
-    traces = [_completed(trace, column_map, alphabet.gap) for trace in traces]
+    traces = [_complete_trace(trace, column_map, alphabet.gap) for trace in traces]
     _note_gaps(traces, groups, alphabet)
     alphabet = with_thresholds(alphabet, traces)
     traces = [replace(trace, events=encode(trace, alphabet)) for trace in traces]
@@ -118,8 +118,10 @@ def csv_files(paths: Iterable[Path], parts: str) -> list[Path]:
     """The CSV files among paths, in the order of their names; only those of the pattern `parts`, if any is."""
     files = [path for path in paths if is_recording(path) and path.is_file() and path.name[:1] != "."]
     # What stands packed, or as the sheet that it was exported from, beside a CSV of its name is no second recording.
-    plain = {(path.parent, stem_of(path)) for path in files if path.suffix.lower() == ".csv"}
-    files = [path for path in files if path.suffix.lower() == ".csv" or (path.parent, stem_of(path)) not in plain]
+    plain = {(path.parent, recording_name(path)) for path in files if path.suffix.lower() == ".csv"}
+    files = [
+        path for path in files if path.suffix.lower() == ".csv" or (path.parent, recording_name(path)) not in plain
+    ]
     return sorted([path for path in files if parts and fnmatch.fnmatch(path.name, parts)] or files)
 
 
@@ -135,12 +137,12 @@ def _groups(files: Sequence[Path], column_map: ColumnMap) -> list[list[Path]]:
 def _name(group: Sequence[Path], taken: set[str]) -> str:
     first = group[0]
     parent = first.absolute().parent.name
-    name = stem_of(first) if len(group) == 1 else parent
+    name = recording_name(first) if len(group) == 1 else parent
     if name in taken:
         name = f"{parent}-{name}"
     number = 2
     while name in taken:
-        name, number = f"{stem_of(first)}({number})", number + 1
+        name, number = f"{recording_name(first)}({number})", number + 1
     return name
 
 
@@ -149,7 +151,7 @@ def _machine(files: Sequence[FileReport], column_map: ColumnMap) -> str:
     first = files[0].path.absolute()
     match column_map.machine:
         case "file" if len(files) == 1:
-            return stem_of(first)
+            return recording_name(first)
         case str() as name if name not in ("file", "folder"):
             return name
         case _:
@@ -165,21 +167,23 @@ def _load_group(files: Sequence[FileReport], column_map: ColumnMap) -> list[Trac
                 parts.setdefault(readings.whose, []).append(numbered)
         except TraceError as error:
             file.error = str(error)
-        except (OSError, *UNPACKING) as error:
+        except (OSError, *UNPACK_ERRORS) as error:
             file.error = f"{file.path}: it cannot be read: {getattr(error, 'strerror', '') or error}"
     if not parts:
         raise TraceError(files[0].error, None)
     used = [file for file in files if not file.error]
     return [
-        trace for own in parts.values() for trace in _traces_of(judged(joined(own), files), column_map, files, used)
-    ] or _nothing(used[0].path, column_map.temperature)
+        trace
+        for own in parts.values()
+        for trace in _build_traces(judged(concatenate_readings(own), files), column_map, files, used)
+    ] or _load_empty(used[0].path, column_map.temperature)
 
 
-def _nothing(path: Path, name: str) -> list[Trace]:
+def _load_empty(path: Path, name: str) -> list[Trace]:
     raise TraceError(f"{path}: there is no reading of {name} in it that can be used")
 
 
-def _traces_of(
+def _build_traces(
     readings: FileReadings, column_map: ColumnMap, files: Sequence[FileReport], used: Sequence[FileReport]
 ) -> list[Trace]:
     """The traces of one machine and session, named after them; their signals as they were read."""
@@ -189,7 +193,7 @@ def _traces_of(
     own = str(first) if count == 1 else f"{first.parent} ({count} files)"
     # What `write_trace` wrote at a file's head: a trace that goes through our own CSV keeps where it came from.
     noted = next((c.removeprefix("origin:").strip() for c in readings.comments if c.startswith("origin:")), "")
-    synthetic = column_map.synthetic or any(comment.startswith(SYNTHETIC) for comment in readings.comments)
+    synthetic = column_map.synthetic or any(comment.startswith(SYNTHETIC_MARK) for comment in readings.comments)
     traces, name = list[Trace](), column_map.temperature
     for piece in _in_order(readings, column_map, files):
         if name not in column_map.derived and (name not in piece.series or piece.series[name].bad.all()):
@@ -200,7 +204,7 @@ def _traces_of(
         traces.append(
             Trace(
                 "-".join(filter(None, (machine, session))),
-                *_merged(piece, column_map, files),
+                *_merge_files(piece, column_map, files),
                 origin=noted or own,
                 synthetic=synthetic,
                 machine=machine or _machine(files, column_map),
@@ -237,7 +241,7 @@ def _in_order(readings: FileReadings, column_map: ColumnMap, files: Sequence[Fil
         for index, count in zip(*np.unique(readings.files[back[within]], return_counts=True), strict=True):
             files[index].notes.append(f"its clock goes back {count} times; its rows are sorted by time")
         return [select(readings, np.argsort(readings.times, kind="stable"))]
-    keep = longest_rising(readings.times)
+    keep = longest_rising_rows(readings.times)
     if keep.size > 4 and 2 * int(keep.sum()) <= keep.size:
         lost = int((~keep).sum())
         raise TraceError(
@@ -249,7 +253,7 @@ def _in_order(readings: FileReadings, column_map: ColumnMap, files: Sequence[Fil
     return [select(readings, np.flatnonzero(keep))]
 
 
-def _merged(
+def _merge_files(
     readings: FileReadings, column_map: ColumnMap, files: Sequence[FileReport]
 ) -> tuple[Array, dict[str, Array], tuple[()], dict[str, Mask]]:
     """Times, signals and bad marks of a trace, rows of equal time made one unless the map keeps or spreads them.
@@ -310,7 +314,7 @@ def _contradictions(
         f"{where.size} of its {first.size} rows have the time of another row and other readings (the first on line "
         f"{line})"
     )
-    if not refused or where.size <= MOST_CONTRADICTIONS * first.size:
+    if not refused or where.size <= MAX_CONTRADICTION_SHARE * first.size:
         file.warn(f"{said}; the last reading counts")
         return
     raise TraceError(
@@ -331,15 +335,15 @@ def _average(series: Series, group: Rows, size: int) -> tuple[Array, Mask]:
     return values, bad & (counts == 0)
 
 
-def _completed(trace: Trace, column_map: ColumnMap, gap: float) -> Trace:
+def _complete_trace(trace: Trace, column_map: ColumnMap, gap: float) -> Trace:
     """With held and derived signals."""
     if column_map.stored == "on change":
-        trace = _held_on(trace, column_map)
+        trace = _expand_rows(trace, column_map)
     signals, bad = dict(trace.signals), dict(trace.bad)
     times = trace.times
     for name, signal in column_map.signals.items():
         if signal.hold and name in signals:
-            signals[name] = _held(times, signals[name], bad.get(name), gap)
+            signals[name] = _hold_reading(times, signals[name], bad.get(name), gap)
     # A derived signal is only there where the file has none of its own and all its sources are.
     for name, derived in column_map.derived.items():
         if name in signals:
@@ -356,7 +360,7 @@ def _completed(trace: Trace, column_map: ColumnMap, gap: float) -> Trace:
         else:
             # Known in each row with a reading of one of them; the others are as they were read last.
             read = np.any([~np.isnan(signals[source]) for source in derived.product], axis=0)
-            factors = [_held(times, signals[source], bad.get(source), gap) for source in derived.product]
+            factors = [_hold_reading(times, signals[source], bad.get(source), gap) for source in derived.product]
             signals[name] = np.where(read, derived.value(factors), np.nan)
             faults = [bad[source] for source in derived.product if source in bad]
             if faults:
@@ -365,7 +369,7 @@ def _completed(trace: Trace, column_map: ColumnMap, gap: float) -> Trace:
     return replace(trace, signals=signals, bad=bad)
 
 
-def _held_on(trace: Trace, column_map: ColumnMap) -> Trace:
+def _expand_rows(trace: Trace, column_map: ColumnMap) -> Trace:
     """The trace of a recording on change as one that has each row: values hold, and stand there every `interval`."""
     times, step = trace.times, column_map.interval
     # Nothing holds over a silence of the recorder itself; a signal's own reading holds as long as that signal's may.
@@ -381,7 +385,7 @@ def _held_on(trace: Trace, column_map: ColumnMap) -> Trace:
     lasting = np.clip(np.minimum(np.diff(times, append=times[-1:]), until - times), 0.0, column_map.silence)
     # None stands within half a step of the next row, nor beyond the silence that still says something.
     more = np.maximum(np.ceil((lasting - step / 2) / step).astype(int) - 1, 0)
-    if times.size + int(more.sum()) > MOST_HELD:
+    if times.size + int(more.sum()) > MAX_HELD_ROWS:
         raise TraceError(
             f"{trace.origin}: held values every {step:g} s would make {times.size + int(more.sum())} rows of it; "
             "write a longer interval in the column map"
@@ -408,7 +412,7 @@ def _silence(column_map: ColumnMap, signal: str) -> float:
     return known.silence if known is not None and known.silence is not None else column_map.silence
 
 
-def _held(times: Array, values: Array, bad: Mask | None, gap: float | Mask) -> Array:
+def _hold_reading(times: Array, values: Array, bad: Mask | None, gap: float | Mask) -> Array:
     """The last reading held over rows without one, not over bad ones and not over gaps (s, or the rows after one)."""
     ends = np.diff(times, prepend=-np.inf) > gap if isinstance(gap, float) else gap
     present = ~np.isnan(values) | ends | (np.zeros_like(ends) if bad is None else bad)

@@ -28,7 +28,7 @@ _BASES = {
 }  # fmt: skip
 """unit: (its base, scale, offset), base = unit * scale + offset."""
 
-KEPT = {"degF": "degC", "K": "degC", "0.1 degC": "degC", "mA": "A", "kA": "A"}
+CONVERTED_UNITS = {"degF": "degC", "K": "degC", "0.1 degC": "degC", "mA": "A", "kA": "A"}
 """Units that a drafted map converts, and to which: models count in degC and A."""
 
 

@@ -73,13 +73,13 @@ class Method:
     learn: Callable[[Task, Settings], Taught]
 
 
-ANY = "chosen"
+ANY_CHOICE = "chosen"
 """The word for a setting that the learner chooses by itself, by its held-out likelihood."""
 
 
 def _learn_bins(task: Task, settings: Settings) -> Taught:
-    def _allowed(name: str, value: str) -> bool:
-        return settings.get(name, ANY) in (ANY, value)
+    def _allows(name: str, value: str) -> bool:
+        return settings.get(name, ANY_CHOICE) in (ANY_CHOICE, value)
 
     learned = learn_bins(
         task.traces,
@@ -87,7 +87,7 @@ def _learn_bins(task: Task, settings: Settings) -> Taught:
         task.temperature,
         seed=task.seed,
         name=task.name,
-        candidates=[each for each in CANDIDATES if _allowed("flow", each.flow) and _allowed("rates", each.rates)],
+        candidates=[each for each in CANDIDATES if _allows("flow", each.flow) and _allows("rates", each.rates)],
     )
     return Taught(learned.model, learned.values, learned.coverage)
 
@@ -95,7 +95,7 @@ def _learn_bins(task: Task, settings: Settings) -> Taught:
 def _learn_lsha(task: Task, settings: Settings) -> Taught:
     of_alphabet = {"hysteresis", "debounce"}
     own: dict[str, Any] = {
-        name: None if value == ANY else value for name, value in settings.items() if name not in of_alphabet
+        name: None if value == ANY_CHOICE else value for name, value in settings.items() if name not in of_alphabet
     }
     learned = learn_lsha(
         task.traces,
@@ -130,8 +130,8 @@ ENCODING: tuple[Parameter, ...] = (Real("hysteresis", 0.0, 0.3), Real("debounce"
 METHODS: Mapping[str, Method] = {
     "bins": Method(
         (
-            Choice("flow", (ANY, "constant", "driven")),
-            Choice("rates", (ANY, "shared", "switch", "location")),
+            Choice("flow", (ANY_CHOICE, "constant", "driven")),
+            Choice("rates", (ANY_CHOICE, "shared", "switch", "location")),
             *ENCODING,
         ),
         _learn_bins,
@@ -141,8 +141,8 @@ METHODS: Mapping[str, Method] = {
             Real("delta", 0.0, 0.6),
             Whole("n_min", 2, 20),
             Real("alpha", 0.001, 0.3, log=True),
-            Choice("default_flow", (ANY, *FLOW_KINDS)),
-            Choice("memory", (ANY, "context", "direction", "previous", "word")),
+            Choice("default_flow", (ANY_CHOICE, *FLOW_KINDS)),
+            Choice("memory", (ANY_CHOICE, "context", "direction", "previous", "word")),
             *ENCODING,
         ),
         _learn_lsha,
@@ -150,7 +150,7 @@ METHODS: Mapping[str, Method] = {
 }
 
 
-def method_of(name: str) -> Method:
+def find_method(name: str) -> Method:
     """The method. Raises ValueError with the known names."""
     if name not in METHODS:
         raise ValueError(f"the method {name!r} cannot be tuned; known are {', '.join(METHODS)}")

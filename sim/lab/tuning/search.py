@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from sim.lab.judge import TROUBLE, HeldOutFold, Paired, held_out, paired, unit_differences
+from sim.lab.judge import RUN_ERRORS, HeldOutFold, Paired, compare_pairs, score_fold, unit_differences
 from sim.lab.learning import in_order
-from sim.lab.tuning.methods import Method, Settings, Task, Taught, method_of
-from sim.lab.tuning.study import REASON, Facts, ask, finished_trials, interrupt, opened, unbroken
+from sim.lab.tuning.methods import Method, Settings, Task, Taught, find_method
+from sim.lab.tuning.study import REASON_KEY, Facts, ask, finished_trials, interrupt, open_study, unbroken
 from sim.lab.workers import parallel
 from sim.sha import Alphabet, Trace
 
@@ -26,7 +26,7 @@ Objective = Literal["crps", "likelihood"]
 OBJECTIVES: tuple[Objective, ...] = ("crps", "likelihood")
 Progress = Callable[[str, float], None]
 SCORES, SECONDS = "scores", "seconds"
-LEAST_READINGS = 3
+MIN_READINGS = 3
 """A trace with fewer is not held out."""
 
 
@@ -44,7 +44,7 @@ class StudyPlan:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        method_of(self.method)
+        find_method(self.method)
         if self.objective not in OBJECTIVES:
             raise ValueError(f"the objective {self.objective!r} is unknown; known are {', '.join(OBJECTIVES)}")
 
@@ -127,7 +127,7 @@ def tune(
     and with `prune` folds are worked through `jobs` at a time: both depend on `jobs`, and on nothing else. Control-C
     ends the search and leaves the study as it is.
 
-    Raises ValueError for too few traces, without Optuna, and for a study of something else (see `study.opened`).
+    Raises ValueError for too few traces, without Optuna, and for a study of something else (see `study.open_study`).
     """
     kept, notes, digest = usable(traces, temperature)
     parts = folds(len(kept), plan.fold_count, plan.seed)
@@ -141,14 +141,14 @@ def tune(
         "data": digest[:16],
         "signal": temperature,
         "alphabet": sha256(repr(alphabet).encode()).hexdigest()[:16],
-        "search space": "; ".join(map(repr, method_of(plan.method).space)),
+        "search space": "; ".join(map(repr, find_method(plan.method).space)),
         "objective": plan.objective,
         "number of folds": len(parts),
         "seed": plan.seed,
     }
-    with opened(study_file, facts, prune=prune) as study:
+    with open_study(study_file, facts, prune=prune) as study:
         try:
-            _run(study, search, trials, progress or (lambda _what, _share: None))
+            _run_trials(study, search, trials, progress or (lambda _what, _share: None))
         except KeyboardInterrupt:
             interrupt(study)
             stopped = True
@@ -165,7 +165,7 @@ def final_model(
     """
     kept, _, _ = usable(traces, temperature)
     task = Task(_silent(kept), alphabet, temperature, plan.seed, name)
-    taught = method_of(plan.method).learn(task, trial.settings)
+    taught = find_method(plan.method).learn(task, trial.settings)
     origin = taught.model.provenance
     tuned = {f"tuned_{name}": value for name, value in trial.settings.items()}
     scores = {f"tuning_{plan.objective}": trial.value, f"tuning_{plan.objective}_error": trial.error}
@@ -181,7 +181,7 @@ def usable(traces: Sequence[Trace], temperature: str) -> tuple[tuple[Trace, ...]
     readable, notes = [], []
     for trace in traces:
         readings = int(np.isfinite(trace.signals.get(temperature, np.empty(0))).sum())
-        if readings < LEAST_READINGS:
+        if readings < MIN_READINGS:
             notes.append(f"{trace.name} is left out: it has {readings} readings of {temperature!r}")
         else:
             readable.append(trace)
@@ -230,7 +230,7 @@ class _TuningSearch:
             known = [trace for place, trace in enumerate(self.traces) if place not in held]
             left_out = [trace for place, trace in enumerate(self.traces) if place in held]
             task = Task(_silent(known), self.alphabet, self.temperature, self.plan.seed)
-            jobs.append(FoldJob(method_of(self.plan.method), settings, task, _silent(left_out)))
+            jobs.append(FoldJob(find_method(self.plan.method), settings, task, _silent(left_out)))
         return jobs
 
 
@@ -239,9 +239,9 @@ def _silent(traces: Sequence[Trace]) -> list[Trace]:
     return [replace(trace, events=()) for trace in traces]
 
 
-def _run(study: "Study", search: _TuningSearch, trials: int, progress: Progress) -> None:
+def _run_trials(study: "Study", search: _TuningSearch, trials: int, progress: Progress) -> None:
     """Trial after trial until the study has as many as are wanted. Raises KeyboardInterrupt."""
-    space = method_of(search.plan.method).space
+    space = find_method(search.plan.method).space
     # More than one trial at a time only where one alone does not fill the jobs: trials that are asked for together know
     # nothing of one another. With pruning it is one, and `jobs` of its folds are worked through at a time.
     together = 1 if search.prune else max(1, search.jobs // len(search.parts))
@@ -251,7 +251,7 @@ def _run(study: "Study", search: _TuningSearch, trials: int, progress: Progress)
         best = f", best so far {min(values):.4g}" if values else ""
         progress(f"trial {done + 1} of {trials}{best}", done / trials)
         if search.prune:
-            _tell(study, suggested[0], _pruned_run(suggested[0], search), search)
+            _tell(study, suggested[0], _run_pruned_folds(suggested[0], search), search)
             continue
         work = [job for trial in suggested for job in search.fold_jobs(trial.params)]
         results = list(parallel(run_fold, work, search.jobs))
@@ -260,7 +260,7 @@ def _run(study: "Study", search: _TuningSearch, trials: int, progress: Progress)
             _tell(study, trial, own, search)
 
 
-def _pruned_run(trial: "OptunaTrial", search: _TuningSearch) -> list[FoldResult]:
+def _run_pruned_folds(trial: "OptunaTrial", search: _TuningSearch) -> list[FoldResult]:
     """The folds, as many at a time as there are jobs, until the pruner sees enough."""
     work, results = search.fold_jobs(trial.params), list[FoldResult]()
     for first in range(0, len(work), search.jobs):
@@ -281,8 +281,8 @@ def run_fold(job: FoldJob) -> FoldResult:
     begin = perf_counter()
     try:
         model = job.method.learn(job.task, job.settings).model
-        scores = tuple(held_out(model, trace) for trace in job.left_out)
-    except TROUBLE as error:
+        scores = tuple(score_fold(model, trace) for trace in job.left_out)
+    except RUN_ERRORS as error:
         return FoldResult((), perf_counter() - begin, str(error) or type(error).__name__)
     unusable = next((score.trace for score in scores if not isfinite(score.crps + score.log_likelihood)), None)
     reason = f"the model's prediction of {unusable} is no number" if unusable is not None else ""
@@ -298,7 +298,7 @@ def _tell(study: "Study", trial: "OptunaTrial", results: Sequence[FoldResult], s
     trial.set_user_attr(SCORES, [asdict(score) for score in scores])
     reason = next((fold.reason for fold in results if fold.reason), "")
     if reason:
-        trial.set_user_attr(REASON, reason)
+        trial.set_user_attr(REASON_KEY, reason)
         study.tell(trial, state=TrialState.FAIL)
     elif len(results) < len(search.parts):
         study.tell(trial, state=TrialState.PRUNED)
@@ -312,7 +312,7 @@ def _trial(number: int, stored: "FrozenTrial", plan: StudyPlan) -> StudyTrial:
     values = {row["trace"]: plan.value(HeldOutFold(**row)) for row in stored.user_attrs.get(SCORES, ())}
     seconds = stored.user_attrs.get(SECONDS, nan)
     if state != "complete":
-        reason = stored.user_attrs.get(REASON, f"given up after {len(values)} traces")
+        reason = stored.user_attrs.get(REASON_KEY, f"given up after {len(values)} traces")
         return StudyTrial(number=number, settings=stored.params, state=state, reason=reason, seconds=seconds)
     column = np.array(list(values.values()))
     error = float(np.std(column, ddof=1)) / sqrt(column.size)
@@ -335,7 +335,7 @@ def summary(trials: Sequence[StudyTrial], notes: Sequence[str] = (), *, stopped:
     gain = None
     if best is not None and default is not None and best is not default:
         # Paired by trace, which takes out how much harder one trace is than another.
-        gain = paired(unit_differences(default.by_trace or {}, best.by_trace or {}), np.random.default_rng(0))
+        gain = compare_pairs(unit_differences(default.by_trace or {}, best.by_trace or {}), np.random.default_rng(0))
     better = gain is not None and gain.mean > gain.error
     if best is None:
         failed = next((trial.reason for trial in trials if trial.state == "failed"), "")

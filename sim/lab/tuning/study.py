@@ -4,8 +4,8 @@ Only this process writes, and SQLite's transactions keep the file whole whenever
 then stays marked as running; the next start counts it as interrupted and asks for the same settings again, since what
 is suggested depends on the seed, the number of finished trials, and their scores.
 
-Optuna and its database layer are the optional extra `tune`, so they are imported where they are needed: `opened` says
-in one sentence that it is missing.
+Optuna and its database layer are the optional extra `tune`, so they are imported where they are needed: `open_study`
+says in one sentence that it is missing.
 """
 
 import signal
@@ -27,11 +27,11 @@ if TYPE_CHECKING:
     from optuna.trial import FrozenTrial, Trial
 
 NAME = "decanter"
-FACTS = "facts"
-REASON = "reason"
+FACTS_KEY = "facts"
+REASON_KEY = "reason"
 """Why a trial failed: what it says to whoever looks at the study."""
 WITHOUT_OPTUNA = "tuning needs Optuna, which is not installed; install the extra: pip install 'decanter-gateway[tune]'"
-BEFORE_PRUNING = 5
+MIN_TRIALS_TO_PRUNE = 5
 """Whole trials before one may be pruned, and random ones before the search models their scores, times two."""
 
 Facts = Mapping[str, str | int | bool]
@@ -58,7 +58,7 @@ def unbroken() -> Iterator[None]:
 
 
 @contextmanager
-def opened(file: Path, facts: Facts, *, prune: bool) -> Iterator["Study"]:
+def open_study(file: Path, facts: Facts, *, prune: bool) -> Iterator["Study"]:
     """The study in `file`, made where there is none, held by this process alone until the block ends.
 
     Raises ValueError without Optuna, where another process holds the study, where the file is no study of this
@@ -72,7 +72,7 @@ def opened(file: Path, facts: Facts, *, prune: bool) -> Iterator["Study"]:
     from sqlalchemy.exc import DatabaseError
 
     optuna.logging.set_verbosity(optuna.logging.ERROR)
-    pruner = optuna.pruners.MedianPruner(BEFORE_PRUNING) if prune else optuna.pruners.NopPruner()
+    pruner = optuna.pruners.MedianPruner(MIN_TRIALS_TO_PRUNE) if prune else optuna.pruners.NopPruner()
     file.parent.mkdir(parents=True, exist_ok=True)
     _check_file(file)
     busy = ValueError(f"{file}: another process is working on this study; wait for it or give another --study file")
@@ -108,12 +108,12 @@ def _check_file(file: Path) -> None:
 
 
 def _check_facts(file: Path, study: "Study", facts: Facts) -> None:
-    if FACTS not in study.user_attrs:
+    if FACTS_KEY not in study.user_attrs:
         if study.trials:
             raise ValueError(f"{file}: is a study that was not made by this command; give another --study file")
-        study.set_user_attr(FACTS, dict(facts))
+        study.set_user_attr(FACTS_KEY, dict(facts))
         return
-    before = study.user_attrs[FACTS]
+    before = study.user_attrs[FACTS_KEY]
     other = [name for name in facts if before.get(name) != facts[name]]
     if other:
         texts = [str(source.get(other[0], "not there")) for source in (before, facts)]
@@ -141,7 +141,7 @@ def finished_trials(study: "Study") -> list["FrozenTrial"]:
     from optuna.trial import TrialState
 
     over = [trial for trial in study.get_trials(deepcopy=False) if trial.state.is_finished()]
-    return [trial for trial in over if trial.state != TrialState.FAIL or REASON in trial.user_attrs]
+    return [trial for trial in over if trial.state != TrialState.FAIL or REASON_KEY in trial.user_attrs]
 
 
 @unbroken()
@@ -164,5 +164,5 @@ def ask(study: "Study", space: Sequence[Parameter], place: int, seed: int) -> "T
             distributions[parameter.name] = CategoricalDistribution(parameter.options)
     # Of the pair, not of the sum: trial 1 of seed 0 must not be trial 0 of seed 1.
     own = int(np.random.SeedSequence([seed, place]).generate_state(1)[0])
-    study.sampler = TPESampler(seed=own, n_startup_trials=2 * BEFORE_PRUNING)
+    study.sampler = TPESampler(seed=own, n_startup_trials=2 * MIN_TRIALS_TO_PRUNE)
     return study.ask(distributions)

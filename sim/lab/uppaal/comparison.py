@@ -19,9 +19,9 @@ from sim.lab.uppaal.queries import compatibility
 from sim.lab.uppaal.replay import ReplayedTrace
 from sim.sha import Array, Model, Trace, distributions
 
-LEVEL = 0.95
+CONFIDENCE_LEVEL = 0.95
 NATIVE_RUNS = 4000
-INSTANTS = 4
+INSTANT_COUNT = 4
 """Times at which the simulated courses are compared, evenly over the replay, its end included."""
 
 
@@ -62,7 +62,7 @@ def native_runs(
     begin = float(trace.times[np.isfinite(trace.signals[model.temperature])][0])
     # Outputs at each event and, from there on, every `tick` seconds: the exported clock starts anew at each event, and
     # so do the ticks.
-    borders = np.unique(np.array([0.0, *replay.times, replay.duration, replay.bound]))
+    borders = np.unique(np.array([0.0, *replay.times, replay.duration, replay.time_bound]))
     ticks = [np.arange(low, high, tick) for low, high in pairwise(borders)] if tick else []
     outputs = np.unique(np.concatenate([borders, *ticks]))
     steps = schedule(model, trace.events, begin + outputs, inputs=trace, policy=policy)
@@ -87,10 +87,12 @@ def compare(
                 rows += _courses(answer, native)
             case q.Expectation(expression=q.Quantity(kind="temperature"), extreme=extreme):
                 rows.append(_expectation(question, answer, native, extreme))
-            case q.Probability(path=(q.Eventually() | q.Always()) as path) if (seen := _seen(path, native)) is not None:
+            case q.Probability(path=(q.Eventually() | q.Always()) as path) if (
+                seen := _count_native(path, native)
+            ) is not None:
                 rows.append(_probability(question, answer, seen))
             case q.Probability() | q.Hypothesis() | q.PairedComparison() if native.answers is not None:
-                rows.append(_checked(question, query, answer, native.answers))
+                rows.append(_checker_row(question, query, answer, native.answers))
             case _:
                 # What only the exported model can be asked: UPPAAL's figure and verdict, and ours about acceptance.
                 figure = answer.mean if answer.mean is not None else nan
@@ -103,16 +105,16 @@ def compare(
     return rows
 
 
-_NONE = (nan, nan)
+_NO_INTERVAL = (nan, nan)
 """No interval."""
 
 
 def _row(
     quantity: str,
     native: float = nan,
-    own: tuple[float, float] = _NONE,
+    own: tuple[float, float] = _NO_INTERVAL,
     uppaal: float = nan,
-    theirs: tuple[float, float] = _NONE,
+    theirs: tuple[float, float] = _NO_INTERVAL,
     *,
     note: str = "",
 ) -> ComparisonRow:
@@ -138,8 +140,8 @@ def _courses(answer: VerifytaAnswer, native: Native) -> list[ComparisonRow]:
     span = min(native.replay.duration, *(course.points[-1][0] for course in courses))
     rows = []
     clock = native.moments.times - native.moments.times[0]
-    for share in range(1, INSTANTS + 1):
-        at = int(np.searchsorted(clock, span * share / INSTANTS, side="right")) - 1
+    for share in range(1, INSTANT_COUNT + 1):
+        at = int(np.searchsorted(clock, span * share / INSTANT_COUNT, side="right")) - 1
         time, values = float(clock[at]), np.empty(len(courses))
         for row, course in enumerate(courses):
             instants, printed = (np.array(column) for column in zip(*course.points, strict=True))
@@ -160,7 +162,9 @@ def _mean_interval(values: Array) -> tuple[float, tuple[float, float]]:
     mean = float(np.mean(values))
     if values.size < 2:
         return mean, (nan, nan)
-    half = float(scipy.stats.t.ppf((1 + LEVEL) / 2, values.size - 1) * np.std(values, ddof=1) / sqrt(values.size))
+    half = float(
+        scipy.stats.t.ppf((1 + CONFIDENCE_LEVEL) / 2, values.size - 1) * np.std(values, ddof=1) / sqrt(values.size)
+    )
     return mean, (mean - half, mean + half)
 
 
@@ -180,12 +184,12 @@ def _expectation(question: ExportedQuery, answer: VerifytaAnswer, native: Native
             middles = bins.low + bins.width * (np.arange(counts.size) + 0.5)
             deviations = middles - np.average(middles, weights=counts)
             spread = float(np.sqrt(np.sum(counts * deviations**2) / (total - 1)))
-            half = float(scipy.stats.t.ppf((1 + LEVEL) / 2, total - 1)) * spread / sqrt(total)
+            half = float(scipy.stats.t.ppf((1 + CONFIDENCE_LEVEL) / 2, total - 1)) * spread / sqrt(total)
     theirs = (answer.mean - half, answer.mean + half)
     return _row(question.formula, mean, own, answer.mean, theirs)
 
 
-def _seen(path: q.Eventually | q.Always, native: Native) -> int | None:
+def _count_native(path: q.Eventually | q.Always, native: Native) -> int | None:
     """In how many of the native runs the path holds, where it is one comparison of the temperature over all time."""
     inner = path.inner
     if path.span != q.TimeSpan() or not isinstance(inner, q.Compare) or inner.left != q.Quantity("temperature"):
@@ -201,7 +205,7 @@ def _seen(path: q.Eventually | q.Always, native: Native) -> int | None:
 
 def _probability(question: ExportedQuery, answer: VerifytaAnswer, seen: int) -> ComparisonRow:
     """The share of runs; UPPAAL's own is successes / runs where it says so, else the middle of its interval."""
-    share = scipy.stats.binomtest(seen, NATIVE_RUNS).proportion_ci(LEVEL, method="exact")
+    share = scipy.stats.binomtest(seen, NATIVE_RUNS).proportion_ci(CONFIDENCE_LEVEL, method="exact")
     own = (float(share.low), float(share.high))
     if answer.low is None or answer.high is None:
         return _row(question.formula, seen / NATIVE_RUNS, own, note="no interval was printed")
@@ -210,7 +214,7 @@ def _probability(question: ExportedQuery, answer: VerifytaAnswer, seen: int) -> 
     return _row(question.formula, seen / NATIVE_RUNS, own, theirs, (answer.low, answer.high))
 
 
-def _checked(question: ExportedQuery, query: q.Query, answer: VerifytaAnswer, start: Start) -> ComparisonRow:
+def _checker_row(question: ExportedQuery, query: q.Query, answer: VerifytaAnswer, start: Start) -> ComparisonRow:
     """A query that only the checker (docs/checking.md) answers here: its figure, or its verdict."""
     own = native_answer(query, start, QuerySettings(runs=None if isinstance(query, q.Hypothesis) else NATIVE_RUNS))
     if own.verdict is not None:

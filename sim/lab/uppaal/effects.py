@@ -7,7 +7,17 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from sim.effects import EffectRefusal, Structural, TextLaw, acts_in, kind_of, lag_of, of_feature, parameter, unknown
+from sim.effects import (
+    EffectRefusal,
+    Structural,
+    TextLaw,
+    affects_location,
+    effect_kind,
+    heat_lag,
+    of_feature,
+    parameter,
+    unknown,
+)
 from sim.engine import Plant, compile_plant
 from sim.lab.uppaal.document import Arrow, number
 from sim.lab.uppaal.players import array
@@ -18,7 +28,7 @@ from sim.sha import SHA, Effect
 Inputs = Mapping[str, tuple[str, str]]
 """signal -> (its value, the flag that it was read)."""
 
-NEVER = 1e12
+NO_STEP_S = 1e12
 """Seconds at which no more steps of the sensor come."""
 
 
@@ -63,7 +73,7 @@ class EffectTexts:
         return [Arrow(place, place, guard=guard, update=", ".join(updates)) for guard, updates in self.arrows]
 
 
-def augmented(
+def effect_texts(
     sha: SHA, names: FreshNames, inputs: Inputs, own: tuple[str, str], channels: Mapping[str, str], clocks: Clocks
 ) -> EffectTexts:
     """The texts of an automaton's effects; those of a plain machine without any.
@@ -72,7 +82,7 @@ def augmented(
     """
     if not sha.effects:
         return EffectTexts(settled=(f"Temp = {own[0]}",))
-    return _LineCollector(sha, names, inputs, own=own, channels=channels, clocks=clocks).written()
+    return _LineCollector(sha, names, inputs, own=own, channels=channels, clocks=clocks).finish()
 
 
 class _LineCollector:
@@ -107,13 +117,13 @@ class _LineCollector:
         self.constants.append(f"const double {name} = {number(value)};")
         return name
 
-    def written(self) -> EffectTexts:
+    def finish(self) -> EffectTexts:
         bounds, arrows = self._sensor()
         heats = [(effect, self._heat(effect)) for effect in self.sha.effects]
-        late = "".join(map(self._coming, self.plant.late, self.clocks.late))
+        late = "".join(map(self._late_term, self.plant.late, self.clocks.late))
         offsets = self._offset_terms()
         terms = {
-            place.name: "".join(text for effect, text in heats if acts_in(effect, place.name))
+            place.name: "".join(text for effect, text in heats if affects_location(effect, place.name))
             + late
             + offsets[place.name]
             for place in self.sha.locations
@@ -174,7 +184,7 @@ class _LineCollector:
             return (), ()
         index, times, sizes = (self.names.fresh(name) for name in ("next_s", "STEP_TIMES", "STEPS"))
         self.declared.append(f"int {index} = 0;")
-        self.constants.append(array("double", times, [*(number(at) for at, _ in later), number(NEVER)]))
+        self.constants.append(array("double", times, [*(number(at) for at, _ in later), number(NO_STEP_S)]))
         self.constants.append(array("double", sizes, [*(number(size) for _, size in later), "0.0"]))
         step = f"{sizes}[{index}]"
         updates = (f"{self.offset} = {self.offset} + {step}", f"Temp = Temp + {step}", f"{index} = {index} + 1")
@@ -184,7 +194,7 @@ class _LineCollector:
 
     def _heat(self, effect: Effect) -> str:
         """The term of a rate, with its sign; "" for what acts on the sensor alone. Raises ValueError."""
-        match kind_of(effect).uppaal:
+        match effect_kind(effect).uppaal:
             case TextLaw(term=term):
                 return term(self, effect)
             case Structural(feature="housing"):
@@ -217,12 +227,12 @@ class _LineCollector:
             case text:
                 raise unknown("the UPPAAL export", effect.kind, text)
 
-    def _coming(self, effect: Effect, begin: float) -> str:
+    def _late_term(self, effect: Effect, begin: float) -> str:
         """The term of what comes late, in every location; its clock is the late source, from `begin` (degC/s) on."""
-        part = kind_of(effect).late
+        part = effect_kind(effect).late
         if part is None:
             raise unknown("the UPPAAL export", effect.kind, part)
-        clock, lag = self.names.fresh("late"), self.constant("LAG", lag_of(effect))
+        clock, lag = self.names.fresh("late"), self.constant("LAG", heat_lag(effect))
         source, coming = (
             f"({part.text.term(self, each).removeprefix(' + ')})" for each in (effect, signals_before(effect))
         )
@@ -248,7 +258,7 @@ class _LineCollector:
         clock, begun = self.names.fresh("running"), self.names.fresh("begun")
         number_of = [acting.effect for acting in self.plant.startups].index(effect)
         since = self.clocks.since[number_of]
-        known = since < NEVER
+        known = since < NO_STEP_S
         self.declared += [f"// Since {effect.event}.", f"clock {clock};", f"int {begun} = {int(known)};"]
         if known:
             self.opening.append(f"{clock} = {number(since)}")
@@ -298,13 +308,13 @@ def _thermostat(writer: _LineCollector, effect: Effect) -> str:
     back = f"({turn} == 0 ? {jump} : {jump} - {turn} * {over} * {loss} * ({jump} - {sink}))"
     turned = (f"{turn} = {looked} - {valve}", f"{valve} = {valve} + {turn}", f"{jump} = {back}")
     for place in writer.sha.locations:
-        if acts_in(effect, place.name):
+        if affects_location(effect, place.name):
             writer.left[place.name] = turned
     writer.following += [f"{valve} = {looked}", f"{last} = {jump}"]
     return f" - {valve} * {loss} * ({writer.x} - {sink})"
 
 
-def refused(sha: SHA, tick: int, dropped: Sequence[str]) -> str:
+def export_refusal(sha: SHA, tick: int, dropped: Sequence[str]) -> str:
     """Why these effects cannot be exported so ("": they can)."""
     if of_feature(sha, "thermostat") and not tick:
         return "the thermostat is looked at once a tick; give a tick of at least 1 s"

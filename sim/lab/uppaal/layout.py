@@ -7,14 +7,14 @@ from math import cos, hypot, pi, sin
 
 from sim.lab.uppaal.document import Arrow, Point, Template, TemplateLocation
 
-STEP = 380
+LOCATION_SPACING_PX = 380
 """Distance of neighbouring locations on the circle, in UPPAAL's pixels: room for an invariant between them."""
 
 
 def on_a_circle(template: Template) -> Template:
     """The template with its locations on a circle, in their order, and its edges bent so that none hides another."""
     count = len(template.places)
-    radius = max(1.0, STEP * count / (2 * pi))
+    radius = max(1.0, LOCATION_SPACING_PX * count / (2 * pi))
     angles = [2 * pi * index / count - pi / 2 for index in range(count)]  # from the top on, clockwise
     at = [(round(radius * cos(angle)), round(radius * sin(angle))) for angle in angles]
     places = tuple(replace(place, at=point) for place, point in zip(template.places, at, strict=True))
@@ -23,7 +23,7 @@ def on_a_circle(template: Template) -> Template:
 
 def in_a_row(template: Template) -> Template:
     """The template with its locations from left to right, for the players with their few locations."""
-    places = tuple(replace(place, at=(STEP * index, 0)) for index, place in enumerate(template.places))
+    places = tuple(replace(place, at=(LOCATION_SPACING_PX * index, 0)) for index, place in enumerate(template.places))
     return replace(template, places=places, arrows=_arrows(places, template.arrows))
 
 

@@ -6,8 +6,8 @@ from math import isfinite
 
 from sim.lab.uppaal.document import Arrow, Template, TemplateLocation, comment_text, number
 from sim.lab.uppaal.effects import EffectTexts
-from sim.lab.uppaal.words import FreshNames, spelled
-from sim.sha import RELAXING, SHA, Distribution, Location, drawn_parameter, drawn_temperature, mode_parameter
+from sim.lab.uppaal.words import FreshNames, spell_names
+from sim.sha import RELAXING_FLOWS, SHA, Distribution, Location, draw_parameter, draw_temperature, mode_parameter
 
 Move = tuple[str, str, str]
 """Source (a location's name), the channel on which it receives, target."""
@@ -35,7 +35,8 @@ class Variables:
 def variables(names: FreshNames, signals: Iterable[str]) -> Variables:
     """Names for the machine's own variables: what a location is called already is avoided."""
     inputs = {
-        signal: (names.fresh(f"u_{word}"), names.fresh(f"known_{word}")) for signal, word in spelled(signals).items()
+        signal: (names.fresh(f"u_{word}"), names.fresh(f"known_{word}"))
+        for signal, word in spell_names(signals).items()
     }
     return Variables(
         mode=names.fresh("m"),
@@ -68,7 +69,7 @@ class Part:
 def part(location: Location, names: FreshNames, known: Variables, max_rate: float, more: EffectTexts) -> Part:
     """The texts of one location. Raises ValueError for numbers that UPPAAL has no word for."""
     identifier = names.locations[location.name]
-    word = spelled([identifier])[identifier]
+    word = spell_names([identifier])[identifier]
     constants: list[str] = []
 
     def constant(kind: str, value: float) -> str:
@@ -80,7 +81,7 @@ def part(location: Location, names: FreshNames, known: Variables, max_rate: floa
     own = {kind: constant(kind.upper(), flow.params[kind]) for kind in ("k", "t0", "tau") if kind in flow.params}
     # The flow's own part of the rate of X, then what the effects add, then the limit on both together.
     rate = "0.0"
-    if flow.kind in RELAXING:
+    if flow.kind in RELAXING_FLOWS:
         target = known.mode
         for driving in flow.inputs:
             value, read = known.inputs[driving.signal]
@@ -101,11 +102,11 @@ def part(location: Location, names: FreshNames, known: Variables, max_rate: floa
     if flow.params["noise"]:
         noise = constant("NOISE", flow.params["noise"])
         deviation = f"{noise} * sqrt({known.since})"
-        if flow.kind in RELAXING:
+        if flow.kind in RELAXING_FLOWS:
             # Ornstein-Uhlenbeck: the variance gathered in s seconds is noise^2 (1 - exp(-2 k s)) / (2 k), exactly.
             deviation = f"{noise} * sqrt((1.0 - exp(-2.0 * {own['k']} * {known.since})) / (2.0 * {own['k']}))"
     jump = f"{more.x} + {deviation} * random_normal(0.0, 1.0)" if deviation else more.x
-    fresh, law = drawn_temperature(location), drawn_parameter(location)
+    fresh, law = draw_temperature(location), draw_parameter(location)
     enter = [f"{known.jump} = {draw(fresh, constant)}", *clamp(known)] if fresh else []
     if flow.kind != "constant":  # which has no use for a mode parameter
         mode = draw(law, constant) if law else constant("M", mode_parameter(location)[0])
@@ -191,16 +192,16 @@ def machine(
     first = f"{first} - {more.offset}" if more.offset else first
     opening = (f"{known.jump} = {first}", *clamp(known), *more.settled, *more.opening, f"age = {number(begin.age)}")
     mode = [update for update in parts[begin.location].enter if update.startswith(f"{known.mode} = ")]
-    arrows = [Arrow(start.name, names.locations[begin.location], update=joined(*opening, *mode))]
+    arrows = [Arrow(start.name, names.locations[begin.location], update=join_updates(*opening, *mode))]
     for source, channel, target in moves:
         resets = (*(more.resets or {}).get(channel, ()), f"{known.since} = 0", "age = 0")
         updates = (*parts[source].leave, *parts[target].enter, *more.settled, *resets)
-        text = joined(*updates, f"{known.taken} = {known.taken} + 1")
+        text = join_updates(*updates, f"{known.taken} = {known.taken} + 1")
         arrows.append(Arrow(names.locations[source], names.locations[target], sync=f"{channel}?", update=text))
     for name, each in parts.items():
         if tick and (each.noisy or more.polled):
             # The noise of the seconds gone by is drawn, and the stay goes on.
-            place, text = names.locations[name], joined(*each.leave, *more.settled, f"{known.since} = 0")
+            place, text = names.locations[name], join_updates(*each.leave, *more.settled, f"{known.since} = 0")
             arrows.append(Arrow(place, place, guard=f"{known.since} >= {known.tick}", update=text))
         arrows += more.loops(names.locations[name])
     comments = [
@@ -229,6 +230,6 @@ def machine(
     )
 
 
-def joined(*updates: str) -> str:
+def join_updates(*updates: str) -> str:
     """Updates in their order, as one label."""
     return ", ".join(updates)

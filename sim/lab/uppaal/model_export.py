@@ -10,22 +10,22 @@ import numpy as np
 from drivers.errors import OneLineError
 from sim.effects import check_sha, in_sensor_scale
 from sim.engine import Policy, Start, open_loop
-from sim.files import refused, replace_durably
+from sim.files import replace_durably, write_error
 from sim.lab.uppaal.document import ExportedQuery, System, comment_text, number, xml_text
-from sim.lab.uppaal.effects import augmented
-from sim.lab.uppaal.effects import refused as refused_effects
+from sim.lab.uppaal.effects import effect_texts
+from sim.lab.uppaal.effects import export_refusal as refused_effects
 from sim.lab.uppaal.layout import in_a_row, on_a_circle
 from sim.lab.uppaal.machine import Beginning, Move, machine, variables
 from sim.lab.uppaal.players import event_arrays, input_declarations, input_player, player, structure
-from sim.lab.uppaal.queries import compatibility, default_questions, query_file, questions_of
-from sim.lab.uppaal.replay import ReplayedTrace, replay_of, replayed_signals
+from sim.lab.uppaal.queries import compatibility, default_questions, export_questions, query_file
+from sim.lab.uppaal.replay import ReplayedTrace, build_replay, replayed_signals
 from sim.lab.uppaal.rules import check_rules
-from sim.lab.uppaal.words import FreshNames, spelled
+from sim.lab.uppaal.words import FreshNames, spell_names
 from sim.sha import SHA, UNKNOWN, Model, Trace, alphabet_symbols, distributions, transitions
 
-TICK = 1
+MAX_TICK_S = 1
 """Seconds between two draws of the noise, at most: also between them the temperature may cross a limit."""
-LONGEST_NAME = 80
+MAX_NAME_CHARS = 80
 """Letters of a model's and of a trace's name in the name of a file."""
 
 
@@ -58,7 +58,7 @@ def export(
     *,
     policy: Policy = "resync",
     start: Start = "measured",
-    tick: int = TICK,
+    tick: int = MAX_TICK_S,
     formulas: Sequence[str] = (),
 ) -> Exported:
     """The main and the minimal document of `model` replaying `trace`.
@@ -74,11 +74,11 @@ def export(
     try:
         model = in_sensor_scale(model)
         check_sha(model.sha)
-        replay = replay_of(model, trace, policy, start)
+        replay = build_replay(model, trace, policy, start)
         declined = refused_effects(model.sha, tick, replay.passed_over)
         if declined:
             raise ExportError(f"model {model.sha.name!r} cannot be exported along trace {trace.name!r}: {declined}")
-        more, skeletal = questions_of(formulas, model)
+        more, skeletal = export_questions(formulas, model)
         peak = float(np.max(open_loop(model, trace, policy, start).mean))
         main = _main(model, replay, tick, (*default_questions(replay, float(ceil(peak))), *more))
         minimal = _minimal(model, replay, (compatibility(), *skeletal))
@@ -103,15 +103,15 @@ def write(directory: Path, exported: Exported) -> list[Path]:
                 directory.mkdir(parents=True, exist_ok=True)
                 replace_durably(directory / name, text)
             except OSError as error:
-                raise refused(directory / name, error) from None
+                raise write_error(directory / name, error) from None
             written.append(directory / name)
     return written
 
 
 def base_name(model: str, trace: str) -> str:
-    """The base name of an export's files: letters, digits and underscores, LONGEST_NAME of each name."""
+    """The base name of an export's files: letters, digits and underscores, MAX_NAME_CHARS of each name."""
     return "_".join(
-        "".join(sign if sign.isalnum() and sign.isascii() else "_" for sign in part).strip("_")[:LONGEST_NAME] or "x"
+        "".join(sign if sign.isalnum() and sign.isascii() else "_" for sign in part).strip("_")[:MAX_NAME_CHARS] or "x"
         for part in (model, trace)
     )
 
@@ -125,7 +125,9 @@ def _main(model: Model, replay: ReplayedTrace, tick: int, questions: tuple[Expor
     law = replay.x0
     drawn = distributions.variance(law) > 0
     begin = Beginning(replay.location, replay.age, distributions.mean(law), law if drawn else None)
-    more = augmented(sha, names, known.inputs, own=(known.jump, known.since), channels=channels, clocks=replay.clocks)
+    more = effect_texts(
+        sha, names, known.inputs, own=(known.jump, known.since), channels=channels, clocks=replay.clocks
+    )
     constants, template = machine(sha, names, known, moves=moves, begin=begin, tick=tick, more=more)
     # Broadcast channels: statistical model checking takes no others, and an event without an edge passes as here.
     ids = {symbol: index for index, symbol in enumerate(channels)}
@@ -196,7 +198,7 @@ def _channels(model: Model, played: Iterable[str], names: FreshNames) -> dict[st
     edges = [edge.symbol for edge in model.sha.edges]
     symbols = list(dict.fromkeys([*alphabet_symbols(model.alphabet), *edges, *played]))
     own = dict(model.alphabet.uppaal)
-    words = spelled([own.get(symbol, symbol) for symbol in symbols])
+    words = spell_names([own.get(symbol, symbol) for symbol in symbols])
     return {symbol: names.fresh(words[own.get(symbol, symbol)]) for symbol in symbols}
 
 

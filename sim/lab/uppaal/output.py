@@ -161,17 +161,17 @@ READERS: tuple[tuple[re.Pattern[str], Callable[[VerifytaAnswer, re.Match[str]], 
 def failure(output: Output, wanted: int, code: int) -> str:
     """Why an output is no full answer to `wanted` formulas, in one sentence; empty when it is."""
     if output.errors:
-        return f"verifyta refuses the model or a query: {_shown(output.errors)}"
+        return f"verifyta refuses the model or a query: {_first_lines(output.errors)}"
     if output.licence and len(output.answers) < wanted:
         return f"verifyta has no valid licence ({output.licence}); set one with verifyta --lease HOURS --key KEY"
     decided = [answer for answer in output.answers if answer.satisfied is not None or answer.kind]
     if len(decided) < wanted:
-        printed = f"; it printed {_shown(output.unread)}" if output.unread else ""
+        printed = f"; it printed {_first_lines(output.unread)}" if output.unread else ""
         return f"verifyta answered {len(decided)} of {wanted} queries and ended with code {code}{printed}"
     return f"verifyta ended with code {code} after its last answer" if code else ""
 
 
-def _shown(lines: Iterable[str]) -> str:
+def _first_lines(lines: Iterable[str]) -> str:
     """The first lines of several, cut to what fits a sentence."""
     several = list(lines)
     more = f" (and {len(several) - 3} more lines)" if len(several) > 3 else ""

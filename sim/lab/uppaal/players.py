@@ -9,12 +9,12 @@ from sim.lab.uppaal.replay import InputReadings
 from sim.lab.uppaal.words import FreshNames
 from sim.sha import Array
 
-PER_LINE = 12
+VALUES_PER_LINE = 12
 
 
 def array(kind: str, name: str, values: Sequence[str]) -> str:
     """`const kind name[n] = {...};`, wrapped."""
-    rows = [", ".join(values[first : first + PER_LINE]) for first in range(0, len(values), PER_LINE)]
+    rows = [", ".join(values[first : first + VALUES_PER_LINE]) for first in range(0, len(values), VALUES_PER_LINE)]
     return f"const {kind} {name}[{len(values)}] = {{\n    " + ",\n    ".join(rows) + "\n};"
 
 

@@ -9,7 +9,7 @@ from sim.lab.uppaal.document import ExportedQuery, number
 from sim.lab.uppaal.replay import ReplayedTrace
 from sim.sha import Model
 
-RUNS = 1000
+EXPECTATION_RUNS = 1000
 """Runs of an expectation in the default set."""
 
 _OWN = re.compile(r"\b(?:[pi]_1\.|N_E\b|N_R\b|m_1\.(?:clamps|taken)\b)")
@@ -23,13 +23,15 @@ def compatibility() -> ExportedQuery:
 
 def default_questions(replay: ReplayedTrace, peak: float) -> tuple[ExportedQuery, ...]:
     """Course, limits, extremes and the replay's own health; `peak` (degC) is a temperature worth asking about."""
-    bound, level = replay.bound, number(peak)
+    bound, level = replay.time_bound, number(peak)
     questions = [
         ExportedQuery(f"simulate [<={bound}; 10] {{m_1.Temp}}", "ten courses of the temperature"),
         ExportedQuery(f"Pr[<={bound}](<> m_1.Temp >= {level})", "the temperature reaches the model's own mean peak"),
-        ExportedQuery(f"E[<={bound}; {RUNS}](max: m_1.Temp)", "the mean highest temperature"),
-        ExportedQuery(f"E[<={bound}; {RUNS}](min: m_1.Temp)", "the mean lowest temperature"),
-        ExportedQuery(f"E[<={bound}; {RUNS}](max: m_1.clamps)", "how often a run is put back into its range"),
+        ExportedQuery(f"E[<={bound}; {EXPECTATION_RUNS}](max: m_1.Temp)", "the mean highest temperature"),
+        ExportedQuery(f"E[<={bound}; {EXPECTATION_RUNS}](min: m_1.Temp)", "the mean lowest temperature"),
+        ExportedQuery(
+            f"E[<={bound}; {EXPECTATION_RUNS}](max: m_1.clamps)", "how often a run is put back into its range"
+        ),
         ExportedQuery(f"Pr[<={bound}](<> p_1.next_i == N_E) >= 0.99", "every event is played in time"),
     ]
     if not replay.dropped:
@@ -40,7 +42,7 @@ def default_questions(replay: ReplayedTrace, peak: float) -> tuple[ExportedQuery
     return tuple(questions)
 
 
-def questions_of(texts: Sequence[str], model: Model) -> tuple[tuple[ExportedQuery, ...], tuple[ExportedQuery, ...]]:
+def export_questions(texts: Sequence[str], model: Model) -> tuple[tuple[ExportedQuery, ...], tuple[ExportedQuery, ...]]:
     """Queries in the program's own language (docs/checking.md) as (main, minimal) questions of the export.
 
     Symbolic ones go to the minimal model, since UPPAAL decides none over hybrid clocks. A query about the players or

@@ -6,11 +6,11 @@ from math import ceil
 
 import numpy as np
 
-from sim.effects import dead_time, delay_of, late_source, signals_of
+from sim.effects import dead_time, delay_of, effect_signals, late_source
 from sim.engine import Policy, Start, compile_plant, open_loop_schedule, resync_targets, start_law
 from sim.sha import SHA, UNKNOWN, Array, Distribution, Effect, Event, Model, Trace, transitions
 
-DIGITS = 6
+TIME_DIGITS = 6
 """Decimals of exported times (microseconds): a trace's clock, in seconds since 1970, has no more in a double."""
 
 
@@ -66,12 +66,12 @@ class ReplayedTrace:
     accepted: bool
 
     @property
-    def bound(self) -> int:
+    def time_bound(self) -> int:
         """The queries' time bound: whole seconds, at least 1, that hold the whole replay."""
         return max(1, ceil(self.duration))
 
 
-def replay_of(model: Model, trace: Trace, policy: Policy = "resync", start: Start = "measured") -> ReplayedTrace:
+def build_replay(model: Model, trace: Trace, policy: Policy = "resync", start: Start = "measured") -> ReplayedTrace:
     """The replay of an encoded trace, over the span and from the start that `open_loop` has.
 
     Raises ValueError as `open_loop_schedule` and `start_law` do: a model that is not deterministic or has guards, an
@@ -98,15 +98,17 @@ def replay_of(model: Model, trace: Trace, policy: Policy = "resync", start: Star
     since = () if steps.segments is None else tuple(float(column[0]) for column in steps.segments.since)
     coming = () if steps.segments is None else tuple(float(column[0]) for column in steps.segments.late)
     readings, late = _readings(model, delayed, begin, end), compile_plant(model.sha).late if coming else ()
-    lates = tuple(_late_at(signals_before(effect), now, readings) for effect, now in zip(late, coming, strict=True))
+    lates = tuple(
+        _initial_late_heat(signals_before(effect), now, readings) for effect, now in zip(late, coming, strict=True)
+    )
     return ReplayedTrace(
         trace=trace.name,
         location=model.sha.locations[int(steps.location[0])].name,
-        age=round(float(steps.age[0]), DIGITS),
+        age=round(float(steps.age[0]), TIME_DIGITS),
         x0=law,
-        times=tuple(round(event.time - begin, DIGITS) for event in events),
+        times=tuple(round(event.time - begin, TIME_DIGITS) for event in events),
         symbols=tuple(event.symbol for event in events),
-        duration=round(end - begin, DIGITS),
+        duration=round(end - begin, TIME_DIGITS),
         readings=readings,
         added=added,
         dropped=len(passed_over),
@@ -129,7 +131,7 @@ def replayed_signals(sha: SHA) -> list[str]:
     """The signals that a replay has, those of before among them."""
     driving = {driver.signal for location in sha.locations for driver in location.flow.inputs}
     before = {name for effect in sha.effects for name in signals_before(effect).signals.values()}
-    return sorted(driving | {*signals_of(sha)} | before)
+    return sorted(driving | {*effect_signals(sha)} | before)
 
 
 def _with_before(sha: SHA, trace: Trace) -> Trace:
@@ -148,7 +150,7 @@ def _with_before(sha: SHA, trace: Trace) -> Trace:
     return trace
 
 
-def _late_at(effect: Effect, deviation: float, readings: InputReadings) -> float:
+def _initial_late_heat(effect: Effect, deviation: float, readings: InputReadings) -> float:
     """degC/s: the late part of a heat at the start, or as its signals' first readings will find it; 0 without any."""
     now = {
         signal: np.append(readings.first.get(signal, np.nan), readings.values.get(signal, np.empty(0)))
@@ -202,5 +204,5 @@ def _readings(model: Model, trace: Trace, begin: float, end: float) -> InputRead
         previous = np.concatenate([[now], later[:-1]])[: rows.size]
         wanted |= ~np.isnan(later) & (later != previous)
         held[signal] = later
-    times = np.round(trace.times[rows] - begin, DIGITS)
+    times = np.round(trace.times[rows] - begin, TIME_DIGITS)
     return InputReadings(times[wanted], {signal: column[wanted] for signal, column in held.items()}, first)

@@ -28,7 +28,7 @@ class _Label:
     kind: str
     text: str
 
-    def where(self) -> str:
+    def place(self) -> str:
         return f"{self.template or 'global'} {self.kind} {self.text[:60]!r}"
 
 
@@ -141,13 +141,13 @@ def _words(document: _ParsedDocument) -> list[str]:
 
 
 def _ascii(document: _ParsedDocument) -> list[str]:
-    bad = [label.where() for label in document.texts if not label.text.isascii()]
+    bad = [label.place() for label in document.texts if not label.text.isascii()]
     bad += [f"query {formula!r}" for formula in document.formulas if not formula.isascii()]
     return [f"{where} has signs other than ASCII; write <= and not its one-sign form" for where in bad]
 
 
 def _functions(document: _ParsedDocument) -> list[str]:
-    texts = [(label.where(), label.text) for label in document.texts]
+    texts = [(label.place(), label.text) for label in document.texts]
     texts += [(f"query {formula!r}", formula) for formula in document.formulas]
     return [
         f"{where} calls min( or max(; UPPAAL has fmin and fmax"
@@ -168,7 +168,7 @@ def _known_names(document: _ParsedDocument) -> list[str]:
             if name not in everywhere and name not in own and not re.fullmatch(r"[eE]\d*", name)
         ]
         if unknown:
-            sentences.append(f"{label.where()} uses {unknown[0]!r}, which nothing declares")
+            sentences.append(f"{label.place()} uses {unknown[0]!r}, which nothing declares")
     return sentences
 
 
@@ -190,12 +190,12 @@ def _literals(document: _ParsedDocument) -> list[str]:
 def _draws(document: _ParsedDocument) -> list[str]:
     """Random draws stand in updates only, and no normal has the width 0."""
     sentences = [
-        f"{label.where()} draws a random number; only updates may"
+        f"{label.place()} draws a random number; only updates may"
         for label in document.labels
         if label.kind != "assignment" and "random" in label.text
     ]
     sentences += [
-        f"{declaration.where()} declares a random number; only updates may draw"
+        f"{declaration.place()} declares a random number; only updates may draw"
         for declaration in document.declarations
         if "random" in declaration.text
     ]
@@ -207,7 +207,7 @@ def _draws(document: _ParsedDocument) -> list[str]:
     for label in document.labels:
         widths = re.findall(r"random_normal\(\s*[\w.+-]+\s*,\s*([\w.+-]+)\s*\)", label.text)
         sentences += [
-            f"{label.where()} draws a normal of width 0"
+            f"{label.place()} draws a normal of width 0"
             for width in widths
             if width in zero or re.fullmatch(r"0(?:\.0*)?", width)
         ]
@@ -296,7 +296,7 @@ FORMS: tuple[tuple[re.Pattern[str], str], ...] = (
 )
 
 
-def _qualified(document: _ParsedDocument) -> list[str]:
+def _check_qualification(document: _ParsedDocument) -> list[str]:
     """A query names what belongs to a process by m_1.name, and only what is there."""
     sentences = []
     known = document.declared[""] | FUNCTIONS | KEYWORDS
@@ -326,6 +326,6 @@ RULES: dict[str, Callable[[_ParsedDocument], list[str]]] = {
     "channels": _channels_of_queries,
     "symbolic queries": _symbolic,
     "query forms": _query_forms,
-    "qualified names": _qualified,
+    "qualified names": _check_qualification,
 }
 """Name of a rule -> what is wrong, one sentence each."""

@@ -15,7 +15,7 @@ from sim.lab.uppaal.output import Output, failure, parse_output
 VARIABLE = "DECANTER_VERIFYTA"
 """The environment variable that says where verifyta is, when no option does."""
 
-GRACE = 5.0
+GRACE_S = 5.0
 """Seconds to wait for the rest of the output of an engine that was stopped."""
 
 
@@ -89,6 +89,6 @@ def _stop(process: subprocess.Popen[bytes]) -> tuple[bytes, bytes]:
     with suppress(ProcessLookupError):
         os.killpg(process.pid, signal.SIGKILL)
     try:
-        return process.communicate(timeout=GRACE)
+        return process.communicate(timeout=GRACE_S)
     except subprocess.TimeoutExpired:
         return b"", b""

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Mapping
 
-from sim.lab.checking.query import RESERVED, identifiers
+from sim.lab.checking.query import RESERVED_WORDS, identifiers
 
 OWN = frozenset(
     [
@@ -37,7 +37,7 @@ class FreshNames:
 
     def __init__(self, locations: Iterable[str]) -> None:
         self.locations: Mapping[str, str] = identifiers(list(locations))
-        self._taken = {*RESERVED, *OWN, *self.locations.values()}
+        self._taken = {*RESERVED_WORDS, *OWN, *self.locations.values()}
 
     def fresh(self, base: str) -> str:
         """`base`, or `base_2`, `base_3` ... where it is taken. `base` must be letters, digits and underscores."""
@@ -49,6 +49,6 @@ class FreshNames:
         return candidate
 
 
-def spelled(names: Iterable[str]) -> Mapping[str, str]:
+def spell_names(names: Iterable[str]) -> Mapping[str, str]:
     """Any names as bases of identifiers (letters, digits, underscores), one to one."""
     return identifiers(list(names))

@@ -9,7 +9,7 @@ from typing import Any
 
 import can
 
-from sim.plc.can.messages import BlockMemory, Messages, Sender, protected, read_messages
+from sim.plc.can.messages import BlockMemory, Messages, Sender, protect_payload, read_messages
 from sim.plc.can.station import Station, record
 from sim.plc.program import (
     BusDisturbance,
@@ -18,9 +18,9 @@ from sim.plc.program import (
     ModbusRequest,
     Plc,
     Undefined,
-    disturbed,
-    merged,
-    shown_at,
+    disturb_payload,
+    face_shows,
+    merge_effects,
 )
 
 _LAST_FIELD = "sequence_copy"
@@ -35,7 +35,7 @@ class CanFace:
         self._plc, self._messages, self._complain = plc, messages, complain
         # A repeatable bench, not a secret.
         self._rng = Random(f"{plc.settings.seed}:can")  # noqa: S311
-        self._station = Station(where, self._heard, complain, self._rng)
+        self._station = Station(where, self._receive, complain, self._rng)
         self._counters = {sender.message.frame_id: 0 for sender in messages.senders}
         self._disturbances: Sequence[BusDisturbance] = ()
         self._layouts = {layout.suffix: layout for layout in plc.registers.blocks}
@@ -56,7 +56,7 @@ class CanFace:
             return
         self._station.disturb(self._disturbances, tuple(self._counters), now)
         if self._listens and not self._station.off:
-            served = self._plc.image.served
+            served = self._plc.image.client_values
             for sender in self._messages.senders:
                 self._send_if_due(sender, sender.payload(served), now)
             self._wake(now)
@@ -73,16 +73,16 @@ class CanFace:
     # ---------------------------------------------------------------- what the PLC says
 
     def _wake(self, now: float) -> None:
-        self._station.wake(min((sender.due for sender in self._messages.senders), default=inf), now, self._send_timed)
+        self._station.wake(min((sender.due for sender in self._messages.senders), default=inf), now, self._send_due)
 
-    def _send_timed(self) -> None:
+    def _send_due(self) -> None:
         """Between two cycles: the messages whose time has come."""
         now = self._plc.clock.monotonic()
         if not self._listens or self._station.off or not self._station.on_bus(now):
             return  # the next cycle goes on with it
         for sender in self._messages.senders:
             if now >= sender.due:
-                self._send_if_due(sender, sender.payload(self._plc.image.served), now)
+                self._send_if_due(sender, sender.payload(self._plc.image.client_values), now)
         self._wake(now)
 
     def _send_if_due(self, sender: Sender, content: bytes, now: float) -> None:
@@ -96,9 +96,9 @@ class CanFace:
         data = content
         if sender.data_id is not None:
             self._counters[number] = (self._counters[number] + 1) % 256
-            data = protected(sender.data_id, self._counters[number], content)
+            data = protect_payload(sender.data_id, self._counters[number], content)
         striking = [disturbance for disturbance in self._disturbances if disturbance.strikes(sender.message.name)]
-        wire_data = disturbed(striking, data, sender.wire, self._rng)
+        wire_data = disturb_payload(striking, data, sender.wire, self._rng)
         if not any(disturbance.stale for disturbance in striking):
             sender.wire = data
         record(self._plc, self.name, number, wire_data, sent=True)
@@ -107,7 +107,7 @@ class CanFace:
 
     # ---------------------------------------------------------------- what the PLC hears
 
-    def _heard(self, message: can.Message) -> None:
+    def _receive(self, message: can.Message) -> None:
         if message.is_error_frame or message.is_remote_frame or not self._listens or self._station.off:
             return
         for block in self._messages.blocks if self._plc.running else ():
@@ -120,7 +120,7 @@ class CanFace:
         now = self._plc.clock.monotonic()
         record(self._plc, self.name, block.message.frame_id, data, sent=False)
         struck = list(self._plc.schedule.strike(0, now, self.name))
-        store = merged(effect for _, effect in struck).store
+        store = merge_effects(effect for _, effect in struck).store
         taken = block.put(data, store=store)
         if taken is None:
             return
@@ -128,7 +128,7 @@ class CanFace:
         request = ModbusRequest("can", 0, self._plc.registers.unit, data, self.name)
         reply = ModbusReply(0, self._plc.registers.unit, echo)
         for entry, effect in struck:
-            if effect.answer is not None and shown_at(entry.fault.kind, self.name):
+            if effect.answer is not None and face_shows(entry.fault.kind, self.name):
                 reply = effect.answer(request, reply, entry.rng)
         if store and _LAST_FIELD in words:
             self._judge(block, now)

@@ -17,11 +17,11 @@ from pydantic import ConfigDict, Field
 
 from drivers.device_file import TagTable
 from drivers.tag import Value
-from sim.plc.program import FileTable, InputError, listed, read_device, validated
+from sim.plc.program import FileTable, InputError, list_words, read_device, validate_entry
 
 _SIGNAL = re.compile(r"dbc:(\w+)\.(\w+)")
 _BLOCK = re.compile(r"dbc:(\w+)\.\{field\}")
-_HEADER = 3  # of E2E profile 5: two bytes of CRC, one of counter
+_HEADER_BYTES = 3  # of E2E profile 5: two bytes of CRC, one of counter
 _CYCLE_MS = 100
 """The cycle (ms) of a message to which the DBC file gives none."""
 
@@ -117,7 +117,7 @@ class Messages:
 def read_messages(path: Path, known: Sequence[str]) -> Messages:
     """The messages of the device file in `path` for the image's tags. Raises InputError."""
     content = read_device(path)
-    device = validated(_BusDevice, content.device.model_extra or {}, f"{path}: [device]")
+    device = validate_entry(_BusDevice, content.device.model_extra or {}, f"{path}: [device]")
     dbc = path.parent / device.dbc
     try:
         database = cantools.database.load_file(dbc, database_format="dbc")
@@ -126,7 +126,7 @@ def read_messages(path: Path, known: Sequence[str]) -> Messages:
     if not isinstance(database, Database):
         raise InputError(f"{dbc}: is no DBC file; give one")
     if strange := [row.name for row in content.tags if row.name not in known]:
-        raise InputError(f"{path}: tag {strange[0]!r}: the register map has no such tag; known are {listed(known)}")
+        raise InputError(f"{path}: tag {strange[0]!r}: the register map has no such tag; known are {list_words(known)}")
     by_message: dict[str, dict[str, TagTable]] = {}
     for row in content.tags:
         where = f"{path}: tag {row.name!r}"
@@ -194,9 +194,9 @@ def _senders(message: Message, rows: Mapping[str, TagTable]) -> list[Sender]:
     return [Sender(message, dict(chosen), [*common, *own], cycle, data_id) for chosen, own in layouts.items()]
 
 
-def protected(data_id: int, counter: int, data: bytes) -> bytes:
+def protect_payload(data_id: int, counter: int, data: bytes) -> bytes:
     """The payload with E2E profile 5's counter and CRC-16/IBM-3740 (bit by bit) in its first three bytes."""
-    body = bytes((counter & 0xFF,)) + data[_HEADER:]
+    body = bytes((counter & 0xFF,)) + data[_HEADER_BYTES:]
     register = 0xFFFF
     for octet in (*body, data_id & 0xFF, data_id >> 8 & 0xFF):
         register ^= octet << 8

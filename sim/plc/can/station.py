@@ -12,9 +12,9 @@ from drivers.errors import DriverError
 from sim.plc.program import BusDisturbance, Plc
 
 _REOPEN_S = 0.1
-_LEAST_WAIT_S = 0.001
-_BUS_OFF_EVERY_S = 0.05
-_BURST = 400
+_MIN_WAIT_S = 0.001
+_BUS_OFF_PERIOD_S = 0.05
+_BURST_FRAMES = 400
 # linux/can/error.h: classes of error frames.
 _BUS_OFF, _RESTARTED = 0x40, 0x100
 
@@ -70,7 +70,7 @@ class Station:
         if self._timer is not None:
             self._timer.cancel()
         loop = asyncio.get_running_loop()
-        self._timer = loop.call_later(max(moment - now, _LEAST_WAIT_S), work) if moment < inf else None
+        self._timer = loop.call_later(max(moment - now, _MIN_WAIT_S), work) if moment < inf else None
 
     def put(self, message: can.Message) -> None:
         """Send one frame; without a bus it is lost."""
@@ -79,26 +79,26 @@ class Station:
         try:
             self._pump.bus.send(message, timeout=0.01)
         except (can.CanError, OSError) as error:
-            self._lost(str(error))
+            self._lose_bus(str(error))
 
     def disturb(self, disturbances: Sequence[BusDisturbance], ours: Sequence[int], now: float) -> None:
         """Once a cycle: the bus taken off, and a strange node's babble, with random ids or with `ours`."""
-        self._take_off(disturbances, now)
+        self._silence_bus(disturbances, now)
         self._babble(disturbances, ours, now)
 
     def _join(self) -> None:
-        self._pump = Pump(open_bus(self.interface, self.channel), self._heard, self._lost)
+        self._pump = Pump(open_bus(self.interface, self.channel), self._heard, self._lose_bus)
 
-    def _lost(self, reason: str) -> None:
+    def _lose_bus(self, reason: str) -> None:
         if self._pump is not None:
             self.close()
             self._complain(f"the CAN bus {self.channel} is gone ({reason}); joining again as soon as it is back")
 
-    def _take_off(self, disturbances: Sequence[BusDisturbance], now: float) -> None:
+    def _silence_bus(self, disturbances: Sequence[BusDisturbance], now: float) -> None:
         """Bus-off for all: said again and again, as a controller that comes back finds the wire as it was."""
         off = any(disturbance.bus_off for disturbance in disturbances)
         if off and now >= self._next_off:
-            self._next_off = now + _BUS_OFF_EVERY_S
+            self._next_off = now + _BUS_OFF_PERIOD_S
             self._error_frame(_BUS_OFF)
         elif self.off and not off:
             self._error_frame(_RESTARTED)
@@ -112,7 +112,7 @@ class Station:
         begun = self._babbled_to or now
         self._babbled_to = now if rate else 0.0
         known = ours and any(disturbance.known for disturbance in disturbances)
-        for _ in range(min(_BURST, round(rate * (now - begun)))):
+        for _ in range(min(_BURST_FRAMES, round(rate * (now - begun)))):
             number = self._rng.choice(ours) if known else self._rng.randrange(0x800)
             data = self._rng.randbytes(self._rng.randrange(9))
             self.put(can.Message(arbitration_id=number, is_extended_id=False, data=data))

@@ -22,14 +22,14 @@ from sim.plc.program import (
     NodeDisturbance,
     Plc,
     Scheduled,
-    disturbed,
-    merged,
-    shown_at,
+    disturb_payload,
+    face_shows,
+    merge_effects,
     together,
 )
 
 FIRST_REQUESTS, WRITES = (1, 2, 5, 6), (1, 6)
-ABORTED = 0x80
+ABORT_COMMANDS = 0x80
 """Command specifiers of a client's first frames, those of them that write, and the first byte of an abort."""
 
 
@@ -42,7 +42,7 @@ class CanopenFace:
         self._plc = plc
         self.node = CanopenNode(layout, plc)
         self._rng = Random(f"{plc.settings.seed}:canopen")  # noqa: S311 - a repeatable bench, not a secret
-        self._station = Station(where, self._heard, complain, self._rng)
+        self._station = Station(where, self._receive, complain, self._rng)
         self._own_disturbance = NodeDisturbance()
         self._disturbances: Sequence[BusDisturbance] = ()
         self._booted, self._down = False, True
@@ -98,14 +98,14 @@ class CanopenFace:
     def _say(self, identifier: int, data: bytes) -> None:
         """Send one frame of the node, as far as the faults of the bus let it through."""
         striking = [disturbance for disturbance in self._disturbances if disturbance.strikes(f"0x{identifier:X}")]
-        left = disturbed(striking, data, None, self._rng)
+        left = disturb_payload(striking, data, None, self._rng)
         record(self._plc, self.name, identifier, left, sent=True)
         if left is not None:
             self._station.put(can.Message(arbitration_id=identifier, is_extended_id=False, data=left))
 
     # ---------------------------------------------------------------- what arrives
 
-    def _heard(self, message: can.Message) -> None:
+    def _receive(self, message: can.Message) -> None:
         if message.is_error_frame or message.is_remote_frame or message.is_extended_id or message.is_fd:
             return
         if self._down or not self._booted:
@@ -114,23 +114,23 @@ class CanopenFace:
         if identifier == SDO_REQUEST + self.node.id:
             record(self._plc, self.name, identifier, data, sent=False)
             self._answer(data, now)
-        elif self.node.listens_to(identifier):
+        elif self.node.accepts(identifier):
             record(self._plc, self.name, identifier, data, sent=False)
-            self.node.objects.store = self._struck(0, now)[1].store
+            self.node.objects.store = self._find_faults(0, now)[1].store
             before = [intake.accepted for intake in self._plc.intakes]
             self._put_all(self.node.take(identifier, data, now, self._own_disturbance))
             # The acknowledge does not wait for the program's next cycle.
             if [intake.accepted for intake in self._plc.intakes] != before:
                 self._put_all(self.node.cycle(now, self._own_disturbance))
 
-    def _struck(self, function: int, now: float) -> tuple[list[Scheduled], FaultEffect]:
+    def _find_faults(self, function: int, now: float) -> tuple[list[Scheduled], FaultEffect]:
         """The faults that strike a request of this command specifier (RPDOs: 0), and what they do together."""
         struck = list(self._plc.schedule.strike(function, now, self.name))
-        return [entry for entry, _ in struck], merged(effect for _, effect in struck)
+        return [entry for entry, _ in struck], merge_effects(effect for _, effect in struck)
 
     def _answer(self, data: bytes, now: float) -> None:
         function = data[0] >> 5 if data else 0
-        entries, effect = self._struck(function, now)
+        entries, effect = self._find_faults(function, now)
         self.node.objects.store = effect.store
         code = effect.abort if effect.abort is not None else GENERAL if effect.code is not None else None
         place = int.from_bytes(data[1:3], "little"), data[3] if len(data) > 3 else 0
@@ -138,7 +138,7 @@ class CanopenFace:
             answers = [abort_frame(place, code)]
         else:
             answers = self.node.answers(data)
-        if function in WRITES and answers and answers[0][0] == ABORTED:
+        if function in WRITES and answers and answers[0][0] == ABORT_COMMANDS:
             self._plc.event("write refused", now, {"face": self.name, "object": f"0x{place[0]:04X}:{place[1]}"})
         for answer in answers:
             self._reply(answer, entries, now)
@@ -151,7 +151,7 @@ class CanopenFace:
         )
         for entry in entries:
             answer_as = entry.effect(now).answer
-            if answer_as is not None and shown_at(entry.fault.kind, self.name):
+            if answer_as is not None and face_shows(entry.fault.kind, self.name):
                 reply = answer_as(request, reply, entry.rng)
         if not reply.sent:
             return

@@ -118,7 +118,7 @@ class CanopenNode:
 
     # ---------------------------------------------------------------- frames that arrive
 
-    def listens_to(self, identifier: int) -> bool:
+    def accepts(self, identifier: int) -> bool:
         """True for what `take` makes something of: NMT, SYNC and the RPDOs."""
         return identifier in (NMT, SYNC) or any(pdo.cob_id == identifier for pdo in self.objects.pdos(RPDO))
 
@@ -127,7 +127,7 @@ class CanopenNode:
         if identifier == NMT:
             return self._command(data, now)
         if identifier == SYNC and len(data) <= 1:
-            return self._synced(now, disturbance)
+            return self._take_sync(now, disturbance)
         if self.state == OPERATIONAL:
             for pdo in self.objects.pdos(RPDO):
                 if pdo.cob_id == identifier:
@@ -150,7 +150,7 @@ class CanopenNode:
             self._sent.clear()
         return []
 
-    def _synced(self, now: float, disturbance: NodeDisturbance) -> list[Out]:
+    def _take_sync(self, now: float, disturbance: NodeDisturbance) -> list[Out]:
         self.counts["syncs"] += 1
         out = []
         for pdo in self.objects.pdos(TPDO) if self.state == OPERATIONAL else ():
@@ -180,9 +180,9 @@ class CanopenNode:
                 others[place] = part
             else:
                 words.setdefault(word[0], {})[word[1]] = int.from_bytes(part, "little")
-        self._put(words, others)
+        self._store(words, others)
 
-    def _put(self, words: Mapping[int, Mapping[int, int]], others: Mapping[Address, bytes]) -> None:
+    def _store(self, words: Mapping[int, Mapping[int, int]], others: Mapping[Address, bytes]) -> None:
         for place, part in others.items():
             try:
                 self.objects.write(place, part)

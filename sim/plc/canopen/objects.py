@@ -21,7 +21,7 @@ from sim.plc.program import (
     encode_absent,
     is_bool,
     read_device,
-    validated,
+    validate_entry,
 )
 
 ERROR_REGISTER, ERRORS, STORE_EDS = (0x1001, 0), 0x1003, (0x1021, 0)
@@ -62,7 +62,7 @@ def read_layout(
     `node` is another node id than the file's. Raises InputError naming file, key, reason and remedy.
     """
     content = read_device(path)
-    device = validated(_NodeDevice, content.device.model_extra or {}, f"{path}: [device]")
+    device = validate_entry(_NodeDevice, content.device.model_extra or {}, f"{path}: [device]")
     node = device.node if node is None else node
     entries, text = read_eds(path.parent / device.eds, node)
     tags: dict[Address, list[Tag]] = {}
@@ -155,7 +155,7 @@ class Objects:
             raise Abort(sdo.READ_ONLY)
         if (word := self.word(address)) is not None:
             self.put_words(word[0], {word[1]: int.from_bytes(data, "little")})
-        elif (number := self._beside(address, WHOLE_BLOCK)) is not None:
+        elif (number := self._offset_block(address, WHOLE_BLOCK)) is not None:
             self._put_whole(number, data)
         else:
             self._keep(address, entry, data)
@@ -194,9 +194,9 @@ class Objects:
             return bytes([self.error_register])
         if address == STORE_EDS:
             return self._layout.text.encode("utf-8")
-        if (number := self._beside(address, WHOLE_BLOCK)) is not None:
+        if (number := self._offset_block(address, WHOLE_BLOCK)) is not None:
             return self._block_words(number, 0, self._plc.registers.blocks[number].place.words)
-        if (number := self._beside(address, ACCEPTED_SEQUENCE)) is not None:
+        if (number := self._offset_block(address, ACCEPTED_SEQUENCE)) is not None:
             return int(self._plc.intakes[number].block.get("sequence", 0)).to_bytes(2, "little")
         if address[0] == ERRORS:
             known = [error for error in self.errors if error]
@@ -206,7 +206,7 @@ class Objects:
             )
         return self._memory.get(address, entry.default)
 
-    def _beside(self, address: Address, offset: Address) -> int | None:
+    def _offset_block(self, address: Address, offset: Address) -> int | None:
         """The block whose words' index this object follows at the offset; None if it is no such object."""
         for number, first in enumerate(self._layout.blocks):
             if address == (first[0] + offset[0], offset[1]):
@@ -240,7 +240,7 @@ class Objects:
 
     def _of_tags(self, tags: Sequence[Tag], entry: EdsObject) -> bytes:
         """The object's bytes from the tags that share it: bits side by side, or one value."""
-        served, size = self._plc.image.served, entry.size or 0
+        served, size = self._plc.image.client_values, entry.size or 0
         if is_bool(tags[0]):
             bits = sum(1 << (tag.bit or 0) for tag in tags if served.get(tag.name))
             return bits.to_bytes(size or 2, "little")

@@ -11,9 +11,9 @@ WRITE_ONLY, READ_ONLY = 0x06010001, 0x06010002
 NO_OBJECT, NOT_MAPPABLE, PDO_LENGTH = 0x06020000, 0x06040041, 0x06040042
 LENGTH, TOO_LONG, TOO_SHORT, NO_SUBINDEX, VALUE = 0x06070010, 0x06070012, 0x06070013, 0x06090011, 0x06090030
 GENERAL, STATE = 0x08000000, 0x08000022
-BLOCK = 64
+BLOCK_SEGMENTS = 64
 """Segments of a block that the server asks for when it is written to."""
-LARGEST = 1 << 16
+MAX_TRANSFER_BYTES = 1 << 16
 
 
 class Abort(Exception):
@@ -34,7 +34,7 @@ class _Transfer:
     announced: int | None = None
     toggle: int = 0
     at: int = 0
-    block: int = BLOCK
+    block: int = BLOCK_SEGMENTS
     received: bytearray = field(default_factory=bytearray)
     sequence: int = 0
     last: bool = False
@@ -65,7 +65,7 @@ class SdoServer:
         try:
             if transfer is not None and transfer.kind == "blocks in":
                 return self._block_segment(transfer, data)
-            return self._begun(data, address) or self._continued(data)
+            return self._begin(data, address) or self._continue(data)
         except Abort as abort:
             failed = self._open
             self._open = None
@@ -73,7 +73,7 @@ class SdoServer:
 
     # ------------------------------------------------------------ first frames
 
-    def _begun(self, data: bytes, address: Address) -> list[bytes]:
+    def _begin(self, data: bytes, address: Address) -> list[bytes]:
         """The answer to the first frame of a transfer; empty for any other frame."""
         # CiA 301, 7.2.4.3: bits 5..7 are the client's command specifier; 5 and 6 share theirs with the frames that
         # continue a block transfer, which the lowest bits tell apart.
@@ -92,7 +92,7 @@ class SdoServer:
                 self._announce(size)
                 self._open = _Transfer("blocks in", address, announced=size)
                 self._open.toggle = command & 4
-                return [_head(0xA4, address) + bytes([BLOCK, 0, 0, 0])]
+                return [_head(0xA4, address) + bytes([BLOCK_SEGMENTS, 0, 0, 0])]
         return []
 
     def _upload(self, address: Address) -> bytes:
@@ -114,7 +114,7 @@ class SdoServer:
         return _head(0x60, address) + bytes(4)
 
     def _announce(self, size: int | None) -> None:
-        if size is not None and size > LARGEST:
+        if size is not None and size > MAX_TRANSFER_BYTES:
             raise Abort(TOO_LONG)
 
     def _block_upload(self, data: bytes, address: Address) -> bytes:
@@ -127,7 +127,7 @@ class SdoServer:
 
     # ------------------------------------------------------------ what follows
 
-    def _continued(self, data: bytes) -> list[bytes]:
+    def _continue(self, data: bytes) -> list[bytes]:
         transfer, command = self._open, data[0]
         if command >> 5 == 4 and command & 0x1F == 0:
             self._open = None  # the client has given up
@@ -136,16 +136,16 @@ class SdoServer:
             raise Abort(COMMAND)
         match transfer.kind, command >> 5:
             case "upload", 3:
-                return [self._segment_out(transfer, command)]
+                return [self._send_segment(transfer, command)]
             case "download", 0:
-                return [self._segment_in(transfer, data)]
+                return [self._take_segment(transfer, data)]
             case "block upload", 5:
-                return list(self._blocks_out(transfer, data))
+                return list(self._send_blocks(transfer, data))
             case "blocks in ended", 6 if command & 1:
                 return [self._block_end(transfer, data)]
         raise Abort(COMMAND)
 
-    def _segment_out(self, transfer: _Transfer, command: int) -> bytes:
+    def _send_segment(self, transfer: _Transfer, command: int) -> bytes:
         if command & 0x10 != transfer.toggle:
             raise Abort(TOGGLE)
         piece = transfer.data[transfer.at : transfer.at + 7]
@@ -157,7 +157,7 @@ class SdoServer:
             self._open = None
         return frame
 
-    def _segment_in(self, transfer: _Transfer, data: bytes) -> bytes:
+    def _take_segment(self, transfer: _Transfer, data: bytes) -> bytes:
         command = data[0]
         if command & 0x10 != transfer.toggle:
             raise Abort(TOGGLE)
@@ -178,7 +178,7 @@ class SdoServer:
         self._write(transfer.address, content)
         self._open = None
 
-    def _blocks_out(self, transfer: _Transfer, data: bytes) -> Iterator[bytes]:
+    def _send_blocks(self, transfer: _Transfer, data: bytes) -> Iterator[bytes]:
         """The next block of segments, or the end; the client says how many of the last block it has."""
         match data[0] & 3:
             case 1:
@@ -214,9 +214,9 @@ class SdoServer:
             self._announce(len(transfer.received))
             transfer.last = last
         # After a gap the rest of the block is passed over; ackseq makes the client begin again behind it.
-        if number < BLOCK and not last:
+        if number < BLOCK_SEGMENTS and not last:
             return []
-        answer = bytes([0xA2, transfer.sequence, BLOCK]) + bytes(5)
+        answer = bytes([0xA2, transfer.sequence, BLOCK_SEGMENTS]) + bytes(5)
         transfer.sequence = 0
         if transfer.last:
             transfer.kind = "blocks in ended"

@@ -11,7 +11,7 @@ GAP_S = 0.05
 here through buffers of an operating system, which keeps no such times."""
 
 _WRITES_MANY = (15, 16)
-_FIXED = {43: 5}
+_FIXED_PDU_BYTES = {43: 5}
 """Bytes of a PDU with neither address and count nor a byte count."""
 
 
@@ -34,7 +34,7 @@ class Framing:
     closes: bool
 
 
-async def read_headed(reader: asyncio.StreamReader) -> ReceivedRequest:
+async def read_mbap(reader: asyncio.StreamReader) -> ReceivedRequest:
     """The next request behind a header. Raises IncompleteReadError at the end of the stream."""
     head = await reader.readexactly(HEADER.size)
     transaction, protocol, length, unit = HEADER.unpack(head)
@@ -71,8 +71,8 @@ def _rtu_size(data: bytes) -> int | None:
         return 10
     if function == 23:
         return data[10] + 13 if len(data) > 10 else None
-    return _FIXED[function] + 2 if function in _FIXED else None
+    return _FIXED_PDU_BYTES[function] + 2 if function in _FIXED_PDU_BYTES else None
 
 
-HEADED = Framing(read_headed, rtu=False, closes=True)
+MBAP = Framing(read_mbap, rtu=False, closes=True)
 RTU = Framing(read_rtu, rtu=True, closes=False)

@@ -19,9 +19,9 @@ from sim.plc.modbus.units import ServedProgram
 from sim.plc.program import CycleFaults, InputError, ModbusReply, ModbusRequest
 
 OWN_PAIR = "pty"
-_LARGEST = 4096
+_MAX_READ_BYTES = 4096
 _PAUSE_S = 0.002
-_BITS = 11
+_CHARACTER_BITS = 11
 """Of one character on a Modbus line: start, eight data, parity and stop, or a second stop."""
 
 
@@ -35,7 +35,7 @@ class SerialFace:
         self._plc, self._complain = plc, complain
         self._speed = (options["baud"], options["parity"])
         self._echo = bool(options["serial_echo"])
-        self._silence = 3.5 * _BITS / options["baud"]
+        self._silence = 3.5 * _CHARACTER_BITS / options["baud"]
         self._port: serial.Serial | None = None
         self._pair: tuple[int, int] | None = None
         self._reader = asyncio.StreamReader()
@@ -55,7 +55,7 @@ class SerialFace:
             baud, parity = self._speed
             self._port = serial.Serial(self.path, baud, parity=parity, timeout=0, exclusive=True)
         os.set_blocking(self._handle, False)
-        asyncio.get_running_loop().add_reader(self._handle, self._arrived)
+        asyncio.get_running_loop().add_reader(self._handle, self._receive)
         self._task = asyncio.create_task(self._serve(), name="serial face")
 
     @property
@@ -87,9 +87,9 @@ class SerialFace:
             os.close(handle)
         self._task = self._port = self._pair = None
 
-    def _arrived(self) -> None:
+    def _receive(self) -> None:
         try:
-            data = os.read(self._handle, _LARGEST)
+            data = os.read(self._handle, _MAX_READ_BYTES)
         except BlockingIOError:
             return
         except OSError as error:
@@ -98,7 +98,7 @@ class SerialFace:
             return
         self._reader.feed_data(data)
         if self._echo:
-            self._put(data)
+            self._write(data)
 
     async def _serve(self) -> None:
         while True:
@@ -119,11 +119,11 @@ class SerialFace:
         frame = reply.frame()[: reply.cut]
         piece = reply.piece or max(1, len(frame))
         for start in range(0, len(frame), piece):
-            self._put(frame[start : start + piece])
+            self._write(frame[start : start + piece])
             if reply.piece is not None:
                 await asyncio.sleep(_PAUSE_S)
 
-    def _put(self, data: bytes) -> None:
+    def _write(self, data: bytes) -> None:
         """What nobody takes is lost, as on a line."""
         with contextlib.suppress(BlockingIOError):
             os.write(self._handle, data)

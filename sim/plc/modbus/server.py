@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from sim.plc.modbus.framing import HEADED, RTU, Framing
+from sim.plc.modbus.framing import MBAP, RTU, Framing
 from sim.plc.modbus.units import ServedProgram
 from sim.plc.program import CycleFaults, ModbusReply, ModbusRequest
 
@@ -60,7 +60,7 @@ class ModbusServer:
         complain: Callable[[str], None],
         *,
         name: str = "tcp",
-        framing: Framing = HEADED,
+        framing: Framing = MBAP,
         security: Security | None = None,
     ) -> None:
         self.name, self.host, self.port = name, host, port

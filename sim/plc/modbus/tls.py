@@ -58,7 +58,7 @@ def parse_roles(texts: tuple[str, ...]) -> dict[str, str]:
     return roles
 
 
-_UNREADABLE = (
+_CERTIFICATE_ERRORS = (
     x509.InvalidVersion,
     x509.ExtensionNotFound,
     x509.DuplicateExtension,
@@ -68,13 +68,13 @@ _UNREADABLE = (
 """What the library raises of a certificate that cannot be read; it has no common base of its own."""
 
 
-def role_of(certificate: bytes | None) -> str:
+def certificate_role(certificate: bytes | None) -> str:
     """The role in a certificate (DER); empty where there is none."""
     if certificate is None:
         return ""
     try:
         extension = x509.load_der_x509_certificate(certificate).extensions.get_extension_for_oid(ROLE)
-    except _UNREADABLE:
+    except _CERTIFICATE_ERRORS:
         return ""
     value = extension.value
     data = value.value if isinstance(value, x509.UnrecognizedExtension) else b""
@@ -85,7 +85,7 @@ def role_of(certificate: bytes | None) -> str:
 
 
 def _rights(certificate: bytes | None, roles: Mapping[str, str]) -> tuple[str, Callable[[int], int | None]]:
-    role = role_of(certificate)
+    role = certificate_role(certificate)
     right = roles.get(role, "")
 
     def refuses(function: int) -> int | None:

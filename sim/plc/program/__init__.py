@@ -4,17 +4,17 @@ from sim.plc.program.checks import (
     FileTable,
     InputError,
     checked_arguments,
-    listed,
+    keyword_signature,
+    list_words,
     read_device,
     read_text,
     read_toml,
-    signature_of,
-    validated,
+    validate_entry,
 )
 from sim.plc.program.clock import EmulatorClock
-from sim.plc.program.disturbance import BusDisturbance, NodeDisturbance, disturbed, together
+from sim.plc.program.disturbance import BusDisturbance, NodeDisturbance, disturb_payload, together
 from sim.plc.program.encoding import Unrepresentable, encode, encode_absent, is_bool
-from sim.plc.program.faults import FaultEffect, OrderedFault, describe, merged, parse_fault, shown_at
+from sim.plc.program.faults import FaultEffect, OrderedFault, describe, face_shows, merge_effects, parse_fault
 from sim.plc.program.image import Undefined
 from sim.plc.program.live import LIVE_PLANTS, live_plant
 from sim.plc.program.live import status as plant_status

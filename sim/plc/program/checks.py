@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 from drivers.device_file import DeviceFile, read_device_file
 from drivers.errors import OneLineError
 from drivers.named_files import endless_number, parse_toml, regular
-from drivers.settings import ConfigError, reason_of, sentences
+from drivers.settings import ConfigError, error_reason, sentences
 
 
 class InputError(OneLineError, ValueError):
@@ -58,7 +58,7 @@ def read_device(path: Path) -> DeviceFile:
         raise InputError(error.problems[0]) from None
 
 
-def validated(entry: type[E], data: object, where: str) -> E:
+def validate_entry(entry: type[E], data: object, where: str) -> E:
     """`data` as an `entry`. Raises InputError about the first thing that is wrong, naming `where` and the key."""
     try:
         return entry.model_validate(data)
@@ -66,12 +66,12 @@ def validated(entry: type[E], data: object, where: str) -> E:
         raise InputError(sentences(entry, error, where)[0]) from None
 
 
-def listed(words: Sequence[str]) -> str:
+def list_words(words: Sequence[str]) -> str:
     """The words in a row, as a sentence wants them."""
     return ", ".join(words) if words else "none"
 
 
-def signature_of(function: Callable[..., object]) -> list[str]:
+def keyword_signature(function: Callable[..., object]) -> list[str]:
     """The keyword parameters of a table's function, with their defaults, as documentation prints them."""
     return [p.name if p.default is p.empty else f"{p.name} = {p.default!r}" for p in _keywords(function)]
 
@@ -81,7 +81,7 @@ def checked_arguments(function: Callable[..., object], values: Mapping[str, obje
     known = _keywords(function)
     names = [parameter.name for parameter in known]
     if unknown := [name for name in values if name not in names]:
-        raise InputError(f"{where}: {unknown[0]}: there is no such key; known are {listed(names)}")
+        raise InputError(f"{where}: {unknown[0]}: there is no such key; known are {list_words(names)}")
     if missing := [p.name for p in known if p.default is p.empty and p.name not in values]:
         raise InputError(f"{where}: {missing[0]}: is missing; it must be given")
     hints = get_type_hints(function)
@@ -93,7 +93,7 @@ def checked_arguments(function: Callable[..., object], values: Mapping[str, obje
             arguments[name] = adapter.validate_python(value, strict=True)
         except ValidationError as error:
             details = error.errors()  # one for each member of a union: none of them alone is the reason
-            reason = reason_of(details[0]) if len(details) == 1 else f"fits none of {hint}"
+            reason = error_reason(details[0]) if len(details) == 1 else f"fits none of {hint}"
             raise InputError(f"{where}: {name}: {reason}, got {value!r}") from None
     return arguments
 

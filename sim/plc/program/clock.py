@@ -19,6 +19,6 @@ class EmulatorClock:
     speed: float = 1.0
     monotonic: Monotonic = time.monotonic
 
-    def at(self, moment: float) -> float:
+    def plant_time(self, moment: float) -> float:
         """Plant time (seconds UTC) of a monotonic moment."""
         return self.epoch + (moment - self.start) * self.speed

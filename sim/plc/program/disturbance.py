@@ -28,7 +28,9 @@ class BusDisturbance:
         return not self.messages or message in self.messages
 
 
-def disturbed(disturbances: Iterable[BusDisturbance], data: bytes, last: bytes | None, rng: Random) -> bytes | None:
+def disturb_payload(
+    disturbances: Iterable[BusDisturbance], data: bytes, last: bytes | None, rng: Random
+) -> bytes | None:
     """The payload that goes out in the place of `data`, None where none does; `last` is what went out before."""
     for disturbance in disturbances:
         if disturbance.loss and rng.random() < disturbance.loss:

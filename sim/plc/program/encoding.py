@@ -71,10 +71,10 @@ def encode(tag: Tag, value: Value) -> list[int]:
     that is too long.
     """
     if is_bool(tag):
-        return ordered(struct.pack(">H", bool(value)), tag.order)
+        return order_registers(struct.pack(">H", bool(value)), tag.order)
     if tag.dtype is DType.STRING:
         octets = str(value).encode("latin-1", errors="replace")
-        words = ordered(octets[: tag.length].ljust(2 * words_of_type(tag), b"\0"), _string_order(tag))
+        words = order_registers(octets[: tag.length].ljust(2 * words_of_type(tag), b"\0"), _string_order(tag))
         if len(octets) > tag.length:
             sentence = f"{tag.name} cannot hold {str(value)!r}: {len(octets)} bytes for {tag.length}"
             raise Unrepresentable(sentence, words)
@@ -82,10 +82,10 @@ def encode(tag: Tag, value: Value) -> list[int]:
     if tag.dtype in FLOATS:
         real = (float(value) - tag.offset) / tag.scale
         try:
-            return ordered(struct.pack(_FORMATS[tag.dtype], real), tag.order)
+            return order_registers(struct.pack(_FORMATS[tag.dtype], real), tag.order)
         except OverflowError:
             greatest = struct.unpack(">f", b"\x7f\x7f\xff\xff")[0]
-            nearest = ordered(struct.pack(">f", math.copysign(greatest, real)), tag.order)
+            nearest = order_registers(struct.pack(">f", math.copysign(greatest, real)), tag.order)
             raise Unrepresentable(f"{tag.name} cannot hold {real!r} (float32)", nearest) from None
     number = value if isinstance(value, int) else float(value)
     # By way of a float only where there is something to scale: a 64-bit number has more digits than a float.
@@ -98,7 +98,7 @@ def encode(tag: Tag, value: Value) -> list[int]:
     step = 1 if fitting <= low + len(patterns) else -1
     while _pack(tag, fitting) in patterns:
         fitting += step
-    words = ordered(_pack(tag, fitting), tag.order)
+    words = order_registers(_pack(tag, fitting), tag.order)
     if fitting != raw:
         raise Unrepresentable(f"{tag.name} cannot hold {number!r} {tag.unit}".rstrip() + f" ({tag.dtype})", words)
     return words
@@ -107,9 +107,9 @@ def encode(tag: Tag, value: Value) -> list[int]:
 def encode_absent(tag: Tag) -> list[int]:
     """The words that say "not available": the sentinel, else NaN for a float, else 0 (a PLC's memory at rest)."""
     if tag.sentinel is not None:
-        return ordered(_sentinel_bytes(tag, tag.sentinel), tag.order)
+        return order_registers(_sentinel_bytes(tag, tag.sentinel), tag.order)
     if tag.dtype in FLOATS:
-        return ordered(struct.pack(_FORMATS[tag.dtype], math.nan), tag.order)
+        return order_registers(struct.pack(_FORMATS[tag.dtype], math.nan), tag.order)
     return [0] * words_of_type(tag)
 
 
@@ -133,9 +133,9 @@ def decode(tag: Tag, words: Sequence[int]) -> Value | None:
     if any(octets == _sentinel_bytes(tag, sentinel) for sentinel in tag.sentinels):
         return None
     if tag.dtype in _BCD_DIGITS:
-        return _scaled(tag, int(octets.hex())) if octets.hex().isdecimal() else None
+        return _scale_value(tag, int(octets.hex())) if octets.hex().isdecimal() else None
     (raw,) = struct.unpack(_FORMATS[tag.dtype], octets)
-    return _scaled(tag, raw) if math.isfinite(raw) else None
+    return _scale_value(tag, raw) if math.isfinite(raw) else None
 
 
 def resolution(tag: Tag) -> tuple[float, float]:
@@ -147,14 +147,14 @@ def resolution(tag: Tag) -> tuple[float, float]:
     return 0.5 * (1 + 1e-9) * abs(tag.scale), 1e-12
 
 
-def ordered(octets: bytes, order: Order) -> list[int]:
+def order_registers(octets: bytes, order: Order) -> list[int]:
     """Big-endian bytes as register words in the given byte and word order."""
     letter = "<" if order in (Order.BADC, Order.DCBA) else ">"
     words = list(struct.unpack(f"{letter}{len(octets) // 2}H", octets))
     return words[::-1] if order in (Order.CDAB, Order.DCBA) else words
 
 
-def _scaled(tag: Tag, raw: float) -> Value:
+def _scale_value(tag: Tag, raw: float) -> Value:
     return raw if tag.scale == 1 and tag.offset == 0 else raw * tag.scale + tag.offset
 
 

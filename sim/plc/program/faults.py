@@ -13,7 +13,14 @@ from typing import TypeVar
 
 from pydantic import ConfigDict, Field
 
-from sim.plc.program.checks import FileTable, InputError, checked_arguments, listed, signature_of, validated
+from sim.plc.program.checks import (
+    FileTable,
+    InputError,
+    checked_arguments,
+    keyword_signature,
+    list_words,
+    validate_entry,
+)
 from sim.plc.program.disturbance import BusDisturbance, NodeDisturbance
 from sim.plc.program.pdu import ModbusReply, ModbusRequest, exception
 from sim.plc.program.registers import parse_address
@@ -58,7 +65,7 @@ class FaultEffect:
 
 FAULTS: dict[str, Callable[..., FaultEffect]] = {}
 """Every fault by its name."""
-ONLY_AT: dict[str, tuple[str, ...]] = {}
+FAULT_FACES: dict[str, tuple[str, ...]] = {}
 """The faults that only some faces can show, with those faces; all others strike any face."""
 
 
@@ -71,15 +78,15 @@ def fault(*, name: str = "", only_at: tuple[str, ...] = ()) -> Callable[[Make], 
     def enter(function: Make) -> Make:
         FAULTS[name or function.__name__] = function
         if only_at:
-            ONLY_AT[name or function.__name__] = only_at
+            FAULT_FACES[name or function.__name__] = only_at
         return function
 
     return enter
 
 
-def shown_at(kind: str, face: str) -> bool:
+def face_shows(kind: str, face: str) -> bool:
     """True if the face can show this fault."""
-    return face in ONLY_AT.get(kind, (face,))
+    return face in FAULT_FACES.get(kind, (face,))
 
 
 @fault()
@@ -328,7 +335,7 @@ def node_reset(_: float) -> FaultEffect:
 def describe() -> str:
     """Every fault with its parameters and what it does, as the documentation prints them (Markdown)."""
     rows = [
-        f"| `{name}` | {listed(signature_of(function))} | {(function.__doc__ or '').splitlines()[0]} |"
+        f"| `{name}` | {list_words(keyword_signature(function))} | {(function.__doc__ or '').splitlines()[0]} |"
         for name, function in FAULTS.items()
     ]
     return "\n".join(("| fault | parameters | what the PLC does |", "|---|---|---|", *rows))
@@ -336,7 +343,7 @@ def describe() -> str:
 
 class _FaultEntry(FileTable):
     model_config = ConfigDict(extra="allow", frozen=True, allow_inf_nan=False)
-    kind: str = Field(strict=True, description=f"one of {listed(tuple(FAULTS))}")
+    kind: str = Field(strict=True, description=f"one of {list_words(tuple(FAULTS))}")
     start: float = Field(0.0, strict=True, ge=0, description="seconds since the replay's start")
     duration: float | None = Field(None, strict=True, gt=0, description="seconds, more than 0")
     count: int | None = Field(None, strict=True, ge=1, description="how many requests it strikes, 1 or more")
@@ -361,10 +368,10 @@ class OrderedFault:
 
 def parse_fault(data: object, where: str) -> OrderedFault:
     """A fault from a table of TOML or JSON. Raises InputError naming the key, the reason and what would be right."""
-    entry = validated(_FaultEntry, data, where)
+    entry = validate_entry(_FaultEntry, data, where)
     function = FAULTS.get(entry.kind)
     if function is None:
-        raise InputError(f"{where}: kind: there is no fault {entry.kind!r}; known are {listed(tuple(FAULTS))}")
+        raise InputError(f"{where}: kind: there is no fault {entry.kind!r}; known are {list_words(tuple(FAULTS))}")
     parameters = checked_arguments(function, entry.model_extra or {}, f"{where} ({entry.kind})")
     effect = partial(function, **parameters)
     picky = entry.count is not None or entry.probability < 1 or entry.functions
@@ -386,7 +393,7 @@ def parse_fault(data: object, where: str) -> OrderedFault:
     )
 
 
-def merged(effects: Iterable[FaultEffect]) -> FaultEffect:
+def merge_effects(effects: Iterable[FaultEffect]) -> FaultEffect:
     """The effects of several faults as one; of several exception codes the first wins."""
     whole = FaultEffect()
     for effect in effects:

@@ -72,7 +72,7 @@ class ProcessImage:
                 (self._swapped.add if turned else self._swapped.discard)(name)
 
     @property
-    def served(self) -> Mapping[str, Value | None]:
+    def client_values(self) -> Mapping[str, Value | None]:
         """What a client reads of each tag at present; of a tag that is not in it, zeros."""
         return self._served
 
@@ -117,11 +117,11 @@ class ProcessImage:
         self._tables[table].update(zip(range(address, address + len(values)), values, strict=True))
         # Whatever tag has a register among them says something else now.
         names = {name for at in range(address, address + len(values)) for name in self._owners.get((table, at), ())}
-        changed = {name: self._decoded(name) for name in sorted(names)}
+        changed = {name: self._decode(name) for name in sorted(names)}
         self._served |= changed
         return self.learn(changed)
 
-    def _decoded(self, name: str) -> Value | None:
+    def _decode(self, name: str) -> Value | None:
         place = self.registers.places[name]
         return decode(self.registers.tags[name], self.read(place.table, place.address, place.words))
 

@@ -17,11 +17,11 @@ ILLEGAL_ADDRESS = 2
 ILLEGAL_VALUE = 3
 TARGET_SILENT = 11
 
-_MOST_BITS_READ = 2000
-_MOST_WORDS_READ = 125
-_MOST_BITS_WRITTEN = 1968
-_MOST_WORDS_WRITTEN = 123
-_MOST_WORDS_EXCHANGED = 121
+_MAX_BITS_READ = 2000
+_MAX_WORDS_READ = 125
+_MAX_WRITE_BITS = 1968
+_MAX_WRITE_WORDS = 123
+_MAX_EXCHANGE_WORDS = 121
 _IDENTITY = {0: b"decanter", 1: b"software PLC", 2: b"1"}
 
 
@@ -156,7 +156,7 @@ def _two_words(body: bytes) -> tuple[int, int]:
     return first, second
 
 
-def _read(memory: Memory, table: str, address: int, count: int, most: int) -> list[int]:
+def _read_table(memory: Memory, table: str, address: int, count: int, most: int) -> list[int]:
     if not 1 <= count <= most:
         raise ModbusRefusal(ILLEGAL_VALUE)
     if address + count > 0x10000:
@@ -167,7 +167,7 @@ def _read(memory: Memory, table: str, address: int, count: int, most: int) -> li
 def _read_bits(table: str) -> "Function":
     def act(body: bytes, memory: Memory) -> bytes:
         address, count = _two_words(body)
-        bits = _read(memory, table, address, count, _MOST_BITS_READ)
+        bits = _read_table(memory, table, address, count, _MAX_BITS_READ)
         packed = sum(bit << index for index, bit in enumerate(bits)).to_bytes((count + 7) // 8, "little")
         return bytes((len(packed),)) + packed
 
@@ -177,7 +177,7 @@ def _read_bits(table: str) -> "Function":
 def _read_words(table: str) -> "Function":
     def act(body: bytes, memory: Memory) -> bytes:
         address, count = _two_words(body)
-        words = _read(memory, table, address, count, min(_MOST_WORDS_READ, memory.max_registers))
+        words = _read_table(memory, table, address, count, min(_MAX_WORDS_READ, memory.max_registers))
         return struct.pack(f">B{count}H", 2 * count, *words)
 
     return act
@@ -201,7 +201,7 @@ def _write_coils(body: bytes, memory: Memory) -> bytes:
     if len(body) < 5:
         raise ModbusRefusal(ILLEGAL_VALUE)
     address, count, size = struct.unpack_from(">HHB", body)
-    if not 1 <= count <= _MOST_BITS_WRITTEN or size != (count + 7) // 8 or len(body) != 5 + size:
+    if not 1 <= count <= _MAX_WRITE_BITS or size != (count + 7) // 8 or len(body) != 5 + size:
         raise ModbusRefusal(ILLEGAL_VALUE)
     packed = int.from_bytes(body[5:], "little")
     memory.write("coil", address, [packed >> index & 1 for index in range(count)])
@@ -218,7 +218,7 @@ def _words_to_write(body: bytes, most: int) -> tuple[int, list[int]]:
 
 
 def _write_words(body: bytes, memory: Memory) -> bytes:
-    address, words = _words_to_write(body, min(_MOST_WORDS_WRITTEN, memory.max_registers))
+    address, words = _words_to_write(body, min(_MAX_WRITE_WORDS, memory.max_registers))
     memory.write("holding", address, words)
     return body[:4]
 
@@ -236,10 +236,10 @@ def _exchange_words(body: bytes, memory: Memory) -> bytes:
     if len(body) < 9:
         raise ModbusRefusal(ILLEGAL_VALUE)
     read_at, count = struct.unpack_from(">HH", body)
-    if not 1 <= count <= min(_MOST_WORDS_READ, memory.max_registers):
+    if not 1 <= count <= min(_MAX_WORDS_READ, memory.max_registers):
         raise ModbusRefusal(ILLEGAL_VALUE)
     memory.read("holding", read_at, count)  # refused as a whole before anything is written
-    address, words = _words_to_write(body[4:], min(_MOST_WORDS_EXCHANGED, memory.max_registers))
+    address, words = _words_to_write(body[4:], min(_MAX_EXCHANGE_WORDS, memory.max_registers))
     memory.write("holding", address, words)
     return struct.pack(f">B{count}H", 2 * count, *memory.read("holding", read_at, count))
 

@@ -12,10 +12,10 @@ from typing import Protocol
 from drivers.tag import Value
 from sim.plc.program import pdu as modbus
 from sim.plc.program import writeback
-from sim.plc.program.checks import InputError, listed
+from sim.plc.program.checks import InputError, list_words
 from sim.plc.program.clock import EmulatorClock
 from sim.plc.program.encoding import Unrepresentable, encode, is_bool, resolution, value_at_rest
-from sim.plc.program.faults import ALL_TAGS, FaultEffect, OrderedFault, merged, refusal
+from sim.plc.program.faults import ALL_TAGS, FaultEffect, OrderedFault, merge_effects, refusal
 from sim.plc.program.image import ProcessImage, Undefined
 from sim.plc.program.live import LivePlant
 from sim.plc.program.pdu import ModbusRefusal, ModbusReply, ModbusRequest
@@ -78,7 +78,9 @@ class Plc:
         self.schedule = FaultSchedule(settings.seed)
         # Without a block there is still an account of none.
         self.layouts: tuple[BlockLayout | None, ...] = registers.blocks or (None,)
-        self.intakes = [writeback.begun(layout, settings.challenge, permit=settings.permit) for layout in self.layouts]
+        self.intakes = [
+            writeback.begin_intake(layout, settings.challenge, permit=settings.permit) for layout in self.layouts
+        ]
         self.permit = settings.permit
         self.acknowledged = {layout.suffix if layout else "": 0 for layout in self.layouts}
         self.forced: dict[str, Value | None] = {}
@@ -123,7 +125,7 @@ class Plc:
     def start(self, now: float) -> None:
         """Let the replay run; the first time, the schedule of faults runs from here."""
         if self.replay is not None:
-            self.replay = self.replay.changed(now, held=False)
+            self.replay = self.replay.change(now, held=False)
         for fault in () if self.started else self._faults:
             self.schedule.add(fault, now)
         self.started = True
@@ -136,7 +138,7 @@ class Plc:
             self.event("fault began", now, {"number": entry.number, "kind": entry.fault.kind})
         for entry in over:
             self.event("fault ended", now, {"number": entry.number, "kind": entry.fault.kind, "hits": entry.hits})
-        effect = self.schedule.standing(now)
+        effect = self.schedule.standing_effect(now)
         if effect.run != self.running:
             self._switch(effect.run, now)
         if self.running:
@@ -161,7 +163,7 @@ class Plc:
                 plant.feed = self.settings.reduced_feed
                 minutes = intake.block["minutes_median"]
                 self.event(
-                    "feed reduced", now, {"feed": plant.feed, "minutes_median": minutes, **writeback.named(layout)}
+                    "feed reduced", now, {"feed": plant.feed, "minutes_median": minutes, **writeback.block_name(layout)}
                 )
         if plant.trips > self._trips:
             self._trips = plant.trips
@@ -173,7 +175,7 @@ class Plc:
         # The counter of sessions survives, as retained memory does in a warm start.
         self.heartbeat = 0
         self.intakes = [
-            writeback.ended(Intake(intake.challenge, intake.number, intake.count, permitted=self.permit))
+            writeback.end_session(Intake(intake.challenge, intake.number, intake.count, permitted=self.permit))
             for intake in self.intakes
         ]
         self.event("program runs" if run else "program stopped", now)
@@ -186,7 +188,7 @@ class Plc:
     def _follow(self, now: float) -> None:
         """Let the sessions of the write-back end where their timer or the permit has ended them."""
         self.intakes = [
-            intake if layout is None else writeback.followed(layout, intake, now, permit=self.permit)
+            intake if layout is None else writeback.follow_time(layout, intake, now, permit=self.permit)
             for layout, intake in zip(self.layouts, self.intakes, strict=True)
         ]
 
@@ -205,7 +207,7 @@ class Plc:
             usable = layout is not None and not why
             if usable != self.usables[place]:
                 self.usables[place] = usable
-                detail = {**({"reason": why} if why else {}), **writeback.named(layout)}
+                detail = {**({"reason": why} if why else {}), **writeback.block_name(layout)}
                 self.event("prediction usable" if usable else "prediction not usable", now, detail)
         if self.registers.heartbeat is not None:
             own[self.registers.heartbeat] = self.heartbeat
@@ -237,16 +239,16 @@ class Plc:
             code = modbus.exception(request.function, modbus.TARGET_SILENT)
             answered = self.settings.answer_unknown_unit
             reply = ModbusReply(request.transaction, request.unit, code, sent=answered, rtu=request.rtu)
-            return self._noted(request, reply, (), now)
+            return self._note_reply(request, reply, (), now)
         struck = list(self.schedule.strike(request.function, now, request.face))
-        effect = merged(effect for _, effect in struck)
+        effect = merge_effects(effect for _, effect in struck)
         pdu = self._answer(request, effect, now)
         reply = ModbusReply(request.transaction, request.unit, pdu, rtu=request.rtu)
         for entry, own in struck:
             # Each fault bends what the one before it has left.
             for alter in (own.answer, own.alter):
                 reply = reply if alter is None else alter(request, reply, entry.rng)
-        return self._noted(request, reply, tuple(entry.fault.kind for entry, _ in struck), now)
+        return self._note_reply(request, reply, tuple(entry.fault.kind for entry, _ in struck), now)
 
     def _answer(self, request: ModbusRequest, effect: FaultEffect, now: float) -> bytes:
         if request.refused is not None:
@@ -254,7 +256,7 @@ class Plc:
         refused = refusal(effect, request, modbus.reads(request.pdu))
         return refused or modbus.answer(request.pdu, _Access(self, request.peer, effect.store, now))
 
-    def _noted(
+    def _note_reply(
         self, request: ModbusRequest, reply: ModbusReply, faults: Sequence[str], now: float
     ) -> ModbusReply | None:
         address, count = modbus.span(request.pdu)
@@ -294,10 +296,10 @@ class Plc:
         for layout in touched:
             intake = self.intakes[layout.number]
             reason = writeback.verdict(layout, intake, address, values)
-            taken = self.intakes[layout.number] = writeback.taken(layout, intake, address, values, now)
-            fields = None if reason == writeback.LENGTH else writeback.decoded(layout, values)
+            taken = self.intakes[layout.number] = writeback.take_write(layout, intake, address, values, now)
+            fields = None if reason == writeback.LENGTH else writeback.decode_block(layout, values)
             written = {"peer": peer, "address": address, "words": list(values), "fields": fields}
-            written |= writeback.named(layout)
+            written |= writeback.block_name(layout)
             self.record("block", now, {**written, "verdict": reason, "accepted": taken.accepted > intake.accepted})
 
     # ---------------------------------------------------------------- what others ask
@@ -342,7 +344,7 @@ class Plc:
 
     def _check_tags(self, names: Iterable[str]) -> None:
         if unknown := [name for name in names if name not in self.registers.tags]:
-            raise InputError(f"there is no tag {unknown[0]!r}; known are {listed(tuple(self.registers.tags))}")
+            raise InputError(f"there is no tag {unknown[0]!r}; known are {list_words(tuple(self.registers.tags))}")
 
     def event(self, what: str, now: float, detail: Mapping[str, object] = MappingProxyType({})) -> None:
         """Record anything else."""

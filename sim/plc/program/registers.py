@@ -9,16 +9,16 @@ from pydantic import ConfigDict, Field
 
 from drivers.device_file import BlockField
 from drivers.tag import DType, Tag
-from sim.plc.program.checks import FileTable, InputError, read_device, validated
+from sim.plc.program.checks import FileTable, InputError, read_device, validate_entry
 from sim.plc.program.encoding import sentinel_fits, words_of_type
 
 WORD_TABLES = ("holding", "input")
 BIT_TABLES = ("coil", "discrete")
-MOST_WORDS = 123
+MAX_WORDS = 123
 """Registers that function 16 writes at most (MODBUS Application Protocol V1.1b3, 6.12)."""
 
 _ADDRESS = "'holding:N', 'input:N', 'coil:N' or 'discrete:N' with N in 0..65535"
-_LONGEST_STRING = 250
+_MAX_STRING_BYTES = 250
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,11 +92,11 @@ def read_map(path: Path) -> RegisterMap:
     """The register map in `path`. Raises InputError with file, tag and key, reason and remedy."""
     content = read_device(path)
     device = content.device
-    served = validated(_ServedDevice, device.model_extra or {}, f"{path}: [device]")
+    served = validate_entry(_ServedDevice, device.model_extra or {}, f"{path}: [device]")
     tags = {row.name: row.tag() for row in content.tags}
     for number, tag in enumerate(tags.values(), start=1):
         _check_tag(tag, f"{path}: tag {number} ({tag.name})")
-    places = {name: place_of(tag, str(path)) for name, tag in tags.items()}
+    places = {name: tag_place(tag, str(path)) for name, tag in tags.items()}
     blocks: list[BlockLayout] = []
     if (first := content.writeback) is not None:
         count, fields = len(first.fields), tuple(row.field() for row in first.fields)
@@ -109,9 +109,9 @@ def read_map(path: Path) -> RegisterMap:
             table, address = parse_address(text, f"{where}: address")
             if table != "holding":
                 raise InputError(f"{where}: address: a {table} cannot be written by function 16; give 'holding:N'")
-            if count > MOST_WORDS:
+            if count > MAX_WORDS:
                 raise InputError(
-                    f"{where}: fields: there are {count}, and function 16 writes {MOST_WORDS}; leave some out"
+                    f"{where}: fields: there are {count}, and function 16 writes {MAX_WORDS}; leave some out"
                 )
             if address + count > 0x10000:
                 raise InputError(f"{where}: address: {count} registers from {address} run beyond 65535")
@@ -170,7 +170,7 @@ def parse_address(text: str, where: str) -> tuple[str, int]:
     return table, int(number)
 
 
-def place_of(tag: Tag, where: str) -> Place:
+def tag_place(tag: Tag, where: str) -> Place:
     """The registers that a tag covers. Raises InputError if the type cannot lie there."""
     table, address = parse_address(tag.address, f"{where}: tag {tag.name!r}: address")
     place = Place(table, address, 1 if table in BIT_TABLES else words_of_type(tag))
@@ -186,7 +186,7 @@ def _check_tag(tag: Tag, where: str) -> None:
         ("bit", tag.bit is not None and table in BIT_TABLES, f"a {table} is a bit already; leave it out"),
         ("dtype", table in BIT_TABLES and tag.dtype is not DType.BOOL, f"a {table} holds a bool; set dtype = 'bool'"),
         ("length", tag.dtype is DType.STRING and tag.length == 0, "a string needs one; give its bytes, 1..250"),
-        ("length", tag.length > _LONGEST_STRING, f"a string has {_LONGEST_STRING} bytes at most; give fewer"),
+        ("length", tag.length > _MAX_STRING_BYTES, f"a string has {_MAX_STRING_BYTES} bytes at most; give fewer"),
         ("length", tag.dtype is not DType.STRING and tag.length > 0, "only a string has one; leave it out"),
         ("sentinel", not sentinel_fits(tag), f"{tag.sentinel} is no {tag.dtype}; give a raw number that is"),
         ("scale_from", bool(tag.scale_from), "the emulated PLC keeps no factors; give the scale itself"),

@@ -16,7 +16,7 @@ from pathlib import Path
 from statistics import median
 
 from drivers.csv_rows import CsvRowError, numbered_rows
-from sim.plc.program.checks import InputError, listed, read_text
+from sim.plc.program.checks import InputError, list_words, read_text
 
 _WORDS = {"": math.nan, "nan": math.nan, "true": 1.0, "false": 0.0}
 
@@ -50,7 +50,7 @@ class TraceReplay:
     held: bool = False
     loop: bool = False
 
-    def at(self, now: float) -> float:
+    def row_position(self, now: float) -> float:
         """The position (s from the first row) at a monotonic moment; stays at the end unless it loops."""
         position = self.position if self.held else self.position + (now - self.since) * self.rate
         if self.loop:
@@ -59,7 +59,7 @@ class TraceReplay:
 
     def row(self, now: float) -> int:
         """The last row at or before the position."""
-        return bisect_right(self.table.times, self.table.times[0] + self.at(now)) - 1
+        return bisect_right(self.table.times, self.table.times[0] + self.row_position(now)) - 1
 
     def values(self, now: float) -> dict[str, float | None]:
         """Every signal's value at a monotonic moment, None before its first reading."""
@@ -68,24 +68,24 @@ class TraceReplay:
             name: None if column[row] != column[row] else column[row] for name, column in self.table.columns.items()
         }
 
-    def ended(self, now: float) -> bool:
+    def at_end(self, now: float) -> bool:
         """True when the last row has been reached for good."""
-        return not self.loop and self.at(now) >= self.table.duration
+        return not self.loop and self.row_position(now) >= self.table.duration
 
-    def changed(
+    def change(
         self, now: float, *, rate: float | None = None, held: bool | None = None, loop: bool | None = None
     ) -> "TraceReplay":
         """The same position from `now` on, with another rate, held or released, looping or not."""
         return replace(
             self,
             since=now,
-            position=self.at(now),
+            position=self.row_position(now),
             rate=self.rate if rate is None else rate,
             held=self.held if held is None else held,
             loop=self.loop if loop is None else loop,
         )
 
-    def sought(self, now: float, position: float) -> "TraceReplay":
+    def seek(self, now: float, position: float) -> "TraceReplay":
         """At another position. Raises InputError outside the trace."""
         if not 0 <= position <= self.table.duration:
             raise InputError(f"position {position} is outside the trace; give 0 to {self.table.duration:g} seconds")
@@ -104,7 +104,7 @@ def read_trace(path: Path) -> TraceTable:
     if names[0] != "time":
         raise InputError(f"{where}: the first column is {names[0]!r}; it must be 'time', in seconds")
     if twice := sorted({name for name in names if names.count(name) > 1}):
-        raise InputError(f"{where}: column {listed(twice)} occurs twice; give each signal its own name")
+        raise InputError(f"{where}: column {list_words(twice)} occurs twice; give each signal its own name")
     if not all(names):
         raise InputError(f"{where}: column {names.index('') + 1} has no name; name it or remove it")
     times = array("d")

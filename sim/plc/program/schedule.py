@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from random import Random
 
 from sim.plc.program.checks import InputError
-from sim.plc.program.faults import FaultEffect, OrderedFault, merged
+from sim.plc.program.faults import FaultEffect, OrderedFault, merge_effects
 
 
 @dataclass(slots=True)
@@ -22,12 +22,12 @@ class Scheduled:
 
     def in_force(self, now: float) -> bool:
         """True between its beginning and its end."""
-        if self.ended or now < self.begins or self.spent:
+        if self.ended or now < self.begins or self.is_spent:
             return False
         return self.fault.duration is None or now < self.begins + self.fault.duration
 
     @property
-    def spent(self) -> bool:
+    def is_spent(self) -> bool:
         """True when it has struck as many requests as it was to."""
         return self.fault.count is not None and self.hits >= self.fault.count
 
@@ -40,13 +40,13 @@ class Scheduled:
 class CycleFaults:
     """What a cycle asks of the faces: the faults in force, and those that have just begun.
 
-    Each effect stands beside the face that it strikes, "" for all of them; `at` narrows the line to one face.
+    Each effect stands beside the face that it strikes, "" for all of them; `face_faults` narrows the line to one face.
     """
 
     standing: tuple[tuple[str, FaultEffect], ...] = ()
     begun: tuple[tuple[str, FaultEffect], ...] = ()
 
-    def at(self, face: str) -> "CycleFaults":
+    def face_faults(self, face: str) -> "CycleFaults":
         """The line as one face has to obey it."""
         standing = tuple(pair for pair in self.standing if pair[0] in ("", face))
         return CycleFaults(standing, tuple(pair for pair in self.begun if pair[0] in ("", face)))
@@ -97,13 +97,13 @@ class FaultSchedule:
         for entry in begun:
             entry.began = True
         # Among all of them: one that has just begun may be over at once.
-        over = [entry for entry in self.entries if self._is_over(entry, now)]
+        over = [entry for entry in self.entries if self._is_past(entry, now)]
         self.entries = [entry for entry in self.entries if entry not in over]
         return begun, [entry for entry in over if entry.began]
 
-    def standing(self, now: float) -> FaultEffect:
+    def standing_effect(self, now: float) -> FaultEffect:
         """The merged effect of all faults in force on the PLC as a whole."""
-        return merged(entry.effect(now) for entry in self.entries if entry.in_force(now))
+        return merge_effects(entry.effect(now) for entry in self.entries if entry.in_force(now))
 
     def line(self, begun: Iterable[Scheduled], now: float) -> CycleFaults:
         """What the faces have to do in the cycle in which the faults `begun` have begun."""
@@ -122,8 +122,8 @@ class FaultSchedule:
                 yield entry, effect
 
     @staticmethod
-    def _is_over(entry: Scheduled, now: float) -> bool:
-        if entry.ended or entry.spent:
+    def _is_past(entry: Scheduled, now: float) -> bool:
+        if entry.ended or entry.is_spent:
             return True
         if now < entry.begins:
             return False

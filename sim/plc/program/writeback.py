@@ -12,7 +12,7 @@ from types import MappingProxyType
 from drivers.tag import Value
 from sim.plc.program.registers import BlockLayout, RegisterMap
 
-ACCEPTED = "none"
+ACCEPTED_REASON = "none"
 LAYOUT = "layout version"
 TORN = "sequence and its copy differ"
 CHECKSUM = "CRC"
@@ -23,7 +23,7 @@ WRITER = "another writer"
 SEQUENCE = "sequence not 1 to 100 ahead"
 NO_PERMIT = "no permit"
 REFUSALS = {
-    ACCEPTED: 0,
+    ACCEPTED_REASON: 0,
     LAYOUT: 1,
     TORN: 2,
     CHECKSUM: 3,
@@ -50,7 +50,7 @@ _ALL_USABLE = 1  # bit 0 of the validity word
 _PARTS = {2: "its inputs are not good", 4: "it does not know the location", 8: "no fresh forecast", 16: "no model"}
 """What lacks where another bit of the validity word is not set."""
 _PREDICTED_OVER_LIMIT = 2  # bit 1 of the alarm word
-_MOST_AHEAD = 100  # so many blocks may be lost within a session
+_MAX_SEQUENCE_STEP = 100  # so many blocks may be lost within a session
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +79,7 @@ class Intake:
 
     accepted: int = 0
     refused: int = 0
-    last_refusal: str = ACCEPTED
+    last_refusal: str = ACCEPTED_REASON
     accepted_at: float | None = None
     block: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
 
@@ -94,7 +94,7 @@ def crc16(words: Sequence[int]) -> int:
     return register
 
 
-def decoded(layout: BlockLayout, words: Sequence[int]) -> dict[str, float]:
+def decode_block(layout: BlockLayout, words: Sequence[int]) -> dict[str, float]:
     """The block's fields in engineering units."""
     return {
         field.name: (word - 0x10000 if field.signed and word & 0x8000 else word) * field.scale
@@ -102,7 +102,7 @@ def decoded(layout: BlockLayout, words: Sequence[int]) -> dict[str, float]:
     }
 
 
-def begun(layout: BlockLayout | None, counter: int, *, permit: bool) -> Intake:
+def begin_intake(layout: BlockLayout | None, counter: int, *, permit: bool) -> Intake:
     """The state at the start of the program, whose retained counter of challenges stands at `counter` (1..65535)."""
     number, count = (0, 1) if layout is None else (layout.number, layout.count)
     return Intake(_challenge(counter - 1, number, count), number, count, permitted=permit)
@@ -116,17 +116,17 @@ def _challenge(turn: int, number: int, count: int) -> int:
     return turn % (0xFFFF // count) * count + number + 1
 
 
-def ended(intake: Intake) -> Intake:
+def end_session(intake: Intake) -> Intake:
     """The state after the end of a session: the next challenge, so that nothing made before counts any more."""
     turn = (intake.challenge - 1) // intake.count + 1
     return replace(intake, session=None, challenge=_challenge(turn, intake.number, intake.count))
 
 
-def followed(layout: BlockLayout, intake: Intake, now: float, *, permit: bool) -> Intake:
+def follow_time(layout: BlockLayout, intake: Intake, now: float, *, permit: bool) -> Intake:
     """The state at the monotonic moment `now`: a session ends with its timer and with the permit."""
     late = intake.session is not None and intake.accepted_at is not None and _late(layout, intake.accepted_at, now)
     if late or permit != intake.permitted:
-        return ended(replace(intake, permitted=permit))
+        return end_session(replace(intake, permitted=permit))
     return intake
 
 
@@ -135,7 +135,7 @@ def _late(layout: BlockLayout, accepted_at: float, now: float) -> bool:
 
 
 def verdict(layout: BlockLayout, intake: Intake, address: int, words: Sequence[int]) -> str:
-    """What is wrong with a write into the block's area, or ACCEPTED."""
+    """What is wrong with a write into the block's area, or ACCEPTED_REASON."""
     # What is checked first is what the later checks rely on: the fields' places, then their meaning, then the values.
     if address != layout.place.address or len(words) != layout.place.words:
         return LENGTH
@@ -153,24 +153,24 @@ def verdict(layout: BlockLayout, intake: Intake, address: int, words: Sequence[i
     session = intake.session
     if raw["writer"] == 0 or (session is not None and raw["writer"] != session.writer):
         return WRITER
-    if session is not None and not 1 <= (raw["sequence"] - session.sequence) & 0xFFFF <= _MOST_AHEAD:
+    if session is not None and not 1 <= (raw["sequence"] - session.sequence) & 0xFFFF <= _MAX_SEQUENCE_STEP:
         return SEQUENCE
     if session is not None and raw["heartbeat"] == intake.block["heartbeat"]:
         return STILL
-    return ACCEPTED
+    return ACCEPTED_REASON
 
 
-def taken(layout: BlockLayout, intake: Intake, address: int, words: Sequence[int], now: float) -> Intake:
-    """The state after a write of `words` into the block's area at the monotonic moment `now` (see `followed`)."""
+def take_write(layout: BlockLayout, intake: Intake, address: int, words: Sequence[int], now: float) -> Intake:
+    """The state after a write of `words` into the block's area at the monotonic moment `now` (see `follow_time`)."""
     reason = verdict(layout, intake, address, words)
-    if reason != ACCEPTED:
+    if reason != ACCEPTED_REASON:
         other = words[layout.index("writer")] if reason == WRITER else intake.refused_writer
         return replace(intake, refused=intake.refused + 1, last_refusal=reason, refused_writer=other)
-    block = MappingProxyType(decoded(layout, words))
+    block = MappingProxyType(decode_block(layout, words))
     session = WriterSession(words[layout.index("writer")], words[layout.index("sequence")])
     after = replace(intake, accepted=intake.accepted + 1, accepted_at=now, block=block, session=session)
     # A block of validity 0 takes everything back: its session is over.
-    return after if words[layout.index("validity")] else ended(after)
+    return after if words[layout.index("validity")] else end_session(after)
 
 
 def unusable(layout: BlockLayout, intake: Intake, now: float, permit: bool) -> str:
@@ -197,7 +197,7 @@ def usable(layout: BlockLayout, intake: Intake, now: float, permit: bool) -> boo
     return not unusable(layout, intake, now, permit)
 
 
-def named(layout: BlockLayout | None) -> dict[str, str]:
+def block_name(layout: BlockLayout | None) -> dict[str, str]:
     """Which block an event is of; one of the first says nothing of it."""
     return {"block": layout.suffix} if layout is not None and layout.suffix else {}
 

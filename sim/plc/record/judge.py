@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from drivers.tag import Sample, Value
 from sim.plc.record.recording import PlcRecording, TruthRow
 
-_LISTED = 5
+_MAX_LISTED = 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,7 +24,7 @@ class _History:
     times: Sequence[float]
     values: Sequence[Value | None]
 
-    def during(self, start: float, end: float) -> tuple[Value | None, ...]:
+    def interval_values(self, start: float, end: float) -> tuple[Value | None, ...]:
         """The values in force at any moment of [start, end]; empty before the first is known."""
         first = max(0, bisect_right(self.times, start) - 1)
         return tuple(self.values[first : bisect_right(self.times, end)])
@@ -52,10 +52,10 @@ def wrong_good(recording: PlcRecording, samples: Iterable[Sample], tolerance_s: 
             continue
         # The device looked at its memory at some moment between request and reply: any value of that time is right.
         start = (sample.time if sample.sent is None else sample.sent) - tolerance_s
-        truths = history.during(start, sample.time)
+        truths = history.interval_values(start, sample.time)
         rounding = roundings.get(sample.tag, (0.0, 0.0))
         if not any(_same(sample.value, truth, rounding) for truth in truths):
-            shown = ", ".join(map(repr, truths[-_LISTED:])) or "nothing yet"
+            shown = ", ".join(map(repr, truths[-_MAX_LISTED:])) or "nothing yet"
             wrong.append(WrongGood(sample, truths, f"{sample.tag} was said to be {sample.value!r} and was {shown}"))
     return wrong
 

@@ -134,7 +134,7 @@ def read_recording(path: Path) -> PlcRecording:
                 raise InputError(f"{path}: line 1: is no start of a run; give a file that the software PLC recorded")
             counts["missing"] += row["n"] - expected
             expected = row["n"] + 1
-            time = runs[-1].clock.at(row["t"])
+            time = runs[-1].clock.plant_time(row["t"])
             if kind == "truth":
                 truth += [TruthRow(row["t"], time, row["version"], tag, value) for tag, value in row["values"].items()]
             elif kind == "request":

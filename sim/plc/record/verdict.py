@@ -20,7 +20,7 @@ from sim.plc.program import InputError, read_text
 from sim.plc.record.judge import wrong_good
 from sim.plc.record.recording import PlcRecording, read_recording
 
-SHOWN = 5
+MAX_LISTED = 5
 
 
 def read_samples(path: Path) -> Iterator[Sample]:
@@ -89,7 +89,7 @@ def main(recording: Path, samples: Path, tolerance: float) -> None:
         click.echo(f"verdict: {error}", err=True)
         sys.exit(2)
     wrong = wrong_good(seen, judged, tolerance)
-    examples = [{"time": verdict.sample.time, "reason": verdict.reason} for verdict in wrong[:SHOWN]]
+    examples = [{"time": verdict.sample.time, "reason": verdict.reason} for verdict in wrong[:MAX_LISTED]]
     faults = [{"event": row.event, "time": row.time, "monotonic": row.monotonic, **row.detail} for row in seen.events]
     good = sum(sample.quality.is_good for sample in judged)
     result = {"judged": len(judged), "good": good, "wrong_good": len(wrong), "examples": examples}

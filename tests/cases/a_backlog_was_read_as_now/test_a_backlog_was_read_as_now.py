@@ -36,8 +36,8 @@ async def opened(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> AsyncIterat
     async def make(link: str, bus: AnyBus, **settings: object) -> Opened:
         if isinstance(bus, ThreadedBus):
             # What a pause of the whole process looks like to the loop: when the thread last looked is too long ago.
-            monkeypatch.setattr(pump, "_OVERDUE", 0.0)
-            monkeypatch.setattr(pump, "_PATIENCE", LONG_S)
+            monkeypatch.setattr(pump, "_BEHIND_AFTER_S", 0.0)
+            monkeypatch.setattr(pump, "_CATCH_UP_TIMEOUT_S", LONG_S)
         place = {"interface": "virtual", "channel": "queued", **settings}
         if link == "can":
             monkeypatch.setattr(can_driver, "open_bus", lambda *_, filters=None, **__: filtered(bus, filters))

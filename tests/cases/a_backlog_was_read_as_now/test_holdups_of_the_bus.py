@@ -20,7 +20,7 @@ from drivers.tag import Quality, Sample, Tag
 from gateway.console import config_dir
 from gateway.demo.links import LINKS
 from gateway.demo.prepare import DemoRun
-from gateway.demo.summary import heard_for
+from gateway.demo.summary import validity_seconds
 from gateway.machine.reading.quality import STALE_PERIODS, DeviceAge, QualityRules, judge
 from sim.plc.program.clock import EmulatorClock
 from sim.plc.record.judge import wrong_good
@@ -80,7 +80,7 @@ def wrong(seed: int, tolerance: float, *, holdups: bool = False, lost: float = 0
         read = []
         for tag in (BEAT, VALUE):
             channel, slot = places[tag.name]
-            missing = reception.missing(channel, slot, now)
+            missing = reception.absence(channel, slot, now)
             if missing is not None or slot.frame is None:
                 read.append(Sample(tag.name, None, missing[0] if missing else Quality.NO_DATA, now))
             else:
@@ -116,12 +116,12 @@ def test_the_demonstrations_judge_allows_what_the_device_file_does(
     link: str, least: float, most: float, tmp_path: Path
 ) -> None:
     bus = {"interface": "hub", "channel": str(tmp_path / "can.hub"), "node": 1, "messages": 1}
-    held = heard_for(setting(tmp_path, link, LINKS[link].settings(tmp_path, {"faces": {link: bus}})))
+    held = validity_seconds(setting(tmp_path, link, LINKS[link].settings(tmp_path, {"faces": {link: bus}})))
     assert (min(held.values()), max(held.values())) == (pytest.approx(least), pytest.approx(most))
 
 
 def test_what_is_asked_for_has_no_such_time(tmp_path: Path) -> None:
-    assert heard_for(setting(tmp_path, "modbus", {"host": "127.0.0.1", "port": 502})) == {}
+    assert validity_seconds(setting(tmp_path, "modbus", {"host": "127.0.0.1", "port": 502})) == {}
 
 
 def setting(folder: Path, link: str, settings: Mapping[str, object]) -> DemoRun:

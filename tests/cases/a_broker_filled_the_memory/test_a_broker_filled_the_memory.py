@@ -15,10 +15,10 @@ import pytest
 
 from gateway.outside.northbound import SinkUnreachable, mqtt
 from gateway.outside.northbound.mqtt import (
+    FLOOD_DELAY_SECONDS,
     MOST_PACKET_BYTES,
     MOST_RECEIVED,
     MOST_UNSENT,
-    UNASKED_SECONDS,
     BrokerConnection,
 )
 from gateway.settings import MqttRow
@@ -87,7 +87,7 @@ both = pytest.mark.parametrize("version", ["5", "3.1.1"])
 
 def receive(connection: BrokerConnection, until_true: Callable[[], bool]) -> None:
     """Receive until it is so, and what is still under way."""
-    connection.until(until_true, 60.0)
+    connection.wait(until_true, 60.0)
     for _ in range(200):
         connection.turn(0.0)
 
@@ -140,7 +140,7 @@ def test_what_nobody_asked_for_is_not_kept_whatever_its_topic(version: str) -> N
         peer.publish(TOPIC.encode(), b"alarm")
 
     with connected(version, send) as (_, connection):
-        connection.until(lambda: bool(connection.received), 60.0)
+        connection.wait(lambda: bool(connection.received), 60.0)
         assert [message.topic for message in connection.received] == [TOPIC] and connection.dropped == 4
 
 
@@ -172,7 +172,7 @@ def test_a_flood_is_read_no_faster_than_leaves_time_to_the_scans(monkeypatch: py
 
     with connected("5", flood) as (peer, connection):
         receive(connection, lambda: peer.done.is_set() and len(pauses) >= 100)
-        assert set(pauses) == {UNASKED_SECONDS} and len(pauses) <= 200
+        assert set(pauses) == {FLOOD_DELAY_SECONDS} and len(pauses) <= 200
 
 
 @both
@@ -192,7 +192,7 @@ def test_what_the_broker_answers_is_read_at_once(version: str, monkeypatch: pyte
     with connected(version, acknowledge) as (_, connection):
         for _number in range(100):
             sent = connection.publish("x", b"row", qos=1)
-            connection.until(partial(connection.is_answered, sent), 60.0)
+            connection.wait(partial(connection.pop_answer, sent), 60.0)
     assert pauses == []
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from drivers.errors import WriteForbidden
 from gateway.commission.writeback.block_writer import arming_in_force
-from gateway.machine.writing import arm_in_log, countersign, disarm_in_log, places_of, signed
+from gateway.machine.writing import arm_in_log, countersign, disarm_in_log, sign_arming, witness_places
 from gateway.store.audit import DISARMED
 from tests.gateway.support import EPOCH, config_in
 
@@ -24,8 +24,8 @@ def cut(path: Path, kind: str) -> None:
 @pytest.mark.parametrize("disarmed", [True, False])
 def test_a_command_writes_by_no_arming_on_a_log_that_lacks_a_signed_row(tmp_path: Path, disarmed: bool) -> None:
     config = config_in(tmp_path, SHADOW)
-    places = places_of(config)
-    arm_in_log(config.audit, signed("Ada", "run", 60, EPOCH), EPOCH)
+    places = witness_places(config)
+    arm_in_log(config.audit, sign_arming("Ada", "run", 60, EPOCH), EPOCH)
     countersign(places, EPOCH)
     assert arming_in_force(places, EPOCH + 1.0).by == "Ada"
     if disarmed:
@@ -40,9 +40,9 @@ def test_a_command_writes_by_no_arming_on_a_log_that_lacks_a_signed_row(tmp_path
 
 def test_nor_on_a_log_whose_chain_is_broken(tmp_path: Path) -> None:
     config = config_in(tmp_path, SHADOW)
-    places = places_of(config)
+    places = witness_places(config)
     disarm_in_log(config.audit, "Bea", "not yet", EPOCH)
-    arm_in_log(config.audit, signed("Ada", "run", 60, EPOCH), EPOCH)
+    arm_in_log(config.audit, sign_arming("Ada", "run", 60, EPOCH), EPOCH)
     with closing(sqlite3.connect(config.audit)) as connection, connection:
         connection.execute("DROP TRIGGER audit_no_change")
         connection.execute("UPDATE audit SET reason = 'never' WHERE kind = ?", (DISARMED,))

@@ -89,7 +89,7 @@ async def test_over_canopen_a_frame_is_as_old_as_it_is(hub: Hub, speaker: can.Bu
     bus = open_bus("hub", str(tmp_path / "bus"))
     port = Port(bus, clock, frames.append, lambda reason: None, supervisor=Supervisor())
     came = busy(hub, speaker, said=3)
-    port.catch_up()
+    port.drain()
     assert len(frames) == 3
     assert all(frame.moment <= came and frame.time <= EPOCH + TIMES * came + 0.01 for frame in frames)
     assert frames == sorted(frames, key=lambda frame: frame.moment)
@@ -121,10 +121,10 @@ async def test_a_thread_stamps_what_it_takes_for_the_loop() -> None:
         time.sleep(0.001)
     came = time.monotonic()
     time.sleep(BUSY_S)
-    port.catch_up()
+    port.drain()
     assert [frame.moment <= came for frame in frames] == [True]
     port.close()
-    await port.closed()
+    await port.join()
 
 
 def test_what_waits_in_a_hub_that_stands_still_becomes_no_younger(tmp_path: Path) -> None:
@@ -206,5 +206,5 @@ def test_what_a_clock_showed_before_is_by_its_own_speed_and_never_later_than_now
     before = ClockBefore(shows)
     for _ in range(5):
         clocks.go_on(0.7)
-        assert before.at(clocks.now - 0.5) == pytest.approx(100.0 * (clocks.now - 0.5))
-        assert before.at(clocks.now + 0.1) == pytest.approx(100.0 * clocks.now)
+        assert before.clock_time(clocks.now - 0.5) == pytest.approx(100.0 * (clocks.now - 0.5))
+        assert before.clock_time(clocks.now + 0.1) == pytest.approx(100.0 * clocks.now)

@@ -22,7 +22,7 @@ from click.testing import CliRunner
 
 from gateway.cli.main import main
 from gateway.commission.writeback import arm
-from gateway.machine.writing.arming import arm_in_log, disarm_in_log, signed
+from gateway.machine.writing.arming import arm_in_log, disarm_in_log, sign_arming
 from gateway.plant.app import run
 from gateway.settings import Config
 from gateway.store.audit import ARMED as ARMED_ROW
@@ -146,7 +146,7 @@ def test_where_a_gateway_runs_that_says_nothing_the_command_says_that_it_is_not_
     monkeypatch.setattr(arm, "_TAKEN_S", 0.2)
     monkeypatch.setattr(arm, "_TAKEN_PERIODS", 0.0)
     config = config_in(tmp_path, model=two_modes(), writeback__mode="shadow")
-    arm_in_log(config.audit, signed("Ada", "test", 60.0, time.time()), time.time(), key=config.audit_key)
+    arm_in_log(config.audit, sign_arming("Ada", "test", 60.0, time.time()), time.time(), key=config.audit_key)
     lock = config.historian.path.with_name(f"{config.historian.path.name}.lock")
     words = ["plc", "disarm", "--config", str(config.path), "--by", "Bea"]
     with lock.open("wb") as held:

@@ -25,7 +25,7 @@ from drivers.settings import ConfigError
 from gateway.cli.keep import configurations as config_commands
 from gateway.cli.main import main
 from gateway.plant.configurations import KeptConfiguration, keep_configuration
-from gateway.replacement import journal_of, settle
+from gateway.replacement import journal_path, settle
 from gateway.settings import Config, config, load_plant
 from gateway.store import AuditEntry, load_or_make_key, open_audit
 from tests.gateway.support import MAP
@@ -133,7 +133,7 @@ def test_after_a_kill_at_any_step_of_the_way_back_all_files_are_of_one_version(
         seen.add(found["plant"])
         if not killed:
             assert code == 0, printed
-        assert not journal_of(begun).exists()
+        assert not journal_path(begun).exists()
         if not killed or step % AGAIN == 0:
             code, printed = typed(*words)
             assert code == 0, f"killed at step {step}: {printed}"
@@ -215,7 +215,7 @@ def test_a_way_back_that_is_refused_leaves_the_plant_file_as_it_was_saved(tmp_pa
 
 def test_a_journal_of_somebody_else_is_not_carried_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     plant = plant_in(tmp_path, 80.0)
-    mine, journal = tmp_path / "mine", journal_of(plant)
+    mine, journal = tmp_path / "mine", journal_path(plant)
     mine.write_text("mine", encoding="utf-8")
     write_journal(plant, places=[mine])
     journal.chmod(0o666)
@@ -260,7 +260,7 @@ def test_no_link_in_the_place_of_a_draft_has_another_file_given_away(
 
 def test_what_one_who_may_rename_has_given_the_journals_name_is_not_carried_out(tmp_path: Path) -> None:
     plant = plant_in(tmp_path, 80.0)
-    mine, theirs, journal = tmp_path / "mine", tmp_path / "theirs", journal_of(plant)
+    mine, theirs, journal = tmp_path / "mine", tmp_path / "theirs", journal_path(plant)
     for file in (mine, theirs):
         file.write_text(file.name, encoding="utf-8")
     write_journal(plant, places=[mine])
@@ -284,9 +284,9 @@ def write_journal(plant: Path, places: Sequence[Path] = (), aside: Sequence[tupl
         "drafts": [[str(place), f"{place}.none"] for place in places],
         "places": list(map(str, places)),
     }
-    journal_of(plant).unlink(missing_ok=True)
-    journal_of(plant).write_text(json.dumps(plain), encoding="utf-8")
-    journal_of(plant).chmod(MODE)
+    journal_path(plant).unlink(missing_ok=True)
+    journal_path(plant).write_text(json.dumps(plain), encoding="utf-8")
+    journal_path(plant).chmod(MODE)
 
 
 def refused(plant: Path, *untouched: Path) -> None:
@@ -297,7 +297,7 @@ def refused(plant: Path, *untouched: Path) -> None:
 
 def test_a_pipe_with_the_journals_name_is_refused_at_once(tmp_path: Path) -> None:
     plant, said = plant_in(tmp_path, 80.0), Queue[str]()
-    os.mkfifo(journal_of(plant), MODE)
+    os.mkfifo(journal_path(plant), MODE)
 
     def load() -> None:
         try:
@@ -325,7 +325,7 @@ def test_the_second_of_two_ways_back_at_once_is_refused_and_takes_nothing_from_t
     keep_configuration(load_plant(plant), now=1_700_000_000.0, note="start")
     plant_in(tmp_path, 75.0)
     first_is_under_way, second_is_over = Event(), Event()
-    kept, seconds, said = config_commands._kept, count(), Queue[BaseException | None]()
+    kept, seconds, said = config_commands._list_configurations, count(), Queue[BaseException | None]()
 
     def slowly(path: Path, folder: Path | None) -> list[KeptConfiguration]:
         found = kept(path, folder)
@@ -353,7 +353,7 @@ def test_the_second_of_two_ways_back_at_once_is_refused_and_takes_nothing_from_t
     # Whoever waits has waited long at once.
     clock = SimpleNamespace(monotonic=lambda: float(next(seconds)), sleep=lambda _: None)
     monkeypatch.setattr("gateway.replacement.time", clock)
-    monkeypatch.setattr(config_commands, "_kept", slowly)
+    monkeypatch.setattr(config_commands, "_list_configurations", slowly)
     monkeypatch.setattr(config_commands, "read_plant", unusable)
     second = Thread(target=go_back_too, daemon=True)
     second.start()

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from drivers.vehicle.log import Log, circling
+from drivers.vehicle.log import Log, has_loop
 
 
 def mdf(blocks: Mapping[int, tuple[bytes, list[int]]]) -> bytes:
@@ -39,7 +39,7 @@ def test_lists_that_come_back_to_themselves_are_seen_before_the_library_follows_
     path = tmp_path / "log.mf4"
     path.write_bytes(mdf({64: HEAD, **blocks}))
     with path.open("rb") as stream:
-        assert circling(stream) is circles
+        assert has_loop(stream) is circles
     if circles:
         log = Log(path, "mf4", size=path.stat().st_size)
         assert list(log.frames()) == [] and "comes back to itself" in log.problem and log.counts["broken"] == 1

@@ -10,7 +10,15 @@ from pathlib import Path
 import pytest
 
 from gateway.store import open_historian, to_trace
-from gateway.store.audit import BACKLOG, LOST, SHARE, AuditEntry, open_audit, read, verify
+from gateway.store.audit import (
+    LOST,
+    MAX_SUBJECT_ROWS_PER_COMMIT,
+    MAX_WAITING_ROWS,
+    AuditEntry,
+    open_audit,
+    read,
+    verify,
+)
 from tests.gateway.support import EPOCH
 
 
@@ -24,10 +32,10 @@ def locked(path: Path) -> sqlite3.Connection:
 def test_rows_of_the_historian_are_dropped_of_the_machine_that_floods(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("gateway.store.historian.QUEUE", 1_000)
+    monkeypatch.setattr("gateway.store.historian.MAX_QUEUED_ROWS", 1_000)
     path = tmp_path / "h.sqlite"
     historian = open_historian(path)
-    quiet, loud = historian.of("quiet"), historian.of("loud")
+    quiet, loud = historian.view("quiet"), historian.view("loud")
     quiet.put("scans", [(EPOCH, 0.0, 0)])
     assert historian.flush()
     with closing(locked(path)):
@@ -45,7 +53,7 @@ def test_rows_of_the_historian_are_dropped_of_the_machine_that_floods(
 
 def test_a_flush_ends_though_other_machines_never_stop_to_put(tmp_path: Path) -> None:
     historian, stop = open_historian(tmp_path / "h.sqlite"), threading.Event()
-    busy, one = historian.of("busy"), historian.of("one")
+    busy, one = historian.view("busy"), historian.view("one")
 
     def work() -> None:
         while not stop.wait(0.0002):
@@ -68,16 +76,18 @@ def test_entries_of_the_audit_log_are_given_up_of_the_subject_that_floods(tmp_pa
     path = tmp_path / "audit.sqlite"
     audit = open_audit(path)
     with closing(locked(path)):
-        for n in range(BACKLOG + 70):
-            audit.put(AuditEntry(EPOCH, "write refused", "", f"loud {n}").of("loud"))
+        for n in range(MAX_WAITING_ROWS + 70):
+            audit.put(AuditEntry(EPOCH, "write refused", "", f"loud {n}").with_subject("loud"))
         for n in range(50):
-            audit.put(AuditEntry(EPOCH, "write refused", "", f"quiet {n}").of("quiet"))
-        assert "entries wait for the disk" in audit.complaint_of("loud") and audit.complaint_of("quiet") == ""
+            audit.put(AuditEntry(EPOCH, "write refused", "", f"quiet {n}").with_subject("quiet"))
+        assert "entries wait for the disk" in audit.subject_complaint("loud") and audit.subject_complaint("quiet") == ""
     # It is tried once: a commit takes so many of the flood and no more.
     begin = time.monotonic()
-    row = audit.record(AuditEntry(EPOCH, "write", "", "waited for").of("quiet"), timeout=10.0)
-    assert row is not None and row.id <= SHARE + 52 and time.monotonic() - begin < 10.0
-    assert audit.record(AuditEntry(EPOCH, "write", "", "the flood's own").of("loud"), timeout=10.0) is not None
+    row = audit.record(AuditEntry(EPOCH, "write", "", "waited for").with_subject("quiet"), timeout=10.0)
+    assert row is not None and row.id <= MAX_SUBJECT_ROWS_PER_COMMIT + 52 and time.monotonic() - begin < 10.0
+    assert (
+        audit.record(AuditEntry(EPOCH, "write", "", "the flood's own").with_subject("loud"), timeout=10.0) is not None
+    )
     assert audit.close()
     rows = [row.entry for row in read(path)]
     assert [entry.reason for entry in rows if entry.subject == "quiet"] == [
@@ -87,7 +97,7 @@ def test_entries_of_the_audit_log_are_given_up_of_the_subject_that_floods(tmp_pa
     (lost,) = [entry for entry in rows if entry.kind == LOST]
     assert (lost.subject, lost.detail["rows"]) == ("loud", 70)
     loud = [entry.reason for entry in rows if entry.subject == "loud" and entry.kind != LOST]
-    assert loud == [*(f"loud {n}" for n in range(BACKLOG)), "the flood's own"], "in their order"
+    assert loud == [*(f"loud {n}" for n in range(MAX_WAITING_ROWS)), "the flood's own"], "in their order"
     assert verify(path).problem == ""
 
 
@@ -97,7 +107,7 @@ def test_many_writers_of_one_log_each_find_their_row(tmp_path: Path) -> None:
 
     def work(subject: str) -> None:
         for n in range(20):
-            row = audit.record(AuditEntry(EPOCH, "write", subject, str(n)).of(subject), timeout=20.0)
+            row = audit.record(AuditEntry(EPOCH, "write", subject, str(n)).with_subject(subject), timeout=20.0)
             if row is None or (row.entry.subject, row.entry.reason) != (subject, str(n)):
                 failed.append(f"{subject} {n}")
 

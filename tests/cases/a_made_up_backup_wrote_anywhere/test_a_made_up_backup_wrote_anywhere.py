@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 from click.testing import CliRunner, Result
 
-from gateway.cli.keep.backup import sources_of
+from gateway.cli.keep.backup import list_sources
 from gateway.cli.main import main
 from gateway.plant import configurations
 from gateway.settings import Config, load_plant, named_files
@@ -189,7 +189,7 @@ def test_whatever_is_backed_up_lies_where_the_plant_file_says(tmp_path: Path) ->
         (home / place).write_text(model_text(two_modes()), encoding="utf-8")
     machines = plant_in(home, text, "conf/plant.toml")
     (home / "heads").write_text("", encoding="utf-8")
-    assert len({role for role, _ in sources_of(machines)}) == 9
+    assert len({role for role, _ in list_sources(machines)}) == 9
     assert decanter("backup", tmp_path / "backup", "--config", machines[0].path).exit_code == 0
     done = decanter("restore", tmp_path / "backup", "--overwrite")
     assert done.exit_code == 0, done.output

@@ -27,15 +27,15 @@ from pydantic import ValidationError
 from sparkplub_b_packets.core.sparkplug_b_pb2 import Payload
 
 from drivers.device_file import TagTable
-from drivers.settings import ConfigError, checked
+from drivers.settings import ConfigError, validate_section
 from drivers.tag import Quality, Tag
-from gateway.outside.northbound.influx import InfluxSink, line_of
+from gateway.outside.northbound.influx import InfluxSink, format_row
 from gateway.outside.northbound.metrics import GatewayCollector
 from gateway.outside.northbound.mqtt import JsonSink, json_message
 from gateway.outside.northbound.opcua import OpcUaServer
 from gateway.outside.northbound.postgres import PostgresSink
 from gateway.outside.northbound.sink import OutgoingRow
-from gateway.outside.northbound.sparkplug import add_metric, metrics_of
+from gateway.outside.northbound.sparkplug import add_metric, row_metrics
 from gateway.outside.notify import AlarmMessage, senders
 from gateway.outside.status import read_status
 from gateway.settings import InfluxRow, MqttRow, NotifySection, RecipientRow, load_northbound_secrets, load_secrets
@@ -67,7 +67,7 @@ def drawn(count: int = 1500, seed: int = 36) -> list[str]:
 def sentence_of(**keys: Any) -> str:
     """What a check says of a tag; "" where it has nothing to say."""
     try:
-        checked(TagTable, {"name": "T", "address": "holding:1", **keys}, "device.toml")
+        validate_section(TagTable, {"name": "T", "address": "holding:1", **keys}, "device.toml")
     except ConfigError as error:
         (sentence,) = error.problems
         return sentence
@@ -147,13 +147,13 @@ def read_points(text: str) -> list[tuple[str, dict[str, str], dict[str, str], st
 
 def test_a_name_is_one_point_of_that_name_in_line_protocol() -> None:
     rows = [row(number, name, text=f"{name}\\", unit=name) for number, name in enumerate(NAMES)]
-    points = read_points("\n".join(line_of(one.row, "box") for one in rows))
+    points = read_points("\n".join(format_row(one.row, "box") for one in rows))
     assert [(tags, fields["text"]) for _, tags, fields, _ in points] == [
         ({"node": "box", "machine": "one", "tag": name, "unit": name}, f"{name}\\") for name in NAMES
     ]
     # Names of former maps are on record: none takes another's place, or ends a line.
     former = [name for name in drawn() if name and not {"\n", "\r\n", "\ud800"} & {*name, name}]
-    kept = read_points("\n".join(line_of(row(number, name).row, "box") for number, name in enumerate(former)))
+    kept = read_points("\n".join(format_row(row(number, name).row, "box") for number, name in enumerate(former)))
     assert len({tags["tag"] for _, tags, _, _ in kept}) >= len({name.replace("\r", " ") for name in former})
 
 
@@ -233,7 +233,7 @@ def senders_payload(names: list[str]) -> bytes:
 
     birth = OwnPayload()
     for number, name in enumerate(names):
-        (metric,) = metrics_of(row(number, name, unit=name).row, {name: Tag(name, "holding:1")})
+        (metric,) = row_metrics(row(number, name, unit=name).row, {name: Tag(name, "holding:1")})
         add_metric(birth, metric, alias=number, birth=True)
     return bytes(birth.SerializeToString())
 
@@ -249,7 +249,7 @@ def test_a_node_of_opc_ua_is_one_names() -> None:
         read = ua_binary.nodeid_from_binary(ua.ua_binary.Buffer(ua_binary.nodeid_to_binary(node)))
         assert read == node and node.Identifier.count("/") == 2
         nodes[read] = name
-        browsed = OpcUaServer._browsed(server, name)
+        browsed = OpcUaServer._browse_name(server, name)
         again = ua_binary.struct_from_binary(ua.QualifiedName, ua.ua_binary.Buffer(ua_binary.struct_to_binary(browsed)))
         assert again.Name == name
     assert len(nodes) == len(NAMES)
@@ -357,7 +357,7 @@ def test_a_mail_about_any_name_has_one_subject_and_no_further_header(monkeypatch
         mail = email.message_from_bytes(content, policy=policy.default)
         assert sorted(mail.keys()) == HEADERS
         assert mail["To"] == "shift@example.com"
-        assert " ".join(mail["Subject"].split()) == " ".join(senders.subject_of([message]).split())
+        assert " ".join(mail["Subject"].split()) == " ".join(senders.subject_line([message]).split())
     with pytest.raises(senders.RefusedError, match="cannot be written as a mail"):  # of a former map, and no error
         send(list(messages(["a\nBcc: x@example.com"])), EPOCH)
 

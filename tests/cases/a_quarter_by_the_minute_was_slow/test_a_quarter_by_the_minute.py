@@ -14,7 +14,16 @@ from hypothesis import strategies as st
 
 from drivers.tag import Quality, Tag
 from gateway.store.read_back import Trend, trend
-from gateway.store.retention import STRETCHES, ended_tiers, make_room, means, merged, pack_tier, pages, tier_kind
+from gateway.store.retention import (
+    STRETCHES_PER_CHUNK,
+    ended_tiers,
+    make_room,
+    means,
+    merge_rows,
+    pack_tier,
+    pages,
+    tier_kind,
+)
 from gateway.store.schema import PACKED
 from tests.gateway.support import EPOCH, one_machine
 
@@ -60,7 +69,7 @@ def test_what_is_over_is_packed_while_it_runs_and_today_stays_as_rows(
     monkeypatch.setitem(PACKED, "samples", 1_000)  # type: ignore[misc]
     path, days = tmp_path / "h.sqlite", 4
     store, historian = one_machine(path, TAGS)
-    minutes = MIDNIGHT + 60.0 * np.arange(days * STRETCHES)
+    minutes = MIDNIGHT + 60.0 * np.arange(days * STRETCHES_PER_CHUNK)
     values = np.random.default_rng(1).normal(60.0, 1.0, minutes.size)
     for minute, value in zip(minutes.tolist(), values.tolist(), strict=True):
         quality = int(Quality.TIMEOUT) if value > 62.0 else 0
@@ -73,7 +82,7 @@ def test_what_is_over_is_packed_while_it_runs_and_today_stays_as_rows(
         assert time.monotonic() < deadline
         time.sleep(0.02)
     assert store.close()
-    assert 0 < counted(path, "tiers WHERE width = 60") <= len(TAGS) * STRETCHES
+    assert 0 < counted(path, "tiers WHERE width = 60") <= len(TAGS) * STRETCHES_PER_CHUNK
     assert counted(path, "chunks WHERE kind = ?", tier_kind(60)) == len(TAGS) * (days - 1)
     good = values <= 62.0
     for tag in TAGS:
@@ -160,7 +169,7 @@ def test_parts_that_are_merged_say_what_the_whole_says(readings: list[tuple[int,
     times += np.arange(times.size) * 1e-3
     whole = means(times, times, values, 60.0)
     halves = [means(t, t, v, 60.0) for t, v in ((times[:cut], values[:cut]), (times[cut:], values[cut:]))]
-    parts = merged(np.hstack(halves))
+    parts = merge_rows(np.hstack(halves))
     np.testing.assert_array_equal(parts[[0, 1, 2, 4]], whole[[0, 1, 2, 4]])
     assert ((parts[2] <= parts[3]) & (parts[3] <= parts[4])).all()
     scale = np.maximum(np.abs(whole[2]), np.abs(whole[4])).max()

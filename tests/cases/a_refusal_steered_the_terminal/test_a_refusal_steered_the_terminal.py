@@ -11,7 +11,7 @@ from drivers.errors import OneLineError
 from drivers.settings import ConfigError, read_toml
 from gateway.commission.files.cells import read_sheet
 from gateway.settings import load_config
-from sim.files import ArtefactError, at
+from sim.files import ArtefactError, file_error
 from sim.lab.checking.language import QueryError, parse_query
 from sim.lab.recordings import load_map, load_traces
 from sim.plc.program import InputError
@@ -76,7 +76,9 @@ def test_no_error_of_a_parser_or_a_driver_is_more_than_one_line(kind: type[Excep
 
 
 def test_a_name_of_a_file_and_several_problems_are_one_line_each(tmp_path: Path) -> None:
-    assert ESCAPED in str(at(f"{STEERING}.json", 3, "is no model")) and isinstance(at("", 1, ""), ArtefactError)
+    assert ESCAPED in str(file_error(f"{STEERING}.json", 3, "is no model")) and isinstance(
+        file_error("", 1, ""), ArtefactError
+    )
     with pytest.raises(ConfigError) as raised:
         read_toml(tmp_path / "a\nb\x1b.toml")
     assert len(raised.value.problems) == 1 and str(raised.value).isprintable()

@@ -23,7 +23,7 @@ from typing import Any
 import pytest
 
 from drivers.driver import BeforeSending, anyhow, open_driver
-from gateway.machine.writing.arming import arm_in_log, next_start, signed, uptime
+from gateway.machine.writing.arming import arm_in_log, next_start, sign_arming, uptime
 from gateway.plant import fleet as fleets
 from gateway.plant.configurations import without_arming
 from gateway.plant.fleet import Fleet
@@ -89,7 +89,7 @@ class Plc:
         word = given_words(self.audit)[0].entry
         if word.kind != ARMED:
             self.wrong.append(f"a block while the newest word is {word.kind!r}")
-        elif word.detail.get("configuration") != link.config.armed_for:
+        elif word.detail.get("configuration") != link.config.arming_hash:
             self.wrong.append("a block by another configuration than it was armed for")
 
 
@@ -319,14 +319,14 @@ async def test_a_disarming_that_the_disk_takes_late_wins_over_the_machine_that_i
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It has been replied to after DISARMED_SECONDS, and its row waits; the same configuration is begun anew."""
-    write, slow, again = Audit._committed, threading.Event(), threading.Event()
+    write, slow, again = Audit._commit, threading.Event(), threading.Event()
 
     def late(audit: Audit, claim: Any) -> Any:
         if slow.is_set():
             again.wait(60.0)
         return write(audit, claim)
 
-    monkeypatch.setattr(Audit, "_committed", late)
+    monkeypatch.setattr(Audit, "_commit", late)
     async with gateway(folder, monkeypatch) as here:
         await until(lambda: here.plc.reads > 3)
         await here.arm(60.0)
@@ -336,7 +336,7 @@ async def test_a_disarming_that_the_disk_takes_late_wins_over_the_machine_that_i
         assert here.plc.disarmed
         asyncio.get_running_loop().call_later(0.3, again.set)
         config = here.fleet.machines["decanter"].config
-        await here.fleet.take_over(["decanter"], {"decanter": config}, {})
+        await here.fleet.replace_machines(["decanter"], {"decanter": config}, {})
         reads = here.plc.reads
         await until(lambda: here.plc.reads > reads + 5)
     assert not here.plc.wrong
@@ -355,7 +355,7 @@ async def test_a_file_that_was_saved_before_a_disarming_arms_nothing_whatever_wa
         await until(lambda: here.plc.reads > reads + 5)
         assert here.plc.usable == 0
         (config,) = load_plant(here.plant)
-    arm_in_log(config.audit, signed("Cai", "at once", 5, here.plc.clock.now()), here.plc.clock.now())
+    arm_in_log(config.audit, sign_arming("Cai", "at once", 5, here.plc.clock.now()), here.plc.clock.now())
     start = next_start(config, config.audit, here.plc.clock.now(), uptime())
     assert start.file is None, "the arming since then is of a person, and the file's words are not"
     assert not here.plc.wrong

@@ -1,7 +1,7 @@
 """What was heard before a new connection to a bus made a reading of what came after it."""
 
 from drivers.can.frame import CanFrame
-from drivers.can.protection import Protection, protected
+from drivers.can.protection import Protection, protect_frame
 from drivers.can.reception import MessageRules, Reception
 from drivers.tag import Quality, Tag
 from drivers.vehicle.isotp import Reassembler
@@ -16,13 +16,13 @@ def test_a_frame_that_an_adapter_held_back_is_no_reading_on_the_next_connection(
     channel, slot = reception.listen(MessageRules(KEY, "Speed", 8, GUARD), (), 3 * PERIOD_S, 0.0)
 
     def heard(count: int, now: float) -> bool:
-        data = protected(GUARD, count, bytes(8))
+        data = protect_frame(GUARD, count, bytes(8))
         return bool(reception.take(KEY, CanFrame(now, KEY, False, data), now))
 
     assert all(heard(count, count * PERIOD_S) for count in range(20))
     reception.restart(5.0)
     assert not heard(12, 5.0)
-    missing = reception.missing(channel, slot, 5.0)
+    missing = reception.absence(channel, slot, 5.0)
     assert missing is not None and missing[0] is Quality.DECODING_ERROR
     # The device has counted on meanwhile; the second frame that follows a jump is the first to be used.
     assert [heard(count, 5.0 + PERIOD_S * place) for place, count in enumerate((50, 51, 52, 53), start=1)] == [

@@ -14,7 +14,7 @@ import pytest
 from benchmarks.memory_net import MemoryLoop, MemoryTransport
 from drivers.connections import Connections
 from drivers.modbus.driver import ModbusDriver, open_modbus
-from drivers.modbus.replies import KEPT_S, TransactionIds
+from drivers.modbus.replies import ID_REUSE_DELAY_S, TransactionIds
 from drivers.modbus.rtu import crc
 from drivers.tag import Sample, Tag
 
@@ -215,8 +215,8 @@ class Drawn:
 def test_an_id_without_an_answer_is_not_used_again_for_ten_minutes() -> None:
     ids = TransactionIds(Drawn(65534))  # type: ignore[arg-type]
     assert [ids.take(0.0) for _ in range(3)] == [65535, 1, 2]
-    ids.answered(1)
+    ids.note_reply(1)
     rest = [ids.take(1.0) for _ in range(65532)]
     assert (rest[0], rest[-1], len(set(rest))) == (3, 65534, 65532)
     assert ids.take(2.0) == 1
-    assert ids.take(KEPT_S + 0.5) in (65535, 2)
+    assert ids.take(ID_REUSE_DELAY_S + 0.5) in (65535, 2)

@@ -43,7 +43,7 @@ def test_nothing_of_it_is_armed(tmp_path: Path) -> None:
     audit = open_audit(config.audit)
     for name in ("north", "south"):
         detail = {"until": time.time() + 3600.0, "minutes": 60.0}
-        assert audit.record(AuditEntry(time.time(), ARMED, "Ada", "test", detail).of(name))
+        assert audit.record(AuditEntry(time.time(), ARMED, "Ada", "test", detail).with_subject(name))
     audit.close()
     load_or_make_key(config.audit_key)
     runner, kept, elsewhere = CliRunner(), tmp_path / "backup", tmp_path / "elsewhere"

@@ -19,7 +19,7 @@ import pytest
 from drivers.supervision import Supervisor
 from gateway.network import timed_socket
 from gateway.network.certificates import make_all
-from gateway.network.timed_socket import answer_by
+from gateway.network.timed_socket import call_with_deadline
 from gateway.network.timed_tls import make_tls
 from gateway.outside.northbound import SinkUnreachable, feed, influx, mqtt, postgres
 from gateway.outside.notify import AlarmMessage, Notifier, UndeliveredError, make_senders, senders
@@ -204,7 +204,7 @@ def test_a_statement_ends_at_the_deadline_whatever_comes_meanwhile() -> None:
 
     near, far = socket.socketpair()
     with near, far, pytest.raises(TimeoutError):
-        psycopg.waiting.wait(connection.limited(asking()), near.fileno(), interval=0.01)
+        psycopg.waiting.wait(connection.limit_time(asking()), near.fileno(), interval=0.01)
 
 
 @pytest.mark.usefixtures("short_deadlines")
@@ -331,7 +331,7 @@ def test_a_name_that_nobody_resolves_is_given_up_at_the_deadline(monkeypatch: py
     try:
         error = failure_of(lambda: timed_socket.connect("mail.example.com", 25, timed_socket.monotonic() + DEADLINE_S))
         assert isinstance(error, TimeoutError)
-        assert isinstance(failure_of(lambda: answer_by(0.0, lambda: over.wait(120.0))), TimeoutError)
+        assert isinstance(failure_of(lambda: call_with_deadline(0.0, lambda: over.wait(120.0))), TimeoutError)
     finally:
         over.set()
 

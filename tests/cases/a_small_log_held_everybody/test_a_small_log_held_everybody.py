@@ -23,9 +23,9 @@ from can.io.blf import (
 
 from drivers.vehicle import log
 from gateway.lab.ingestion import ingest
-from gateway.lab.ingestion.archive import IngestOutcome, opened_archive
-from gateway.lab.ingestion.ingest import ingested, watch_folder
-from gateway.lab.ingestion.recognising import IngestUnit, RecognisedUnit, units_in
+from gateway.lab.ingestion.archive import IngestOutcome, open_archive
+from gateway.lab.ingestion.ingest import ingest_units, watch_folder
+from gateway.lab.ingestion.recognising import IngestUnit, RecognisedUnit, list_units
 
 LINE = b"(1627274455.023950) can0 7E8#03412F8C00000000\n"
 FREE = 1 << 16
@@ -143,7 +143,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 def held(monkeypatch: pytest.MonkeyPatch, until_set: threading.Event) -> None:
     """Have the slow file's reading done only once it is set."""
-    read: Callable[..., RecognisedUnit] = ingest.recognised
+    read: Callable[..., RecognisedUnit] = ingest.recognise
 
     def slowly(unit: IngestUnit, maps: Any) -> RecognisedUnit:
         known = read(unit, maps)
@@ -151,7 +151,7 @@ def held(monkeypatch: pytest.MonkeyPatch, until_set: threading.Event) -> None:
             assert until_set.wait(30.0), "the others wait for it"
         return known
 
-    monkeypatch.setattr(ingest, "recognised", slowly)
+    monkeypatch.setattr(ingest, "recognise", slowly)
 
 
 def test_those_behind_a_slow_file_do_not_wait_for_it(
@@ -160,9 +160,9 @@ def test_those_behind_a_slow_file_do_not_wait_for_it(
     others = threading.Event()
     held(monkeypatch, others)
     order: list[str] = []
-    with opened_archive(tmp_path / "archive") as archive:
-        units = units_in(folder, tmp_path / "archive")
-        for outcome in ingested(units, archive, {}, move=False, clock=lambda: 1.0):
+    with open_archive(tmp_path / "archive") as archive:
+        units = list_units(folder, tmp_path / "archive")
+        for outcome in ingest_units(units, archive, {}, move=False, clock=lambda: 1.0):
             assert outcome.verdict == "taken", outcome
             order.append(outcome.source.name)
             if order == ["b.log", "c.log"]:
@@ -206,9 +206,9 @@ def test_a_file_that_changes_while_it_is_read_is_not_taken_as_what_it_was(
     others = threading.Event()
     held(monkeypatch, others)
     outcomes: dict[str, IngestOutcome] = {}
-    with opened_archive(tmp_path / "archive") as archive:
-        units = units_in(folder, tmp_path / "archive")
-        for outcome in ingested(units, archive, {}, move=False, clock=lambda: 1.0):
+    with open_archive(tmp_path / "archive") as archive:
+        units = list_units(folder, tmp_path / "archive")
+        for outcome in ingest_units(units, archive, {}, move=False, clock=lambda: 1.0):
             outcomes[outcome.source.name] = outcome
             if len(outcomes) == 2:
                 (folder / "a_slow/a_slow.log").write_bytes(b"no log")

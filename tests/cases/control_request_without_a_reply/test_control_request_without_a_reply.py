@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from gateway.machine import Machine
-from gateway.plant.control import LONGEST, Control, ControlScope
+from gateway.plant.control import MAX_REQUEST_BYTES, Control, ControlScope
 from gateway.plant.log import open_log
 from gateway.plant.status import snapshot
 from tests.gateway.support import Bench, JumpClock, as_driver, config_in
@@ -63,14 +63,14 @@ async def test_every_request_gets_one_reply_with_a_reason_and_the_next_is_served
         control = Control(ControlScope({"decanter": machine}, snapshot), tmp_path / "s", log)
         await control.open()
         try:
-            reader, writer = await asyncio.open_unix_connection(tmp_path / "s", limit=4 * LONGEST)
-            for request in (*REQUESTS[1:], b"x" * (LONGEST + 10)):
+            reader, writer = await asyncio.open_unix_connection(tmp_path / "s", limit=4 * MAX_REQUEST_BYTES)
+            for request in (*REQUESTS[1:], b"x" * (MAX_REQUEST_BYTES + 10)):
                 writer.write(request + b"\n")
                 reply: dict[str, Any] = json.loads(await asyncio.wait_for(reader.readline(), 60.0))
                 assert reply["ok"] is False and reply["reason"], request[:80]
                 assert reply["reason"].isprintable() and len(reply["reason"]) < 1000, request[:80]
             writer.close()
-            reader, writer = await asyncio.open_unix_connection(tmp_path / "s", limit=4 * LONGEST)
+            reader, writer = await asyncio.open_unix_connection(tmp_path / "s", limit=4 * MAX_REQUEST_BYTES)
             writer.write(b'{"command": "status"}\n')
             assert json.loads(await asyncio.wait_for(reader.readline(), 60.0))["ok"]
             writer.close()

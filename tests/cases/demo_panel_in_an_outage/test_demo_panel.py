@@ -6,8 +6,8 @@ import pytest
 from rich.console import Console
 from rich.text import Text
 
-from gateway.demo.live import DemoPhase, demo_table, phase_of
-from gateway.outside.panel import framed, status_rows
+from gateway.demo.live import DemoPhase, demo_phase, demo_table
+from gateway.outside.panel import frame_rows, status_rows
 from gateway.outside.status import read_status
 from sim.plc.control import obey
 from sim.plc.program.clock import EmulatorClock
@@ -34,10 +34,10 @@ def shown(status: dict[str, Any], plc: dict[str, Any], phase: DemoPhase) -> str:
 
 
 def test_an_outage_is_shown_once_the_gateway_has_noticed_it_and_with_its_own_words() -> None:
-    unnoticed = phase_of(STATUS, account(REFUSING), DemoPhase.RUNNING)
+    unnoticed = demo_phase(STATUS, account(REFUSING), DemoPhase.RUNNING)
     assert unnoticed is DemoPhase.RUNNING
     silent = STATUS | {"link": SILENT}
-    phase = phase_of(silent, account(REFUSING), unnoticed)
+    phase = demo_phase(silent, account(REFUSING), unnoticed)
     assert phase is DemoPhase.OUTAGE
     text = shown(silent, account(REFUSING), phase)
     assert "OUTAGE" in text and "link no good reading for" in text and "127.0.0.1:502 does not connect" in text
@@ -46,18 +46,18 @@ def test_an_outage_is_shown_once_the_gateway_has_noticed_it_and_with_its_own_wor
 
 def test_what_comes_after_an_outage_and_what_nobody_ordered_have_names_of_their_own() -> None:
     silent = STATUS | {"link": SILENT}
-    recovering = phase_of(silent, account(OVER), DemoPhase.OUTAGE)
+    recovering = demo_phase(silent, account(OVER), DemoPhase.OUTAGE)
     assert recovering is DemoPhase.RECOVERING
-    assert phase_of(silent, account(OVER), recovering) is DemoPhase.RECOVERING
-    assert phase_of(STATUS, account(OVER), recovering) is DemoPhase.RUNNING
-    assert phase_of(silent, account(), DemoPhase.RUNNING) is DemoPhase.LOST
-    assert phase_of(silent, account(OVER, ended=True), recovering) is DemoPhase.ENDED
+    assert demo_phase(silent, account(OVER), recovering) is DemoPhase.RECOVERING
+    assert demo_phase(STATUS, account(OVER), recovering) is DemoPhase.RUNNING
+    assert demo_phase(silent, account(), DemoPhase.RUNNING) is DemoPhase.LOST
+    assert demo_phase(silent, account(OVER, ended=True), recovering) is DemoPhase.ENDED
 
 
 def test_the_panel_of_a_gateway_needs_no_software_plc() -> None:
     console = Console(width=80)
     with console.capture() as captured:
-        console.print(framed(Text("a gateway"), status_rows(read_status(STATUS))))
+        console.print(frame_rows(Text("a gateway"), status_rows(read_status(STATUS))))
     assert "45.68 °C GOOD" in " ".join(captured.get().split())
 
 

@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gateway.demo.heat import alarm_rows, headline, started
-from gateway.demo.lead_time import TRUE_WITHIN_S, ChancesAlong, raised, score, trend_alarm
-from sim.plant import heat_day, heat_day_uncontrolled, heat_history
+from gateway.demo.heat import alarm_rows, align_start, headline
+from gateway.demo.lead_time import TRUE_WITHIN_S, ChancesAlong, alarm_times, score, trend_alarm
+from sim.plant import heat_day, heat_history, uncontrolled_heat_day
 from sim.plc.control import obey
 from sim.plc.program.clock import EmulatorClock
 from sim.plc.program.live import LivePlant, live_plant
@@ -50,7 +50,7 @@ def acted_at(alarms: int, validity: int = 31, moment: float = 20.0) -> LivePlant
 
 @pytest.fixture(scope="module")
 def without() -> Trace:
-    return heat_day_uncontrolled(SEED)
+    return uncontrolled_heat_day(SEED)
 
 
 def column(plant: LivePlant) -> Any:
@@ -111,8 +111,8 @@ def test_two_machines_of_one_seed_are_the_same_until_they_are_controlled_differe
 def test_an_alarm_that_hovers_is_one_and_a_later_one_is_another() -> None:
     times = np.arange(0.0, 400.0, 10.0)
     met = (times >= 50) & (times < 100) & (times % 30 > 0) | (times >= 300)
-    assert raised(times, met) == (50.0, 300.0)
-    assert raised(times, np.zeros(times.size, dtype=bool)) == ()
+    assert alarm_times(times, met) == (50.0, 300.0)
+    assert alarm_times(times, np.zeros(times.size, dtype=bool)) == ()
 
 
 def test_lead_false_and_missed() -> None:
@@ -177,7 +177,7 @@ def test_the_sentence_says_what_happened_and_also_what_went_wrong() -> None:
 
 
 def test_the_day_without_the_gateway_begins_when_the_plc_lets_its_plant_go(without: Trace) -> None:
-    begin, moved = started(without, [{"event": "start", "time": float(without.times[0]) + 900.0}])
+    begin, moved = align_start(without, [{"event": "start", "time": float(without.times[0]) + 900.0}])
     assert begin == moved.times[0] == without.times[0] + 900.0
     np.testing.assert_array_equal(moved.signals[TEMPERATURE], without.signals[TEMPERATURE])
     assert replace(moved, times=without.times) is not moved

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from drivers.named_files import writing
+from drivers.named_files import name_write_errors
 from gateway.cli.main import main
 from sim.files import write_durably
 from sim.lab.pictures import save_picture
@@ -43,7 +43,7 @@ def test_every_writer_of_a_result_names_its_file() -> None:
 
 
 def test_an_error_that_names_another_file_keeps_it(tmp_path: Path) -> None:
-    with pytest.raises(FileNotFoundError) as raised, writing(tmp_path / "a"):
+    with pytest.raises(FileNotFoundError) as raised, name_write_errors(tmp_path / "a"):
         (tmp_path / "no" / "b").write_text("x")
     assert raised.value.filename == str(tmp_path / "no" / "b")
 
@@ -56,7 +56,7 @@ ELSEWHERE = {
 
 
 def test_no_command_writes_a_text_outside_of_it() -> None:
-    """Each `write_text`, `write_bytes` and `savefig` stands in a `with writing(...)`."""
+    """Each `write_text`, `write_bytes` and `savefig` stands in a `with name_write_errors(...)`."""
     bare = []
     for room in ("gateway", "sim"):
         for path in sorted((ROOT / room).rglob("*.py")):

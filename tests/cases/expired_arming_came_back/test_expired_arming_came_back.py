@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from gateway.machine.writing.arming import arm_in_log, next_start, signed, uptime
-from gateway.store.arming_rows import Uptime, armings, standing
+from gateway.machine.writing.arming import arm_in_log, next_start, sign_arming, uptime
+from gateway.store.arming_rows import Uptime, armings, find_arming
 from gateway.store.audit import ARMED, EXPIRED, AuditEntry, open_audit, read
 from tests.gateway.support import EPOCH, JumpClock, config_in, two_modes
 from tests.gateway.test_arming import SHADOW, bench_of, go
@@ -18,7 +18,7 @@ FILE = '[writeback]\nmode = "armed"\narmed_by = "Ada"\nreason = "run"\nminutes =
 async def test_what_ran_out_stays_over_when_the_clock_is_set_back(tmp_path: Path, text: str) -> None:
     config = config_in(tmp_path, text, model=two_modes())
     if text is SHADOW:
-        arm_in_log(config.audit, signed("Ada", "run", 10, EPOCH), EPOCH)
+        arm_in_log(config.audit, sign_arming("Ada", "run", 10, EPOCH), EPOCH)
     first = bench_of(config, JumpClock(EPOCH + 1.0))
     assert (await go(config, first, 20))["writeback"]["mode"] == "armed"
     late = bench_of(config, JumpClock(EPOCH + 595.0))
@@ -31,18 +31,18 @@ async def test_what_ran_out_stays_over_when_the_clock_is_set_back(tmp_path: Path
 
 async def test_one_that_ran_out_while_nothing_ran_is_put_on_record_by_the_next_start(tmp_path: Path) -> None:
     config = config_in(tmp_path, SHADOW, model=two_modes())
-    arm_in_log(config.audit, signed("Ada", "run", 10, EPOCH), EPOCH)
+    arm_in_log(config.audit, sign_arming("Ada", "run", 10, EPOCH), EPOCH)
     assert not await written(config, EPOCH + 700.0)
     assert not await written(config, EPOCH + 60.0), "set back after it was seen to be over"
 
 
 async def test_a_clock_before_the_newest_row_ends_an_arming_and_says_so(tmp_path: Path) -> None:
     config = config_in(tmp_path, SHADOW, model=two_modes())
-    arm_in_log(config.audit, signed("Ada", "run", 10, EPOCH), EPOCH)
+    arm_in_log(config.audit, sign_arming("Ada", "run", 10, EPOCH), EPOCH)
     assert await written(config, EPOCH + 300.0)
     start = next_start(config, config.audit, EPOCH + 60.0, uptime())
     assert start.arming is None and "before the newest record" in start.sentence
-    assert standing(config.audit, EPOCH + 60.0) is None, "the commands that write see it the same way"
+    assert find_arming(config.audit, EPOCH + 60.0) is None, "the commands that write see it the same way"
     assert not await written(config, EPOCH + 60.0)
     assert not await written(config, EPOCH + 350.0), "and it is over for good"
 
@@ -55,7 +55,7 @@ async def written(config: object, moment: float) -> bool:
 
 def test_between_restarts_the_machines_own_count_bounds_what_is_left(tmp_path: Path) -> None:
     config = config_in(tmp_path, SHADOW)
-    arm_in_log(config.audit, signed("Ada", "run", 480, EPOCH), EPOCH)
+    arm_in_log(config.audit, sign_arming("Ada", "run", 480, EPOCH), EPOCH)
     row = next(armings(config.audit))
     begun = Uptime(row.entry.detail["boot"], row.entry.detail["uptime"])
     assert begun.boot, "this machine says which of its starts this is"
@@ -65,7 +65,7 @@ def test_between_restarts_the_machines_own_count_bounds_what_is_left(tmp_path: P
     assert start.arming is not None and start.arming.until == pytest.approx(EPOCH + 60.0 + 80 * 60.0)
     over = replace(begun, seconds=begun.seconds + 481 * 60.0)
     assert next_start(config, config.audit, EPOCH + 60.0, over).arming is None
-    assert standing(config.audit, EPOCH + 60.0, over) is None
+    assert find_arming(config.audit, EPOCH + 60.0, over) is None
     # After a start of the machine only the records and its clock are left.
     anew = Uptime("another", 5.0)
     whole = next_start(config, config.audit, EPOCH + 60.0, anew)
@@ -75,13 +75,13 @@ def test_between_restarts_the_machines_own_count_bounds_what_is_left(tmp_path: P
 def test_a_clock_that_was_ahead_when_somebody_armed_lengthens_nothing_when_it_is_put_right(tmp_path: Path) -> None:
     config = config_in(tmp_path, SHADOW)
     ahead = EPOCH + 200 * 86_400.0
-    arm_in_log(config.audit, signed("Ada", "run", 480, ahead), ahead)
-    assert standing(config.audit, ahead + 1.0) is not None
-    assert standing(config.audit, EPOCH + 1.0) is None
+    arm_in_log(config.audit, sign_arming("Ada", "run", 480, ahead), ahead)
+    assert find_arming(config.audit, ahead + 1.0) is not None
+    assert find_arming(config.audit, EPOCH + 1.0) is None
     assert next_start(config, config.audit, EPOCH + 1.0, uptime()).arming is None
     # And whoever arms by the right clock is armed, whatever stands in the log from before.
-    arm_in_log(config.audit, signed("Bea", "run", 5, EPOCH), EPOCH)
-    found = standing(config.audit, EPOCH + 1.0)
+    arm_in_log(config.audit, sign_arming("Bea", "run", 5, EPOCH), EPOCH)
+    found = find_arming(config.audit, EPOCH + 1.0)
     assert found is not None and found.entry.who == "Bea"
 
 

@@ -8,7 +8,7 @@ import pytest
 from click.testing import CliRunner
 
 from gateway.cli.main import main
-from gateway.machine.writing.arming import arm_in_log, disarm_in_log, next_start, signed, uptime
+from gateway.machine.writing.arming import arm_in_log, disarm_in_log, next_start, sign_arming, uptime
 from gateway.settings.config import Config, load_config
 from gateway.store.audit import DISARMED, read
 from tests.gateway.support import EPOCH, JumpClock, config_in, plant_file, two_modes
@@ -53,7 +53,7 @@ async def test_words_of_the_file_that_were_taken_out_arm_nobody_any_more(tmp_pat
 async def test_an_arming_by_command_after_the_disarming_is_newer_than_both(tmp_path: Path) -> None:
     config = config_in(tmp_path, FILE, model=two_modes())
     disarm_in_log(config.audit, "Bea", "not today", EPOCH, config.stamp)
-    arm_in_log(config.audit, signed("Cai", "after all", 5, EPOCH + 1.0), EPOCH + 1.0)
+    arm_in_log(config.audit, sign_arming("Cai", "after all", 5, EPOCH + 1.0), EPOCH + 1.0)
     start = next_start(replace(config), config.audit, EPOCH + 2.0, uptime())
     assert start.arming is not None
 

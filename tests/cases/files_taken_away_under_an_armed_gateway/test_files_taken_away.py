@@ -19,7 +19,7 @@ from gateway.outside.web.access import AccountRole
 from gateway.outside.web.access.accounts import add_account
 from gateway.plant.app import run
 from gateway.settings import Config
-from gateway.store import examine, places_beside
+from gateway.store import default_places, examine
 from gateway.store.audit import DISARMED, read
 from tests.gateway.support import Bench, JumpClock, config_in, logged, two_modes
 from tests.rig.memory import folder_in_memory
@@ -190,7 +190,7 @@ async def test_nothing_is_said_where_nothing_was_done(folder: Path) -> None:
     deeds: list[Callable[[], Any]] = [
         lambda: add_account(config.users, "bea", AccountRole.OPERATOR, "another long word"),
         lambda: read(config.audit),
-        lambda: examine(places_beside(config.audit)),
+        lambda: examine(default_places(config.audit)),
         lambda: replaced(config.audit_key),
         lambda: replaced(config.path.with_name("model.json")),
         lambda: config.path.with_name("model.json").touch(),

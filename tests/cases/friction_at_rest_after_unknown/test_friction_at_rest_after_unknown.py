@@ -4,7 +4,7 @@ The search for the running locations compared an edge's symbol with "UNKNOWN", a
 the edge that leads from every location to the initial one made that one "running", 20 to 26 degC too warm.
 """
 
-from sim.lab.discrepancy.fitting.named import effect_of, running_locations
+from sim.lab.discrepancy.fitting.named import main_effect, running_locations
 from tests.effects.engines import model_of, named
 
 
@@ -12,4 +12,4 @@ def test_unknown_leads_to_no_running_location() -> None:
     model = model_of("own names")
     assert running_locations(model) == ("q1", "q2")
     one = named("torque-friction", {"torque": "M"}, {"gain": 1e-3, "reference": 20.0, "power": 1.0})
-    assert effect_of(one, model).locations == ("q1", "q2")
+    assert main_effect(one, model).locations == ("q1", "q2")

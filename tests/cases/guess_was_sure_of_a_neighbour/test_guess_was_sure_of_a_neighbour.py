@@ -8,9 +8,9 @@ import pytest
 from benchmarks.guess import verdict
 from drivers.codec import encode
 from drivers.tag import DType, Order, Tag
-from gateway.commission.encodings import Observation, ShownNumber, parse_shown, rank
-from gateway.commission.encodings.scoring import MOST_BELIEVED, EncodingCandidate
-from gateway.commission.hmi import HmiReading, Point, compare, left_to_do
+from gateway.commission.encodings import Observation, ShownNumber, parse_display, rank
+from gateway.commission.encodings.scoring import MAX_CONTESTED_BELIEF, EncodingCandidate
+from gateway.commission.hmi import HmiReading, Point, compare, missing_proof
 
 Reading = tuple[float, float, str]
 """What two neighbours hold, and what the HMI shows of the first."""
@@ -21,7 +21,7 @@ def seen(order: Order, *readings: Reading) -> list[Observation]:
     found = []
     for first, second, text in readings:
         words = [*encode(Tag("", "", DType.FLOAT32, order), first), *encode(Tag("", "", DType.FLOAT32, order), second)]
-        shown = parse_shown(text)
+        shown = parse_display(text)
         assert isinstance(shown, ShownNumber)
         found.append(Observation(103, (0, 0, *words, 0, 0), shown))
     return found
@@ -46,7 +46,7 @@ def test_what_no_reading_can_tell_apart_is_not_believed() -> None:
     for told in (105, 106):
         found = rank(readings, told)
         assert {(105, DType.FLOAT32, Order.CDAB), (106, DType.FLOAT32, Order.ABCD)} <= set(where(found))
-        assert found[0].exact and found[0].share <= MOST_BELIEVED
+        assert found[0].exact and found[0].share <= MAX_CONTESTED_BELIEF
 
 
 @pytest.mark.parametrize("order", list(Order))
@@ -60,7 +60,7 @@ def test_an_exact_encoding_is_never_below_an_inexact_one_and_its_belief_has_a_bo
         assert exact == sorted(exact, reverse=True)
         assert [one.share for one in found] == sorted((one.share for one in found), reverse=True)
         if exact[1:2] == [True]:
-            assert found[0].share <= MOST_BELIEVED
+            assert found[0].share <= MAX_CONTESTED_BELIEF
         assert where(found)[0] == (105, DType.FLOAT32, order)
 
 
@@ -83,9 +83,9 @@ def point(tag: Tag, text: str, value: float) -> Point:
 def test_verify_asks_for_more_where_a_reading_agrees_only_as_if_the_value_had_moved() -> None:
     readings = [point(WRONG, "23.5", 23.5), point(WRONG, "24.0", 24.1)]
     assert all(one.ok for one in readings) and not readings[1].exact
-    assert "24.0 was shown where it reads 24.1" in left_to_do(WRONG, readings)
-    assert "compare 2 more values" in left_to_do(WRONG, readings)
-    assert left_to_do(WRONG, [*readings, point(WRONG, "30.0", 30.02), point(WRONG, "40.0", 40.04)]) == ""
+    assert "24.0 was shown where it reads 24.1" in missing_proof(WRONG, readings)
+    assert "compare 2 more values" in missing_proof(WRONG, readings)
+    assert missing_proof(WRONG, [*readings, point(WRONG, "30.0", 30.02), point(WRONG, "40.0", 40.04)]) == ""
 
 
 @pytest.mark.parametrize(
@@ -93,20 +93,20 @@ def test_verify_asks_for_more_where_a_reading_agrees_only_as_if_the_value_had_mo
 )
 def test_verify_asks_for_a_third_value_where_a_register_stood_still(tag: Tag) -> None:
     two = [point(tag, "23.5", 23.5), point(tag, "24.0", 24.0)]
-    assert "a register held the same both times and may be a neighbour's: compare a third" in left_to_do(tag, two)
-    assert left_to_do(tag, [*two, two[0]]) == left_to_do(tag, two)  # the same again is no third value
-    assert left_to_do(tag, [*two, point(tag, "31.5", 31.5)]) == ""
+    assert "a register held the same both times and may be a neighbour's: compare a third" in missing_proof(tag, two)
+    assert missing_proof(tag, [*two, two[0]]) == missing_proof(tag, two)  # the same again is no third value
+    assert missing_proof(tag, [*two, point(tag, "31.5", 31.5)]) == ""
 
 
 def test_two_values_that_move_every_register_are_enough_and_so_they_are_for_one_register() -> None:
-    assert left_to_do(RIGHT, [point(RIGHT, "23.6", 23.6), point(RIGHT, "31.3", 31.3)]) == ""
+    assert missing_proof(RIGHT, [point(RIGHT, "23.6", 23.6), point(RIGHT, "31.3", 31.3)]) == ""
     single = Tag("T", "holding:105", DType.INT16, scale=0.1)
-    assert left_to_do(single, [point(single, "23.6", 23.6), point(single, "31.3", 31.3)]) == ""
+    assert missing_proof(single, [point(single, "23.6", 23.6), point(single, "31.3", 31.3)]) == ""
 
 
 def test_what_was_compared_and_did_not_agree_is_not_called_not_compared(tmp_path: Path) -> None:
-    assert left_to_do(RIGHT, []) == "not compared yet"
-    left = left_to_do(RIGHT, [point(RIGHT, "23.6", 40.0)])
+    assert missing_proof(RIGHT, []) == "not compared yet"
+    left = missing_proof(RIGHT, [point(RIGHT, "23.6", 40.0)])
     assert left.startswith("compared and did not agree: the PLC has 40 degC")
     flag = Tag("T", "holding:105", DType.BOOL, bit=0)
-    assert "did not agree" in left_to_do(flag, [compare(flag, HmiReading("T", "on"), [False], 0.0)])
+    assert "did not agree" in missing_proof(flag, [compare(flag, HmiReading("T", "on"), [False], 0.0)])

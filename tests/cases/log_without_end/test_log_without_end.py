@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from gateway.plant.folding import FORMS, Folding
+from gateway.plant.folding import MAX_FORMS, Folding
 from gateway.plant.log import open_log
 from gateway.plant.log_file import RETRY_SECONDS, LogFile
 from gateway.settings import LogSection
@@ -64,7 +64,7 @@ def test_what_floods_by_words_is_bounded_too(tmp_path: Path) -> None:
         for number in range(3000):
             log.warning("no reading", reason=f"transaction x{number:x} failed")
             log.warning("other", reason="between")
-    assert len(lines(path)) < 3 * FORMS and sum(row.get("repeated", 1) for row in lines(path)) == 6000
+    assert len(lines(path)) < 3 * MAX_FORMS and sum(row.get("repeated", 1) for row in lines(path)) == 6000
 
 
 def test_the_count_comes_also_where_no_line_follows(tmp_path: Path) -> None:

@@ -13,11 +13,11 @@ import pytest
 from click.testing import CliRunner, Result
 
 from gateway.cli.main import main
-from gateway.machine.writing import places_of
+from gateway.machine.writing import witness_places
 from gateway.plant.app import run
 from gateway.settings import Config, load_config
 from gateway.store import examine, open_historian
-from gateway.store.arming_rows import given_words, standing
+from gateway.store.arming_rows import find_arming, given_words
 from gateway.store.audit import ARMED, DISARMED, AuditEntry, AuditError, open_audit, read, verify
 from gateway.store.backup import MANIFEST, BackupError, _seal, read_manifest
 from tests.gateway.support import EPOCH, MAP, Bench, JumpClock, config_in, logged, two_modes
@@ -95,8 +95,8 @@ def test_a_running_gateway_is_backed_up_whole_and_restored_elsewhere_never_armed
     rows = read(restored.audit)
     assert rows[-1].entry.kind == DISARMED and rows[-1].entry.who == "Bea"
     assert [row.hash for row in rows[: manifest.audit_rows]][-1] == manifest.audit_head
-    assert standing(restored.audit, clock.time) is None
-    verdict = examine(places_of(restored))
+    assert find_arming(restored.audit, clock.time) is None
+    verdict = examine(witness_places(restored))
     assert verdict.problem == "" and verdict.witnessed == verdict.rows
     bench = asyncio.run(go(restored, clock, 20))
     assert bench.written == [] and not any(row["event"] == "armed" for row in logged(restored.path.parent))
@@ -120,7 +120,7 @@ def test_a_restore_over_a_gateway_needs_to_be_told_keeps_what_was_there_and_show
     assert config.audit.with_name("audit.sqlite.replaced-1").read_bytes() == newest
     assert not list(config.path.parent.glob(".*restored*"))
     # The log is not in a backup: it still bears witness to the rows that are newer than it.
-    assert "was signed and is not in it" in examine(places_of(config)).problem
+    assert "was signed and is not in it" in examine(witness_places(config)).problem
     bench = asyncio.run(go(load_config(config.path), clock, 20))
     assert bench.written == []
 
@@ -246,12 +246,12 @@ def test_an_audit_log_of_a_former_program_is_read_and_gone_on_with(tmp_path: Pat
     assert (kept.rows, kept.problem) == (4, "")
     (found,) = given_words(path)
     assert found.entry.kind == ARMED and found.entry.who == "Ada"
-    assert standing(path, EPOCH + 10.0) is None, "no former program confirmed an arming: it has to be given again"
+    assert find_arming(path, EPOCH + 10.0) is None, "no former program confirmed an arming: it has to be given again"
     audit = open_audit(path)
     assert audit.record(AuditEntry(EPOCH + 20.0, DISARMED, "Bea", "enough"))
     audit.close()
     assert verify(path, kept.head).rows == 5 and verify(path, kept.head).problem == ""
-    assert standing(path, EPOCH + 21.0) is None
+    assert find_arming(path, EPOCH + 21.0) is None
 
 
 @pytest.mark.parametrize("layout", [2, 99])

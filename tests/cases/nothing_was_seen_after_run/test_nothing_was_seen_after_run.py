@@ -28,7 +28,7 @@ from gateway.outside.status import (
     Sighting,
     StatusError,
     findings,
-    health_of,
+    judge_health,
     read_status,
 )
 from gateway.plant.app import run
@@ -153,7 +153,7 @@ async def test_what_was_not_read_any_more_is_no_longer_good_in_the_status(tmp_pa
     with open_log(None, "error", io.StringIO()) as log:
         machine = Machine(config, driver=as_driver(Bench(config, clock)), clock=clock, log=log, rng=Random(0))
         try:
-            assert health_of(snapshot(machine)) is Health.NO_READINGS and snapshot(machine).scan.age is None
+            assert judge_health(snapshot(machine)) is Health.NO_READINGS and snapshot(machine).scan.age is None
             await machine.take(scan_of(at_rest(config), clock.now()))
             fresh = snapshot(machine)
             assert set(asdict(fresh)) >= KEYS_OF_BEFORE and {"value", "quality", "time", "reason"} <= set(
@@ -163,7 +163,7 @@ async def test_what_was_not_read_any_more_is_no_longer_good_in_the_status(tmp_pa
             clock.time += 4.0
             stale = read_status(strict(snapshot(machine)))
             assert stale.values[TEMPERATURE].quality == "LAST_USABLE" and stale.values[TEMPERATURE].age >= 4.0
-            assert stale.scan.late and health_of(stale) is Health.NO_READINGS
+            assert stale.scan.late and judge_health(stale) is Health.NO_READINGS
             assert "has not been read for 4.0 s" in " ".join(
                 shown(Sighting(stale, 0.0, machines={"decanter": stale})).split()
             )
@@ -333,7 +333,9 @@ def test_a_forecast_or_a_prediction_that_is_over_is_not_drawn() -> None:
 )
 def test_the_word_for_a_gateway_names_what_is_wrong(changes: dict[str, Any], word: Health, check: str) -> None:
     status = read_status(picture(**changes))
-    assert health_of(status) is word and [finding.check for finding in findings(status)] == ([check] if check else [])
+    assert judge_health(status) is word and [finding.check for finding in findings(status)] == (
+        [check] if check else []
+    )
 
 
 def test_the_page_has_the_exit_codes_that_the_command_has() -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from drivers.can import Dbc
 from drivers.can.frame import CanFrame
-from drivers.can.protection import Protection, protected
+from drivers.can.protection import Protection, protect_frame
 from drivers.can.reception import MessageRules, Reception
 from tests.rig.pair import ROOT
 
@@ -50,7 +50,7 @@ def used(guard: Protection | None, counters: list[int]) -> list[bool]:
     assert guard is not None
     reception = Reception()
     reception.listen(MessageRules(1, "Pages", 8, guard), (), 1.0, 0.0)
-    frames = [CanFrame(0.0, 1, False, protected(guard, counter, bytes(8))) for counter in counters]
+    frames = [CanFrame(0.0, 1, False, protect_frame(guard, counter, bytes(8))) for counter in counters]
     return [bool(reception.take(1, frame, 0.0)) for frame in frames]
 
 

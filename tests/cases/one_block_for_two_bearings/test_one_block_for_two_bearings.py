@@ -94,7 +94,7 @@ def test_a_file_of_one_block_means_what_it_meant(tmp_path: Path) -> None:
     device = load_device(path)
     (layout,) = device.writebacks
     assert device.writeback is layout and layout.temperature is None and layout.tag("Challenge") == "Challenge"
-    assert device.block_of("TFango") is layout, "it speaks of whatever is predicted"
+    assert device.find_block("TFango") is layout, "it speaks of whatever is predicted"
     plc = Plc(read_map(path), EmulatorClock(0.0, 0.0, 1.0), settings=PlcSettings(challenge=65535))
     assert [plc.intake.challenge, *(turn(plc) for _ in range(2))] == [65535, 1, 2], "every number is its own"
 
@@ -111,7 +111,7 @@ def test_a_block_that_speaks_of_another_bearing_is_not_written_with_this_ones_pr
     with pytest.raises(ConfigError, match=f"no block of .* speaks of '{FEED}' .*only of {GEARBOX}; add a "):
         load_config(plant, {"model.temperature": FEED, "alarms.tags": (FEED,), "writeback.mode": "shadow"})
     config = load_config(plant, {"model.temperature": GEARBOX, "writeback.mode": "shadow"})
-    assert config.map.block_of(GEARBOX) is config.map.writeback
+    assert config.map.find_block(GEARBOX) is config.map.writeback
 
 
 # ---------------------------------------------------------------- the drivers' closed write maps

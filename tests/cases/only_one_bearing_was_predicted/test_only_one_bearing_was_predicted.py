@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from gateway.demo.prepare import predicted
+from gateway.demo.prepare import predictable_tags
 from gateway.settings import load_config
 from sim.plc.record.recording import BlockRow, PlcRecording
 from sim.plc.record.verdict import counts
@@ -31,8 +31,8 @@ def rows(path: Path) -> list[tuple[str, str | None]]:
 
 def test_the_shipped_plant_file_predicts_both_each_with_a_block_of_its_own() -> None:
     config = load_config(ROOT / "config/plant.toml")
-    assert tuple(row.tag for row in config.temperatures) == BOTH and config.watched == BOTH
-    assert [one.block_layout.place for one in config.followed if one.block_layout] == [0, 1]
+    assert tuple(row.tag for row in config.temperatures) == BOTH and config.watched_temperatures == BOTH
+    assert [one.block_layout.place for one in config.temperature_configs if one.block_layout] == [0, 1]
 
 
 def test_init_offers_every_temperature_that_the_device_takes_blocks_of(here: Path) -> None:
@@ -61,7 +61,7 @@ def test_a_model_is_bound_to_each_temperature_and_a_second_makes_tables_of_the_s
     assert decanter(*keep, f"temperature.{FEED}.model=b.json").exit_code == 0
     assert rows(Path("plant.toml")) == [(GEARBOX, "a.json"), (FEED, "b.json")]
     assert decanter(*keep, f"temperature.{FEED}.limit=75.0").exit_code == 0
-    assert load_config(Path("plant.toml")).limit_of(FEED) == 75.0
+    assert load_config(Path("plant.toml")).find_limit(FEED) == 75.0
     refused(
         decanter(*keep, "model.path=b.json"), 2, "model.path: stands beside [[temperature]]", "temperature.TAG.model"
     )
@@ -73,10 +73,10 @@ def test_a_model_is_bound_to_each_temperature_and_a_second_makes_tables_of_the_s
 
 
 def test_the_demonstration_predicts_what_is_measured_and_has_a_block() -> None:
-    assert predicted(MAP, made(9, **{GEARBOX: 20.0, FEED: 20.0, "TFango": 9.0}), GEARBOX) == BOTH
-    assert predicted(MAP, made(9, **{GEARBOX: 20.0, FEED: 20.0}), FEED) == (FEED, GEARBOX)
-    assert predicted(MAP, made(9, **{GEARBOX: 20.0}), GEARBOX) == (GEARBOX,)
-    assert predicted(MAP, made(9, **{GEARBOX: 20.0, FEED: float("nan")}), GEARBOX) == (GEARBOX,)
+    assert predictable_tags(MAP, made(9, **{GEARBOX: 20.0, FEED: 20.0, "TFango": 9.0}), GEARBOX) == BOTH
+    assert predictable_tags(MAP, made(9, **{GEARBOX: 20.0, FEED: 20.0}), FEED) == (FEED, GEARBOX)
+    assert predictable_tags(MAP, made(9, **{GEARBOX: 20.0}), GEARBOX) == (GEARBOX,)
+    assert predictable_tags(MAP, made(9, **{GEARBOX: 20.0, FEED: float("nan")}), GEARBOX) == (GEARBOX,)
 
 
 def test_the_plc_s_account_is_of_each_block() -> None:

@@ -48,7 +48,7 @@ def attack(lockout: Lockout, clock: Hand, addresses: list[str], seconds: float =
 def test_where_an_engineer_has_logged_in_he_is_not_locked_out_by_others() -> None:
     clock = Hand()
     lockout = Lockout(clock)
-    lockout.succeeded("enzo", AT_HOME)
+    lockout.note_success("enzo", AT_HOME)
     attack(lockout, clock, [f"10.0.0.{number}" for number in range(9)], seconds=2000.0)
     assert lockout.wait("enzo", AT_HOME) == 0.0 and lockout.wait("enzo", "10.0.0.1") > 0.0
     for number in range(30):  # nor by what others give at his own computer for other accounts

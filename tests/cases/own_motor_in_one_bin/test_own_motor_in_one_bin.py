@@ -8,8 +8,8 @@ import pytest
 from click.testing import CliRunner
 
 from gateway.cli.main import main
-from gateway.lab.traces.load import load, warned_of
-from sim.lab.recordings import levels_of, load_map, load_traces
+from gateway.lab.traces.load import channel_warnings, load
+from sim.lab.recordings import find_levels, load_map, load_traces
 from sim.sha import Bins, Trace
 
 MAP = """
@@ -47,7 +47,7 @@ def warnings(folder: Path, file: Path, text: str) -> list[str]:
     """What `model learn` warns of before it learns."""
     (folder / "m.toml").write_text(text, encoding="utf-8")
     traces, column_map = load([str(file)], str(folder / "m.toml"))
-    return warned_of(traces, column_map.alphabet)
+    return channel_warnings(traces, column_map.alphabet)
 
 
 def test_a_map_without_thresholds_takes_the_motors_own_and_nothing_is_borrowed(tmp_path: Path) -> None:
@@ -97,15 +97,15 @@ def test_signals_of_other_names_are_told_what_the_alphabet_needs(tmp_path: Path)
 def test_the_thresholds_hold_when_the_record_is_drawn_anew() -> None:
     rng = np.random.default_rng(7)
     record = motor(3, rows=2400)
-    whole = levels_of([Trace("m", np.arange(record.size) * 1.0, {"I": record})], "I", 30.0).thresholds
+    whole = find_levels([Trace("m", np.arange(record.size) * 1.0, {"I": record})], "I", 30.0).thresholds
     blocks = np.array_split(np.arange(record.size), 60)
     for _ in range(20):
         pieces = [blocks[index] for index in rng.integers(0, len(blocks), len(blocks))]
         traces = [Trace("m", rows * 1.0, {"I": record[rows]}) for rows in pieces]
-        assert levels_of(traces, "I", 30.0).thresholds == pytest.approx(whole, abs=0.15)
+        assert find_levels(traces, "I", 30.0).thresholds == pytest.approx(whole, abs=0.15)
 
 
 def test_readings_that_only_scatter_are_given_no_threshold() -> None:
     rng = np.random.default_rng(1)
     for draw in (rng.normal(2.0, 0.5, 3000), rng.uniform(0.8, 3.2, 3000), np.full(3000, 2.0)):
-        assert levels_of([Trace("m", np.arange(3000) * 1.0, {"I": draw})], "I", 30.0).thresholds == ()
+        assert find_levels([Trace("m", np.arange(3000) * 1.0, {"I": draw})], "I", 30.0).thresholds == ()

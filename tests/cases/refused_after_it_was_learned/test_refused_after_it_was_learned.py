@@ -12,7 +12,7 @@ from tests.cli.support import decanter, refused
 def test_a_name_or_a_folder_that_cannot_be_written_is_refused_before_anything_is_learned(
     out: str, name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(learn, "load_reported", lambda *_: pytest.fail("it began to work"))
+    monkeypatch.setattr(learn, "load_with_report", lambda *_: pytest.fail("it began to work"))
     (tmp_path / "taken").mkdir()
     (tmp_path / "taken" / "letter.txt").write_text("hello", encoding="utf-8")
     (tmp_path / "file").write_text("hello", encoding="utf-8")

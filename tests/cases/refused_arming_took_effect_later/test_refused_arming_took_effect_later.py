@@ -14,14 +14,14 @@ import pytest
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from drivers.supervision import Supervisor
-from gateway.machine.writing.arming import ArmingError, arm, arm_in_log, signed
-from gateway.store.arming_rows import cancelling, given_words, standing
+from gateway.machine.writing.arming import ArmingError, arm, arm_in_log, sign_arming
+from gateway.store.arming_rows import cancel_entry, find_arming, given_words
 from gateway.store.audit import (
     ARMED,
-    BACKLOG,
     CANCELLED,
     DISARMED,
     LOST,
+    MAX_WAITING_ROWS,
     Audit,
     AuditEntry,
     open_audit,
@@ -33,7 +33,7 @@ from tests.gateway.test_writeback import armed
 
 KEY = Ed25519PrivateKey.generate()
 ENTRY = AuditEntry(EPOCH, ARMED, "Ada", "test", {"until": EPOCH + 600.0})
-UNDO = cancelling(ENTRY, "nobody waits for it any more")
+UNDO = cancel_entry(ENTRY, "nobody waits for it any more")
 
 
 @contextmanager
@@ -57,7 +57,7 @@ async def test_an_arming_that_was_refused_is_not_there_once_the_disk_takes_rows_
     assert not writer.armed
     assert writer.audit.record(AuditEntry(EPOCH, "write refused"))
     assert writer.audit.close()
-    assert standing(writer.audit.path, EPOCH + 1.0) is None and not given_words(writer.audit.path)
+    assert find_arming(writer.audit.path, EPOCH + 1.0) is None and not given_words(writer.audit.path)
     assert verify(writer.audit.path).problem == ""
 
 
@@ -140,10 +140,10 @@ def test_a_stored_row_is_reported_as_stored_though_others_wait_behind_it(tmp_pat
 def test_the_queue_is_bounded_and_says_what_it_gave_up(tmp_path: Path) -> None:
     audit = open_audit(tmp_path / "audit.sqlite")
     with refusing(audit):
-        for number in range(BACKLOG + 500):
+        for number in range(MAX_WAITING_ROWS + 500):
             audit.put(AuditEntry(EPOCH + number, "write refused"))
         audit.put(AuditEntry(EPOCH, DISARMED, "Bea", "never given up"))
-        assert audit.complaint and len(audit._waiting) <= BACKLOG + 1 and audit.lost >= 500
+        assert audit.complaint and len(audit._waiting) <= MAX_WAITING_ROWS + 1 and audit.lost >= 500
         lost = audit.lost
     assert audit.record(AuditEntry(EPOCH, "write"), 10.0) and audit.close()
     rows = read(audit.path)
@@ -168,5 +168,5 @@ def test_the_command_says_that_nothing_has_changed_and_nothing_has(
     assert open_audit(path).close()
     monkeypatch.setattr("gateway.store.audit.Audit.record", lambda audit, entry, timeout=0.05, undo=None: None)
     with pytest.raises(ArmingError, match="nothing has changed"):
-        arm_in_log(path, signed("Ada", "test", 5, EPOCH), EPOCH)
+        arm_in_log(path, sign_arming("Ada", "test", 5, EPOCH), EPOCH)
     assert not given_words(path)

@@ -16,12 +16,12 @@ import structlog
 from click.testing import CliRunner
 
 from gateway.cli.main import main
-from gateway.machine.writing import ArmingError, clear_for_arming, countersign, places_of
+from gateway.machine.writing import ArmingError, clear_for_arming, countersign, witness_places
 from gateway.machine.writing.witnessing import HeadWitnessing
 from gateway.outside.status import ControlError, connect
 from gateway.plant.app import run
 from gateway.settings import Config
-from gateway.store import examine, open_audit, places_beside
+from gateway.store import default_places, examine, open_audit
 from gateway.store.audit import ARMED, CONFIRMED, AuditEntry, read, verify
 from gateway.store.signing import SigningKeyError, load_key, load_or_make_key, public_path
 from gateway.store.witness import ACKNOWLEDGED
@@ -99,7 +99,7 @@ async def test_each_witness_finds_each_manipulation_alone_and_nobody_arms_on_it(
     config, clock = config_in(tmp_path, **ARMED_BY_FILE), JumpClock()
     _, bench = await go(config, clock)
     assert len(bench.written) > 10
-    before = examine(places_of(config))
+    before = examine(witness_places(config))
     assert before.problem == "" and before.witnessed == before.rows > 10, "a stop leaves nothing unwitnessed"
     assert all("signed heads" in sentence for sentence in before.witnesses.values()) and len(before.witnesses) == 3
     assert audit_command(config, *plant(config))[0] == 0
@@ -121,7 +121,7 @@ async def test_each_witness_finds_each_manipulation_alone_and_nobody_arms_on_it(
 
 def test_a_lost_head_is_acknowledged_by_name_and_only_then_the_gateway_arms(tmp_path: Path) -> None:
     config = config_in(tmp_path, writeback__mode="shadow")
-    places = places_of(config)
+    places = witness_places(config)
     audit = open_audit(config.audit)
     assert all(audit.record(AuditEntry(EPOCH + n, "write", "Ada")) for n in range(20))
     countersign(places, EPOCH)
@@ -156,7 +156,7 @@ def test_a_lost_head_is_acknowledged_by_name_and_only_then_the_gateway_arms(tmp_
 
 
 def test_an_acknowledgement_that_nobody_signed_for_excuses_nothing(tmp_path: Path) -> None:
-    places = places_beside(tmp_path / "audit.sqlite")
+    places = default_places(tmp_path / "audit.sqlite")
     audit = open_audit(places.audit)
     assert all(audit.record(AuditEntry(EPOCH + n, "write")) for n in range(5))
     countersign(places, EPOCH)
@@ -206,7 +206,7 @@ async def test_a_damaged_log_is_set_aside_the_gateway_runs_and_does_not_arm(tmp_
 def test_the_command_arms_with_the_acknowledgement_where_no_gateway_runs(tmp_path: Path) -> None:
     config, clock = config_in(tmp_path, **ARMED_BY_FILE), JumpClock()
     asyncio.run(go(config, clock))
-    newest = examine(places_of(config)).head
+    newest = examine(witness_places(config)).head
     begun_anew(config.audit)
     words = ["plc", "arm", *plant(config), "--by", "Ada", "--reason", "r", "--minutes", "5"]
     words += ["--records", str(tmp_path / "records.jsonl"), "--json"]
@@ -216,11 +216,11 @@ def test_the_command_arms_with_the_acknowledgement_where_no_gateway_runs(tmp_pat
     done = CliRunner().invoke(main, [*words, "--acknowledge-head", newest])
     assert done.exit_code == 0, done.output
     assert [row.entry.kind for row in read(config.audit)] == [ACKNOWLEDGED, CONFIRMED, ARMED, CONFIRMED]
-    assert examine(places_of(config)).witnessed == 4
+    assert examine(witness_places(config)).witnessed == 4
 
 
 def test_without_a_witness_it_is_said_that_the_end_is_not_witnessed(tmp_path: Path) -> None:
-    places = places_beside(tmp_path / "audit.sqlite")
+    places = default_places(tmp_path / "audit.sqlite")
     audit = open_audit(places.audit)
     audit.record(AuditEntry(EPOCH, "write"))
     audit.close()
@@ -235,7 +235,7 @@ def test_without_a_witness_it_is_said_that_the_end_is_not_witnessed(tmp_path: Pa
 
 
 def test_a_key_that_others_could_use_is_refused_and_the_public_key_is_enough(tmp_path: Path) -> None:
-    places = places_beside(tmp_path / "audit.sqlite")
+    places = default_places(tmp_path / "audit.sqlite")
     audit = open_audit(places.audit)
     audit.record(AuditEntry(EPOCH, "write"))
     audit.close()
@@ -277,7 +277,7 @@ def test_a_key_that_others_could_use_is_refused_and_the_public_key_is_enough(tmp
 
 
 def test_a_torn_line_of_heads_is_no_harm_and_a_changed_one_shows(tmp_path: Path) -> None:
-    places = places_beside(tmp_path / "audit.sqlite")
+    places = default_places(tmp_path / "audit.sqlite")
     audit = open_audit(places.audit)
     for number in range(3):
         audit.record(AuditEntry(EPOCH + number, "write"))
@@ -348,7 +348,7 @@ async def test_a_head_that_comes_late_is_left_to_the_later_one_also_where_the_cl
     assert store.close()
     times = [json.loads(line)["time"] for line in config.audit_heads.read_text().splitlines()[before:]]
     assert times == [EPOCH + 7200.0, EPOCH + 60.0]
-    assert examine(places_of(config)).problem == ""
+    assert examine(witness_places(config)).problem == ""
 
 
 @pytest.mark.parametrize("bad", ["a\nb", "a\x1b[2Jb", "a\u2028b", "a\x9bb", "a\ud800b"])
@@ -365,7 +365,7 @@ def test_no_control_character_reaches_the_audit_log(tmp_path: Path, bad: str) ->
 async def test_a_running_gateway_takes_the_acknowledgement_over_its_socket(tmp_path: Path) -> None:
     config, clock = config_in(tmp_path, **ARMED_BY_FILE), JumpClock()
     await go(config, clock)
-    newest = examine(places_of(config)).head
+    newest = examine(witness_places(config)).head
     begun_anew(config.audit)
     clock.time += 1.0
     bench = Bench(config, clock, armed=True)
@@ -395,4 +395,4 @@ async def test_a_running_gateway_takes_the_acknowledgement_over_its_socket(tmp_p
     finally:
         bench.stop.set()
         await asyncio.wait_for(running, 30.0)
-    assert examine(places_of(config)).problem == ""
+    assert examine(witness_places(config)).problem == ""

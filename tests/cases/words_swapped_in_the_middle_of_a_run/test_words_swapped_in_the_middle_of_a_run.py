@@ -8,7 +8,7 @@ from drivers.codec import decode
 from drivers.tag import Quality, Sample
 from gateway.machine.reading.quality import DEAD_PERIODS, DeviceAge, QualityRules, judge
 from gateway.settings import load_device
-from sim.plc.program.faults import FAULTS, merged, shown_at
+from sim.plc.program.faults import FAULTS, face_shows, merge_effects
 from sim.plc.program.image import ProcessImage
 from sim.plc.program.registers import read_map
 from tests.plc.bench import DECANTER, Process, running
@@ -74,8 +74,8 @@ def plain() -> Iterator[Process]:
 
 
 def test_the_fault_is_ordered_by_name_of_tags_that_are_there_and_of_no_single_face(plain: Process) -> None:
-    assert shown_at("swapped_words", "serial") and not shown_at("swapped_words", "canopen")
-    both = merged([FAULTS["swapped_words"](0.0, tags=[HEAT]), FAULTS["swapped_words"](0.0, tags=[OTHER])])
+    assert face_shows("swapped_words", "serial") and not face_shows("swapped_words", "canopen")
+    both = merge_effects([FAULTS["swapped_words"](0.0, tags=[HEAT]), FAULTS["swapped_words"](0.0, tags=[OTHER])])
     assert both.swapped == {HEAT, OTHER}
     plain.fault("swapped_words", tags=[HEAT], duration=0.1)
     for parameters, reason in (({"tags": ["Nothing"]}, "Nothing"), ({"face": "tcp"}, "behind all faces")):

@@ -16,7 +16,7 @@ from drivers.tag import DType, Order, Quality, Sample, Tag
 from gateway.commission.hmi import HmiReading, compare
 from gateway.machine.reading.link_health import LinkHealth
 from gateway.machine.reading.quality import DeviceAge, QualityRules, judge
-from gateway.repeated import without_measured
+from gateway.repeated import drop_measurements
 from tests.commission.bench import answer, at, force, plc
 from tests.gateway.support import scan_of
 from tests.plc.bench import DECANTER, Process, running
@@ -141,7 +141,7 @@ def test_run_says_it_once_although_the_number_is_another_one_in_each_scan() -> N
             health.take(replace(scan_of({}, float(now)), samples=judged))
     own = [line for line in logs if line.get("tag") == "T"]
     assert len(own) == 1 and "as CDAB it reads 40.8" in own[0]["reason"]
-    assert len({without_measured(decode(T, words(value, Order.CDAB))[2]) for value in (40.0, 41.0, 42.0)}) == 1
+    assert len({drop_measurements(decode(T, words(value, Order.CDAB))[2]) for value in (40.0, 41.0, 42.0)}) == 1
 
 
 def test_verify_names_the_order_in_which_the_plc_has_what_the_hmi_shows() -> None:

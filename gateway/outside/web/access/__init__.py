@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from sim.doors import opened_at_use
+from sim.doors import lazy_getattr
 
 if TYPE_CHECKING:
     from gateway.outside.web.access.accounts import (
@@ -21,4 +21,4 @@ if TYPE_CHECKING:
     from gateway.outside.web.access.lockout import Lockout
     from gateway.outside.web.access.sessions import Session, Sessions
 else:
-    __getattr__ = opened_at_use(__name__)
+    __getattr__ = lazy_getattr(__name__)

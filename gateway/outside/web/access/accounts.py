@@ -22,7 +22,7 @@ from pydantic import Field, StringConstraints, ValidationError
 from drivers.errors import OneLineError
 from drivers.named_files import contents
 from drivers.settings import Section, first_sentence
-from gateway.network import origin_of
+from gateway.network import address_origin
 from gateway.store import write_durably
 
 LEAST_LENGTH, MOST_LENGTH = 12, 128
@@ -97,7 +97,7 @@ def accounts_problem(path: Path) -> str:
 
 
 @contextmanager
-def _changing(path: Path) -> Iterator[dict[str, PageAccount]]:
+def _edit_accounts(path: Path) -> Iterator[dict[str, PageAccount]]:
     """The accounts to be changed, then written; two commands at a time take turns. Raises AccountsError, OSError."""
     path.parent.mkdir(parents=True, exist_ok=True)
     lock = os.open(path.with_name(f".{path.name}.lock"), os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
@@ -113,7 +113,7 @@ def _changing(path: Path) -> Iterator[dict[str, PageAccount]]:
 
 def add_account(path: Path, name: str, role: AccountRole, password: str) -> None:
     """Make an account. Raises AccountsError for a name that is there or cannot be, and for a bad password."""
-    with _changing(path) as accounts:
+    with _edit_accounts(path) as accounts:
         if name in accounts:
             raise AccountsError(f"there is an account {name!r} already; change its password, or remove it first")
         _check_password(name, password)
@@ -127,8 +127,8 @@ def add_account(path: Path, name: str, role: AccountRole, password: str) -> None
 
 def change_password(path: Path, name: str, password: str) -> None:
     """Give an account another password; its sessions end. Raises AccountsError."""
-    with _changing(path) as accounts:
-        before = _known(accounts, name)
+    with _edit_accounts(path) as accounts:
+        before = _require_account(accounts, name)
         _check_password(name, password)
         update = {"password": HASHER.hash(password), "changed": before.changed + 1}
         accounts[name] = before.model_copy(update=update)
@@ -136,12 +136,12 @@ def change_password(path: Path, name: str, password: str) -> None:
 
 def remove_account(path: Path, name: str) -> None:
     """Remove an account; its sessions end. Raises AccountsError."""
-    with _changing(path) as accounts:
-        _known(accounts, name)
+    with _edit_accounts(path) as accounts:
+        _require_account(accounts, name)
         del accounts[name]
 
 
-def _known(accounts: Mapping[str, PageAccount], name: str) -> PageAccount:
+def _require_account(accounts: Mapping[str, PageAccount], name: str) -> PageAccount:
     if name not in accounts:
         raise AccountsError(f"there is no account {name[:60]!r}; there are {', '.join(accounts) or 'none'}")
     return accounts[name]
@@ -194,19 +194,19 @@ class PasswordChecks:
 
     def has_room(self, address: str) -> bool:
         """Whether a password from an address may wait for its turn."""
-        return self._waiting.total() < MOST_WAITING and self._waiting[origin_of(address)] < WAITING_OF_ADDRESS
+        return self._waiting.total() < MOST_WAITING and self._waiting[address_origin(address)] < WAITING_OF_ADDRESS
 
     async def right(self, account: PageAccount | None, password: str, address: str) -> bool:
         """Whether the password is the account's; as long without an account."""
-        origin = origin_of(address)
+        origin = address_origin(address)
         self._waiting[origin] += 1
         try:
             async with self._turn:
-                return await asyncio.to_thread(self._verified, account, password)
+                return await asyncio.to_thread(self._verify, account, password)
         finally:
             self._waiting -= Counter((origin,))  # what is at 0 is left out
 
-    def _verified(self, account: PageAccount | None, password: str) -> bool:
+    def _verify(self, account: PageAccount | None, password: str) -> bool:
         try:
             return HASHER.verify(account.password if account else self._nobody, password) and account is not None
         except (Argon2Error, InvalidHashError):

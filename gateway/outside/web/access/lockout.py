@@ -9,9 +9,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from time import monotonic
 
-from gateway.network import origin_of
+from gateway.network import address_origin
 
-FREE, FREE_OF_ADDRESS, FREE_OF_ACCOUNT = 5, 20, 50
+FREE_TRIES_OF_PAIR, FREE_TRIES_OF_ADDRESS, FREE_TRIES_OF_ACCOUNT = 5, 20, 50
 """Wrong passwords in a row before an account from one address, an address, or an account from strange addresses is
 locked."""
 FIRST_LOCK_S, LONGEST_LOCK_S = 30.0, 900.0
@@ -56,9 +56,9 @@ class Lockout:
             self._failed.popitem(last=False)
         return locked
 
-    def succeeded(self, name: str, address: str) -> None:
+    def note_success(self, name: str, address: str) -> None:
         """The right password: the account begins anew. Its address does not, which may know one password of many."""
-        known = (name, origin_of(address))
+        known = (name, address_origin(address))
         self._failed.pop(("pair", *known), None)
         self._failed.pop(("account", name), None)
         self._known[known] = None
@@ -68,8 +68,8 @@ class Lockout:
 
     def _keys(self, name: str, address: str) -> dict[tuple[str, ...], int]:
         """What counts for an account from an address, with how many wrong passwords are free."""
-        origin = origin_of(address)
-        keys: dict[tuple[str, ...], int] = {("pair", name, origin): FREE}
+        origin = address_origin(address)
+        keys: dict[tuple[str, ...], int] = {("pair", name, origin): FREE_TRIES_OF_PAIR}
         if (name, origin) not in self._known:
-            keys |= {("address", origin): FREE_OF_ADDRESS, ("account", name): FREE_OF_ACCOUNT}
+            keys |= {("address", origin): FREE_TRIES_OF_ADDRESS, ("account", name): FREE_TRIES_OF_ACCOUNT}
         return keys

@@ -8,9 +8,9 @@ from time import monotonic
 
 from gateway.outside.web.access.accounts import AccountRole, Accounts, PageAccount
 
-LONGEST_S = 12 * 3600.0
+MAX_SESSION_S = 12 * 3600.0
 """However busy, a person logs in anew once a shift."""
-MOST = 200
+MAX_SESSIONS = 200
 """Sessions at a time: of more, the one that was idle longest ends."""
 
 
@@ -29,7 +29,8 @@ class Session:
 class Sessions:
     """Opens, finds and ends sessions by the secret that a browser keeps; only its hash is known here.
 
-    A session ends after `idle_s` without an action of the person, after LONGEST_S, with its account or a change of it.
+    A session ends after `idle_s` without an action of the person, after MAX_SESSION_S, with its account or a change of
+    it.
     """
 
     def __init__(self, accounts: Accounts, idle_s: float, clock: Callable[[], float] = monotonic) -> None:
@@ -41,7 +42,7 @@ class Sessions:
         now, secret = self._clock(), secrets.token_urlsafe(32)
         session = Session(name, address, account.changed, now, now)
         self._sessions[_hash(secret)] = session
-        while len(self._sessions) > MOST:
+        while len(self._sessions) > MAX_SESSIONS:
             del self._sessions[min(self._sessions, key=lambda key: self._sessions[key].used)]
         return secret, session
 
@@ -55,7 +56,7 @@ class Sessions:
         if session is None:
             return None
         account = self._accounts.get(session.name)
-        over = now - session.used > self._idle or now - session.begun > LONGEST_S
+        over = now - session.used > self._idle or now - session.begun > MAX_SESSION_S
         if over or account is None or account.changed != session.changed:
             del self._sessions[key]
             return None
@@ -63,10 +64,10 @@ class Sessions:
             session.used = now
         return session, account.role
 
-    def left(self, session: Session) -> float:
+    def remaining_seconds(self, session: Session) -> float:
         """The seconds after which it ends if nothing is done."""
         now = self._clock()
-        return max(min(session.used + self._idle, session.begun + LONGEST_S) - now, 0.0)
+        return max(min(session.used + self._idle, session.begun + MAX_SESSION_S) - now, 0.0)
 
     def close(self, secret: str) -> None:
         """End a session."""

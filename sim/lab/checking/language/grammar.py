@@ -13,7 +13,7 @@ from lark import Lark, Token, Tree
 from lark.exceptions import UnexpectedCharacters, UnexpectedInput, UnexpectedToken
 from lark.tree import Meta
 
-from sim.strict_json import escaped
+from sim.strict_json import escape_text
 
 GRAMMAR = r"""
 start: estimate | hypothesis | comparison | expectation | simulation | symbolic | leads_to
@@ -97,10 +97,10 @@ FORMS = (
 MOST_PARTS, MOST_CHARACTERS = 300, 50_000
 """Names, numbers and operators of one query, and its characters: more is no question that a person asks."""
 
-LONGEST_QUOTE = 60
+MAX_QUOTE_CHARS = 60
 
 _NUMBERS = {"NUMBER", "PLUS", "MINUS"}
-_SPELLED = MappingProxyType(
+_TOKEN_NAMES = MappingProxyType(
     {
         "LPAR": "'('", "RPAR": "')'", "LSQB": "'['", "RSQB": "']'", "LBRACE": "'{'", "RBRACE": "'}'", "COMMA": "','",
         "SEMICOLON": "';'", "COLON": "':'", "LE": "'<='", "GE": "'>='", "LEADSTO": "'-->'", "UNTIL": "'U'",
@@ -121,7 +121,7 @@ _SIGNS = MappingProxyType(
         "→": "'leads to' is written -->",
     }
 )
-_FIRST = MappingProxyType(
+_FIRST_WORD_HINTS = MappingProxyType(
     {
         "sup": "ask E[<=444; 1000](max: Temp), or `decanter model prove` for a bound that is proven",
         "inf": "ask E[<=444; 1000](min: Temp), or `decanter model prove` for a bound that is proven",
@@ -132,7 +132,7 @@ _FIRST = MappingProxyType(
         "maxE": "there is no strategy to be found: the events come from the plant",
     }
 )
-_BEGINNINGS = MappingProxyType({"pr": "Pr", "e": "E", "a": "A", "simulate": "simulate"})
+_QUERY_KEYWORDS = MappingProxyType({"pr": "Pr", "e": "E", "a": "A", "simulate": "simulate"})
 
 
 class QueryError(ValueError):
@@ -142,7 +142,7 @@ class QueryError(ValueError):
     """
 
     def __init__(self, sentence: str) -> None:
-        super().__init__(escaped(sentence))
+        super().__init__(escape_text(sentence))
 
 
 @cache
@@ -167,12 +167,12 @@ def syntax(text: str) -> Tree[Token]:
     return tree
 
 
-def shown(text: str) -> str:
+def quote_part(text: str) -> str:
     """A part of the query as an error quotes it: cut off where it is long."""
-    return str(text) if len(text) <= LONGEST_QUOTE else f"{text[: LONGEST_QUOTE - 3]}..."
+    return str(text) if len(text) <= MAX_QUOTE_CHARS else f"{text[: MAX_QUOTE_CHARS - 3]}..."
 
 
-def at(place: Token | Meta, sentence: str) -> QueryError:
+def query_error(place: Token | Meta, sentence: str) -> QueryError:
     """The error `column 9: sentence`; with the line where it is not the first."""
     line, column = place.line, place.column
     return QueryError(f"{f'line {line}, ' if line and line > 1 else ''}column {column}: {sentence}")
@@ -182,22 +182,22 @@ def _sentence(error: UnexpectedInput, text: str) -> str:
     # First what people bring along from UPPAAL's other queries: the parser's own complaint would not help them.
     first = text.split(maxsplit=1)[0].rstrip(":({[")
     place = Token("", "", line=error.line, column=error.column)
-    if first in _FIRST:
-        return f"{first} is not asked here; {_FIRST[first]}"
+    if first in _FIRST_WORD_HINTS:
+        return f"{first} is not asked here; {_FIRST_WORD_HINTS[first]}"
     begun = re.match(r"\s*(\w+)\s*[\[({<]", text)
-    if begun and begun[1] != (right := _BEGINNINGS.get(begun[1].casefold(), begun[1])):
+    if begun and begun[1] != (right := _QUERY_KEYWORDS.get(begun[1].casefold(), begun[1])):
         return f"column {begun.start(1) + 1}: a query begins with {right}, not with {begun[1]}; {FORMS}"
     if isinstance(error, UnexpectedCharacters):
         sign = text.split("\n")[error.line - 1][error.column - 1]
-        return str(at(place, f"found {sign!r}; {_SIGNS.get(sign, f'no query has this sign; {FORMS}')}"))
+        return str(query_error(place, f"found {sign!r}; {_SIGNS.get(sign, f'no query has this sign; {FORMS}')}"))
     if not isinstance(error, UnexpectedToken):
-        return str(at(place, FORMS))
+        return str(query_error(place, FORMS))
     # `accepts` is what the parser could really take here; `expected` has also what it would refuse a step later.
     token, wanted = error.token, frozenset(error.accepts or error.expected)
     if token.type == "$END":
         if {"LEADSTO"} <= wanted and not wanted & {"RPAR", "UNTIL"}:
             return f"the query is a condition alone; {FORMS}"
-        return f"the query ends too early; right would be {_expected(wanted)}"
+        return f"the query ends too early; right would be {_expectation_text(wanted)}"
     if token.type == "LPAR" and re.search(r"\b[^\W\d]\w*\s*$", text[: token.start_pos]):
         hint = "no function is known here; write sums, differences, products and quotients"
     elif str(token) == "under":
@@ -207,17 +207,17 @@ def _sentence(error: UnexpectedInput, text: str) -> str:
     elif "NAME" in wanted and re.fullmatch(r"[^\W\d]\w*", token):
         hint = f'{token} is a word of the language; a location of that name is named by at "{token}"'
     elif wanted <= {"DIAMOND", "BOX", "LSQB"} and (word := re.search(r"\b[AE](?=\s*$)", text[: token.start_pos])):
-        hint = f'right would be {_expected(wanted)}; a location called {word[0]} is named by at "{word[0]}"'
+        hint = f'right would be {_expectation_text(wanted)}; a location called {word[0]} is named by at "{word[0]}"'
     else:
-        hint = f"right would be {_expected(wanted)}"
-    return str(at(token, f"found {shown(token)!r}; {hint}"))
+        hint = f"right would be {_expectation_text(wanted)}"
+    return str(query_error(token, f"found {quote_part(token)!r}; {hint}"))
 
 
-def _expected(wanted: frozenset[str]) -> str:
+def _expectation_text(wanted: frozenset[str]) -> str:
     """The terminals that would be right, in words; operands and operators as one word each."""
     if "SIMULATE" in wanted:
         return f"the beginning of a query; {FORMS}"
-    words = [_SPELLED[name] for name in _SPELLED if name in wanted]
+    words = [_TOKEN_NAMES[name] for name in _TOKEN_NAMES if name in wanted]
     if {"NAME", "NUMBER"} <= wanted:
         words = ["a name, a number, '!' or '('", *(word for word in words if word not in ("'('",))]
     elif "NUMBER" in wanted:

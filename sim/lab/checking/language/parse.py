@@ -15,7 +15,7 @@ from typing import Literal, cast
 
 from lark import Token, Tree
 
-from sim.lab.checking.language.grammar import QueryError, at, shown, syntax
+from sim.lab.checking.language.grammar import QueryError, query_error, quote_part, syntax
 from sim.lab.checking.query import PROCESS, QUANTITIES, QuantityKind, identifiers
 from sim.lab.checking.query import tree as q
 from sim.sha import SHA, Model
@@ -41,7 +41,7 @@ class Scope:
     courses: bool = False
 
 
-def scope_of(sha: SHA, temperature: str) -> Scope:
+def query_scope(sha: SHA, temperature: str) -> Scope:
     """The scope of an automaton. A location called like the temperature's signal keeps the name for itself."""
     ids = identifiers([location.name for location in sha.locations])
     locations = {identifier: name for name, identifier in ids.items()}
@@ -58,7 +58,7 @@ def parse_query(text: str, model: Model | SHA, temperature: str = "Temp") -> q.Q
     Raises QueryError (a ValueError) with the column, what stands there and what would be right.
     """
     sha, name = (model.sha, model.temperature) if isinstance(model, Model) else (model, temperature)
-    scope, form = scope_of(sha, name), cast(Node, syntax(text).children[0])
+    scope, form = query_scope(sha, name), cast(Node, syntax(text).children[0])
     match form.data:
         case "estimate":
             return _probability(cast(Node, form.children[0]), scope)
@@ -66,7 +66,9 @@ def parse_query(text: str, model: Model | SHA, temperature: str = "Temp") -> q.Q
             question, sign, number = form.children
             p = _number(cast(Node, number))
             if not 0.0 <= p <= 1.0:
-                raise at(cast(Node, number).meta, f"{p:g} is no probability; write one from 0 to 1, such as 0.9")
+                raise query_error(
+                    cast(Node, number).meta, f"{p:g} is no probability; write one from 0 to 1, such as 0.9"
+                )
             return q.Hypothesis(_probability(cast(Node, question), scope), "<=" if _type(sign) == "LE" else ">=", p)
         case "comparison":
             left, right = (_probability(part, scope) for part in _trees(form))
@@ -77,7 +79,9 @@ def parse_query(text: str, model: Model | SHA, temperature: str = "Temp") -> q.Q
             _, bounds, extreme, expression = form.children
             bound, runs = _bounds(cast(Node, bounds))
             if runs is None:
-                raise at(cast(Node, bounds).meta, f"the mean of how many runs? write `E[<={bound:g}; 1000](...)`")
+                raise query_error(
+                    cast(Node, bounds).meta, f"the mean of how many runs? write `E[<={bound:g}; 1000](...)`"
+                )
             value = _expression(cast(Node, expression), scope)
             return q.Expectation(bound, runs, "max" if extreme == "max" else "min", value)
         case "simulation":
@@ -98,11 +102,13 @@ def _probability(tree: Node, scope: Scope) -> q.Probability:
         bound, runs = _bounds(bounds)
         return q.Probability(bound, _path(path, bound, scope), runs)
     if path.data == "response" or not any(part.data == "interval" for part in _trees(path)):
-        raise at(path.meta, "how long is a run? write Pr[<=444](...)")
+        raise query_error(path.meta, "how long is a run? write Pr[<=444](...)")
     # UPPAAL's MITL form: the interval says how long.
     own = cast("q.Eventually | q.Always | q.Until", _path(path, None, scope))
     if not own.span.high > 0:
-        raise at(path.meta, "the interval ends at 0, which leaves no time to look at; write one such as [0,60]")
+        raise query_error(
+            path.meta, "the interval ends at 0, which leaves no time to look at; write one such as [0,60]"
+        )
     return q.Probability(own.span.high, own)
 
 
@@ -113,7 +119,7 @@ def _path(tree: Node, bound: float | None, scope: Scope) -> q.Path:
     if "view" in parts:
         word = cast(Token, parts["view"].children[0])
         if word != "weak":
-            raise at(word, f"found {shown(str(word))!r}; right would be 'within', 'weak' or ')'")
+            raise query_error(word, f"found {quote_part(str(word))!r}; right would be 'within', 'weak' or ')'")
         weak = True
     span: q.TimeSpan | None = None
     # A cause's answer may be due after the bound, unless such causes are left out.
@@ -124,11 +130,15 @@ def _path(tree: Node, bound: float | None, scope: Scope) -> q.Path:
     if tree.data == "response":
         # The answer is due by the interval or by `within`, one of them.
         if (span is None) == ("within" not in parts):
-            raise at(tree.meta, "within what time is the answer due? write phi -->[0,60] psi or phi --> psi within 60")
+            raise query_error(
+                tree.meta, "within what time is the answer due? write phi -->[0,60] psi or phi --> psi within 60"
+            )
         if "within" in parts:
             named, number = parts["within"].children
             if named != "within":
-                raise at(cast(Token, named), f"found {shown(str(named))!r}; right would be 'within', 'weak' or ')'")
+                raise query_error(
+                    cast(Token, named), f"found {quote_part(str(named))!r}; right would be 'within', 'weak' or ')'"
+                )
             span = _span(0.0, _number(cast(Node, number)), cast(Node, number), latest)
         return q.BoundedResponse(read[0], read[1], cast(q.TimeSpan, span), weak)
     if tree.data == "until":
@@ -139,9 +149,13 @@ def _path(tree: Node, bound: float | None, scope: Scope) -> q.Path:
 
 def _span(low: float, high: float, tree: Node, bound: float | None) -> q.TimeSpan:
     if not 0.0 <= low <= high or not isfinite(high):
-        raise at(tree.meta, f"[{low:g},{high:g}] is no interval of time; write two finite numbers, as in [0,60]")
+        raise query_error(
+            tree.meta, f"[{low:g},{high:g}] is no interval of time; write two finite numbers, as in [0,60]"
+        )
     if bound is not None and high > bound:
-        raise at(tree.meta, f"{high:g} s is beyond the run, which ends at {bound:g} s; shorten it or raise the bound")
+        raise query_error(
+            tree.meta, f"{high:g} s is beyond the run, which ends at {bound:g} s; shorten it or raise the bound"
+        )
     return q.TimeSpan(low, high)
 
 
@@ -150,14 +164,18 @@ def _bounds(tree: Node) -> tuple[float, int | None]:
     parts = list(_trees(tree))
     bound = _number(parts[0])
     if not bound > 0 or not isfinite(bound):
-        raise at(parts[0].meta, f"a run of {bound:g} s cannot be made; the bound is a number of seconds above 0")
+        raise query_error(
+            parts[0].meta, f"a run of {bound:g} s cannot be made; the bound is a number of seconds above 0"
+        )
     return bound, _runs(parts[1]) if len(parts) > 1 else None
 
 
 def _runs(tree: Node) -> int:
     written = "".join(str(token) for token in tree.children)
     if not written.isdecimal() or len(written) > 18 or int(written) < 1:
-        raise at(tree.meta, f"{shown(written)} is no number of runs; write a whole one from 1, such as 1000")
+        raise query_error(
+            tree.meta, f"{quote_part(written)} is no number of runs; write a whole one from 1, such as 1000"
+        )
     return int(written)
 
 
@@ -166,7 +184,7 @@ def _simulation(tree: Node, text: str, scope: Scope) -> q.Query:
     bounds = next(part for part in _trees(tree) if part.data == "bounds")
     bound, runs = _bounds(bounds)
     if numbers and runs is not None:
-        raise at(numbers[0].meta, f"the runs are given twice; write simulate [<={bound:g}; {runs}] {{...}}")
+        raise query_error(numbers[0].meta, f"the runs are given twice; write simulate [<={bound:g}; {runs}] {{...}}")
     # The expressions as written stand between the marks `{`, `,` and `}`; the tree has lost their spelling.
     marks = [token for token in tree.children if isinstance(token, Token) and token.type != "SIMULATE"]
     written = [text[left.end_pos : right.start_pos].strip() for left, right in pairwise(marks)]
@@ -190,9 +208,11 @@ def _formula(tree: Node, scope: Scope) -> q.Formula:
         case "relation":
             left, sign, right, *more = tree.children
             if more:
-                raise at(cast(Token, more[0]), f"found a second comparison {str(more[0])!r}; write a < b && b < c")
+                raise query_error(
+                    cast(Token, more[0]), f"found a second comparison {str(more[0])!r}; write a < b && b < c"
+                )
             if cast(Node, left).data == "negation":
-                raise at(tree.meta, "'!' and 'not' bind tighter than a comparison; write !(a > b)")
+                raise query_error(tree.meta, "'!' and 'not' bind tighter than a comparison; write !(a > b)")
             first, second = (_expression(cast(Node, side), scope) for side in (left, right))
             return q.Compare(_COMPARISONS[_type(sign)], first, second)
         case "negation":
@@ -202,25 +222,29 @@ def _formula(tree: Node, scope: Scope) -> q.Formula:
         case "deadlock":
             if not scope.symbolic:
                 wanted = "ask E<> deadlock or A[] !deadlock"
-                raise at(tree.meta, f"deadlock is a matter of the automaton, not of a run; {wanted}")
+                raise query_error(tree.meta, f"deadlock is a matter of the automaton, not of a run; {wanted}")
             return q.Deadlock()
         case "own_name":
             token = cast(Token, tree.children[0])
             written = str(token).removeprefix("at").strip()
             name = re.sub(r"\\(.)", r"\1", written[1:-1])
             if name not in scope.own:
-                raise at(token, f"no location is called {shown(name)!r}; {_suggestion(name, sorted(scope.own))}")
+                raise query_error(
+                    token, f"no location is called {quote_part(name)!r}; {_suggestion(name, sorted(scope.own))}"
+                )
             return q.At(name)
         case "name":
             token = cast(Token, tree.children[0])
-            name = _unqualified(token)
+            name = _strip_process(token)
             if name in scope.locations:
                 return q.At(scope.locations[name])
             if name in scope.quantities:
-                raise at(token, f"{token} is a number and a condition is needed; compare it, as in {token} > 80")
+                raise query_error(
+                    token, f"{token} is a number and a condition is needed; compare it, as in {token} > 80"
+                )
             raise _unknown(token, name, scope)
     _expression(tree, scope)  # a location's own name without quotes reads like a difference: unknown names go first
-    raise at(tree.meta, "a number stands where a condition is needed; compare it, as in Temp > 80")
+    raise query_error(tree.meta, "a number stands where a condition is needed; compare it, as in Temp > 80")
 
 
 def _expression(tree: Node, scope: Scope) -> q.Expression:
@@ -231,7 +255,7 @@ def _expression(tree: Node, scope: Scope) -> q.Expression:
             for sign, part in zip(tree.children[1::2], tree.children[2::2], strict=True):
                 right = _expression(cast(Node, part), scope)
                 if _type(sign) == "OVER" and right == q.Number(0.0):
-                    raise at(cast(Node, part).meta, "a division by zero; correct the divisor")
+                    raise query_error(cast(Node, part).meta, "a division by zero; correct the divisor")
                 total = q.Operation(_ARITHMETIC[_type(sign)], total, right)
             return total
         case "minus":
@@ -243,20 +267,22 @@ def _expression(tree: Node, scope: Scope) -> q.Expression:
         case "literal":
             value = float(cast(Token, tree.children[0]))
             if not isfinite(value):
-                text = shown(str(tree.children[0]))
-                raise at(tree.meta, f"{text} is beyond what a number can be; write a finite one")
+                text = quote_part(str(tree.children[0]))
+                raise query_error(tree.meta, f"{text} is beyond what a number can be; write a finite one")
             return q.Number(value)
         case "name":
             token = cast(Token, tree.children[0])
-            name = _unqualified(token)
+            name = _strip_process(token)
             if name in scope.locations and scope.courses:
                 return q.Indicator(q.At(scope.locations[name]))
             if name in scope.locations:
-                raise at(token, f"{token} is a location and a number is needed: Temp, time, age, or a sum of such")
+                raise query_error(
+                    token, f"{token} is a location and a number is needed: Temp, time, age, or a sum of such"
+                )
             if name not in scope.quantities:
                 raise _unknown(token, name, scope)
             if scope.symbolic:
-                raise at(
+                raise query_error(
                     token,
                     f"{token} changes continuously, and over that nothing is decided symbolically; ask `Pr[<=T](...)`, "
                     "or `decanter model prove` for a bound under any events",
@@ -264,22 +290,24 @@ def _expression(tree: Node, scope: Scope) -> q.Expression:
             return q.Quantity(scope.quantities[name])
     if scope.courses:
         return q.Indicator(_formula(tree, replace(scope, courses=False)))
-    raise at(tree.meta, "a condition stands where a number is needed: Temp, time, age, or a sum of such")
+    raise query_error(tree.meta, "a condition stands where a number is needed: Temp, time, age, or a sum of such")
 
 
-def _unqualified(token: Token) -> str:
+def _strip_process(token: Token) -> str:
     """The name without the process; a process other than the model's is refused."""
     process, dot, name = str(token).partition(".")
     if not dot:
         return process
     if process != PROCESS or "." in name:
-        raise at(token, f"found {shown(token)!r}; only the model's own names are known, as {PROCESS}.Temp or Temp")
+        raise query_error(
+            token, f"found {quote_part(token)!r}; only the model's own names are known, as {PROCESS}.Temp or Temp"
+        )
     return name
 
 
 def _unknown(token: Token, name: str, scope: Scope) -> QueryError:
     known = [*scope.quantities, *scope.locations]
-    return at(token, f"{shown(token)!r} is not known; {_suggestion(name, known)}")
+    return query_error(token, f"{quote_part(token)!r} is not known; {_suggestion(name, known)}")
 
 
 def _suggestion(name: str, known: Sequence[str]) -> str:

@@ -6,13 +6,13 @@ from sim.lab.checking.query import PROCESS, QUANTITIES, identifiers
 from sim.lab.checking.query import tree as q
 from sim.sha import SHA, Model
 
-LARGEST_BOUND = 2**31 - 1
+MAX_BOUND_S = 2**31 - 1
 """Seconds: UPPAAL's time bounds are 32-bit integers."""
 
 Identifiers = Mapping[str, str]
 
 _NAMES: Mapping[str, str] = {kind: f"{PROCESS}.{name}" for name, kind in QUANTITIES.items()}
-_TIGHTNESS: Mapping[str, int] = {"+": 1, "-": 1, "*": 2, "/": 2}
+_PRECEDENCE: Mapping[str, int] = {"+": 1, "-": 1, "*": 2, "/": 2}
 
 
 def query_text(query: q.Query, model: Model | SHA) -> str:
@@ -66,9 +66,9 @@ def uppaal_refusal(query: q.Query) -> str:
 
 
 def _bound_refusal(bound: float) -> str:
-    if bound.is_integer() and bound <= LARGEST_BOUND:
+    if bound.is_integer() and bound <= MAX_BOUND_S:
         return ""
-    return f"UPPAAL takes whole seconds up to {LARGEST_BOUND}, not {_seconds(bound)}; round the bound"
+    return f"UPPAAL takes whole seconds up to {MAX_BOUND_S}, not {_seconds(bound)}; round the bound"
 
 
 def _is_mitl(query: q.Probability) -> bool:
@@ -106,7 +106,7 @@ def _formula(formula: q.Formula, ids: Identifiers, around: int = 0) -> str:
     """`around` is how tightly the operator around binds: 0 there is none, 1 ||, 2 &&, 3 !."""
     match formula:
         case q.Compare(op=op, left=left, right=right):
-            return _wrapped(f"{_expression(left, ids)} {op} {_expression(right, ids)}", around == 3)
+            return _parenthesise(f"{_expression(left, ids)} {op} {_expression(right, ids)}", around == 3)
         case q.At(location=location):
             return f"{PROCESS}.{ids[location]}"
         case q.Constant(value=value):
@@ -118,7 +118,7 @@ def _formula(formula: q.Formula, ids: Identifiers, around: int = 0) -> str:
     own, sign = (2, "&&") if isinstance(formula, q.Both) else (1, "||")
     # The same operator again needs brackets to its right only: both are read from the left.
     last = _formula(formula.right, ids, 3 if type(formula.right) is type(formula) else own)
-    return _wrapped(f"{_formula(formula.left, ids, own)} {sign} {last}", around > own)
+    return _parenthesise(f"{_formula(formula.left, ids, own)} {sign} {last}", around > own)
 
 
 def _expression(expression: q.Expression, ids: Identifiers, around: int = 0) -> str:
@@ -129,12 +129,12 @@ def _expression(expression: q.Expression, ids: Identifiers, around: int = 0) -> 
             return _NAMES[kind]
         case q.Indicator(inner=inner):
             return _formula(inner, ids) if isinstance(inner, q.At) or not around else f"({_formula(inner, ids)})"
-    own = _TIGHTNESS[expression.op]
+    own = _PRECEDENCE[expression.op]
     text = f"{_expression(expression.left, ids, own)} {expression.op} {_expression(expression.right, ids, own + 1)}"
-    return _wrapped(text, own < around)
+    return _parenthesise(text, own < around)
 
 
-def _wrapped(text: str, wrap: bool) -> str:
+def _parenthesise(text: str, wrap: bool) -> str:
     return f"({text})" if wrap else text
 
 

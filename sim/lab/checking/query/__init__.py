@@ -1,6 +1,14 @@
 """A query as a tree, the names that it speaks of, and what decides one over the locations alone."""
 
-from sim.lab.checking.query.names import FUNCTIONS, KEYWORDS, PROCESS, QUANTITIES, RESERVED, QuantityKind, identifiers
+from sim.lab.checking.query.names import (
+    FUNCTIONS,
+    KEYWORDS,
+    PROCESS,
+    QUANTITIES,
+    RESERVED_WORDS,
+    QuantityKind,
+    identifiers,
+)
 from sim.lab.checking.query.symbolic import decide
 from sim.lab.checking.query.tree import (
     Always,

@@ -32,10 +32,10 @@ _FUNCTIONS = (
 FUNCTIONS = frozenset(_FUNCTIONS.split())
 """UPPAAL's built-in functions: words too."""
 
-RESERVED = KEYWORDS | FUNCTIONS | {"Temp", "time", "age", "m_1", "p_1"}
+RESERVED_WORDS = KEYWORDS | FUNCTIONS | {"Temp", "time", "age", "m_1", "p_1"}
 """Words that no location may be called by: UPPAAL's own, and the exported model's."""
 
-LONGEST = 48
+MAX_IDENTIFIER_CHARS = 48
 """Signs of an identifier: older parsers of UPPAAL cut at 64, and the export puts prefixes before some."""
 
 
@@ -46,7 +46,11 @@ def identifiers(names: Sequence[str]) -> Mapping[str, str]:
     """
     chosen: dict[str, str] = {}
     plain = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
-    kept = {name for name in names if plain.fullmatch(name) and name not in RESERVED and len(name) <= LONGEST}
+    kept = {
+        name
+        for name in names
+        if plain.fullmatch(name) and name not in RESERVED_WORDS and len(name) <= MAX_IDENTIFIER_CHARS
+    }
     taken = set(kept)
     for name in names:
         if name in kept:
@@ -57,9 +61,9 @@ def identifiers(names: Sequence[str]) -> Mapping[str, str]:
         for sign, word in (("+", "_plus"), ("?", "unknown"), ("<-", "below_minus_"), ("<", "below_"), (">", "above_")):
             text = text.replace(sign, word)
         text = re.sub(r"[^A-Za-z0-9]+", "_", text).strip("_") or "q"
-        base = (text if text[0].isalpha() else f"q_{text}")[:LONGEST]
+        base = (text if text[0].isalpha() else f"q_{text}")[:MAX_IDENTIFIER_CHARS]
         candidate, number = base, 1
-        while candidate in taken or candidate in RESERVED:
+        while candidate in taken or candidate in RESERVED_WORDS:
             number += 1
             candidate = f"{base}_{number}"
         taken.add(candidate)

@@ -74,7 +74,7 @@ def decide(query: q.Symbolic, sha: SHA) -> SymbolicVerdict:
     for edge in sha.edges:
         following[edge.source].setdefault(edge.target, edge.symbol)
     graph = _LocationGraph(sha.initial, following)
-    everywhere, inner = frozenset(following), satisfying(query.inner, sha)
+    everywhere, inner = frozenset(following), find_places(query.inner, sha)
     reached = _search(graph, {graph.initial: 0}, lambda _: True)
 
     # Each kind is the search for one path: what shows E<> and E[], or denies A[], A<> and -->.
@@ -82,15 +82,15 @@ def decide(query: q.Symbolic, sha: SHA) -> SymbolicVerdict:
     if query.kind in ("E<>", "A[]"):
         wanted = inner if query.kind == "E<>" else everywhere - inner
         nearest = next((place for place in reached if place in wanted), None)
-        lasso = None if nearest is None else _Lasso(_path_to(reached, nearest))
+        lasso = None if nearest is None else _Lasso(_trace_path(reached, nearest))
     elif query.kind == "-->":
         if query.then is None:
             raise ValueError("the query phi --> psi has no psi")
-        keep = everywhere - satisfying(query.then, sha)
+        keep = everywhere - find_places(query.then, sha)
         starts = {place: steps for place, (steps, _) in reached.items() if place in inner and place in keep}
         lasso = _shortest_lasso(graph, starts, keep)
         if lasso is not None:  # it begins at a phi: the way there comes before it
-            lasso = _Lasso(_path_to(reached, lasso.path[0])[:-1] + lasso.path, lasso.back)
+            lasso = _Lasso(_trace_path(reached, lasso.path[0])[:-1] + lasso.path, lasso.back)
     else:
         keep = inner if query.kind == "E[]" else everywhere - inner
         lasso = _shortest_lasso(graph, {graph.initial: 0} if graph.initial in keep else {}, keep)
@@ -116,7 +116,7 @@ def decide(query: q.Symbolic, sha: SHA) -> SymbolicVerdict:
     )
 
 
-def satisfying(formula: q.Formula, sha: SHA) -> Places:
+def find_places(formula: q.Formula, sha: SHA) -> Places:
     """The locations in which a condition over locations holds. Raises ValueError as `decide`."""
     everywhere = frozenset(location.name for location in sha.locations)
     left = frozenset(edge.source for edge in sha.edges)
@@ -193,9 +193,9 @@ def _shortest_lasso(graph: _LocationGraph, starts: Mapping[str, int], keep: Plac
     if end is None:
         return None
     if not graph.following[end]:
-        return _Lasso(_path_to(tree, end))  # a deadlock: the path ends there
+        return _Lasso(_trace_path(tree, end))  # a deadlock: the path ends there
     around_it = _search(graph, {after: 1 for after in graph.following[end] if after in keep}, keep.__contains__)
-    return _Lasso(_path_to(tree, end), _path_to(around_it, end))
+    return _Lasso(_trace_path(tree, end), _trace_path(around_it, end))
 
 
 def _cycles(graph: _LocationGraph, keep: Places) -> Callable[[str, float], float]:
@@ -225,7 +225,7 @@ def _cycles(graph: _LocationGraph, keep: Places) -> Callable[[str, float], float
     return length
 
 
-def _path_to(tree: _Tree, place: str) -> tuple[str, ...]:
+def _trace_path(tree: _Tree, place: str) -> tuple[str, ...]:
     """The way to a location from the start it was reached from, both included."""
     path: list[str] = []
     step: str | None = place

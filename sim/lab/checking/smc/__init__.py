@@ -1,4 +1,4 @@
 """Queries answered by runs of the model."""
 
-from sim.lab.checking.smc.answers import Answer, QuerySettings, Rule, answer, decided
-from sim.lab.checking.smc.start import Start, believed, initial
+from sim.lab.checking.smc.answers import Answer, QuerySettings, Rule, answer, decide_symbolic
+from sim.lab.checking.smc.start import Start, believed_start, initial

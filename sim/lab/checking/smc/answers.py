@@ -1,7 +1,7 @@
 """Queries about runs are answered: each kind by the rule that fits it, rare events by importance splitting.
 
-`answer` is for queries that need runs, `decided` for symbolic ones. Every kind has one function below, which draws the
-runs, hands them to the statistical rule and says the result in one sentence.
+`answer` is for queries that need runs, `decide_symbolic` for symbolic ones. Every kind has one function below, which
+draws the runs, hands them to the statistical rule and says the result in one sentence.
 """
 
 from collections.abc import Mapping
@@ -15,9 +15,18 @@ import scipy
 from sim.lab.checking.query import decide
 from sim.lab.checking.query import tree as q
 from sim.lab.checking.smc.monitors import PreparedPath, Totals, approximations, cuts, prepare_path
-from sim.lab.checking.smc.rules import Draw, Progress, RuleOutcome, anytime, fixed, paired, sprt, to_half_width
+from sim.lab.checking.smc.rules import (
+    Draw,
+    Progress,
+    RuleOutcome,
+    anytime,
+    fixed_run_estimate,
+    paired,
+    sprt,
+    to_half_width,
+)
 from sim.lab.checking.smc.runs import Sampler, Trajectory, engine, extremes, sampler, trajectories
-from sim.lab.checking.smc.splitting import PilotFailed, refusal, split
+from sim.lab.checking.smc.splitting import PilotFailed, refusal, split_estimate
 from sim.lab.checking.smc.start import Start
 from sim.sha import SHA, Array
 
@@ -26,10 +35,10 @@ Rule = Literal["sequential", "fixed", "anytime"]
 MOST_RUNS, LONGEST_RUN = 100_000_000, 1e9
 """Runs that a query may ask for, and their length (s)."""
 
-RARE_AFTER = 10_000
+RARE_AFTER_RUNS = 10_000
 """Runs without a success (or without a failure) after which importance splitting takes over."""
 
-SPLIT_STEPS = 200
+MIN_SPLIT_STEPS = 200
 """Steps of a run at least when it is split: a run goes on from the end of the step in which it reached a level."""
 
 _ORDERS = {
@@ -96,7 +105,7 @@ def answer(
     """The answer to a query about runs from `start` (`initial`, `believed`).
 
     Equal arguments give equal answers. Raises ValueError for what cannot be answered, with the reason, and for symbolic
-    queries, which need no runs (`decided`).
+    queries, which need no runs (`decide_symbolic`).
     """
     chosen = settings or QuerySettings()
     if isinstance(query, q.Symbolic):
@@ -128,7 +137,7 @@ def answer(
     return _simulation(query, start, chosen, report)
 
 
-def prepared(question: q.Probability, start: Start) -> PreparedPath:
+def prepare_question(question: q.Probability, start: Start) -> PreparedPath:
     """The path of a question, ready to be followed. Raises ValueError for what cannot be followed."""
     return prepare_path(question.path, tuple(place.name for place in start.world.sha.locations), question.bound)
 
@@ -140,16 +149,16 @@ def _probability(query: q.Probability, start: Start, settings: QuerySettings, re
     """The probability of a path by the settings' rule, or by importance splitting.
 
     Splitting is done at once if the settings ask for it, and when a rule ended without any success (for `[]`, without
-    any failure) in at least RARE_AFTER runs on a path that can be split.
+    any failure) in at least RARE_AFTER_RUNS runs on a path that can be split.
     """
-    path = prepared(query, start)
+    path = prepare_question(query, start)
     if settings.rare:
         return _rare(query, path, start, settings, report)
     drawn = sampler(start.world, (path,), settings.seed)
     outcomes = _outcomes(drawn)
     if query.runs or settings.runs or settings.rule == "fixed":  # whoever asks for a number of runs gets the fixed rule
         runs = settings.runs or query.runs or hoeffding_runs(settings)
-        outcome = fixed(outcomes, runs, settings.level, progress=report)
+        outcome = fixed_run_estimate(outcomes, runs, settings.level, progress=report)
     else:
         rule = anytime if settings.rule == "anytime" else to_half_width
         outcome = rule(outcomes, settings.epsilon, settings.level, most=settings.most, progress=report)
@@ -160,7 +169,7 @@ def _probability(query: q.Probability, start: Start, settings: QuerySettings, re
     what = "the event came" if isinstance(query.path, q.Eventually) else "a violation came"
     advice: tuple[str, ...] = ()
     if never and not refusal(path) and not start.world.under_effects:
-        if estimate.runs >= RARE_AFTER:
+        if estimate.runs >= RARE_AFTER_RUNS:
             try:
                 rarer = _rare(query, path, start, settings, report)
             except PilotFailed as error:
@@ -174,7 +183,7 @@ def _probability(query: q.Probability, start: Start, settings: QuerySettings, re
     sentence = f"Pr = {_interval(estimate.probability, estimate.low, estimate.high, settings)}"
     if not outcome.decided:
         sentence += f"; the runs ended before the interval was as narrow as ±{settings.epsilon:g}"
-    return _answered(query, "probability", sentence, outcome=outcome, drawn=drawn, start=start, advice=advice)
+    return _format_answer(query, "probability", sentence, outcome=outcome, drawn=drawn, start=start, advice=advice)
 
 
 def hoeffding_runs(settings: QuerySettings) -> int:
@@ -184,7 +193,7 @@ def hoeffding_runs(settings: QuerySettings) -> int:
 
 def _hypothesis(query: q.Hypothesis, start: Start, settings: QuerySettings, report: Progress) -> Answer:
     """Whether a probability is at least (at most) p, by Wald's sequential test."""
-    drawn = sampler(start.world, (prepared(query.question, start),), settings.seed)
+    drawn = sampler(start.world, (prepare_question(query.question, start),), settings.seed)
     test = sprt.wald_test(query.op, query.p, settings.delta, settings.alpha, settings.alpha)
     most = settings.runs or query.question.runs or settings.most
     outcome = sprt.sprt(_outcomes(drawn), test, most=most, progress=report)
@@ -192,12 +201,14 @@ def _hypothesis(query: q.Hypothesis, start: Start, settings: QuerySettings, repo
     estimate = outcome.estimate
     sentence = f"Pr {query.op} {query.p:g}: {word}; Pr = "
     sentence += _interval(estimate.probability, estimate.low, estimate.high, settings)
-    return _answered(query, "hypothesis", sentence, outcome=outcome, drawn=drawn, start=start)
+    return _format_answer(query, "hypothesis", sentence, outcome=outcome, drawn=drawn, start=start)
 
 
 def _comparison(query: q.PairedComparison, start: Start, settings: QuerySettings, report: Progress) -> Answer:
     """Which of two probabilities is greater, both seen on the same runs (common random numbers)."""
-    drawn = sampler(start.world, (prepared(query.left, start), prepared(query.right, start)), settings.seed)
+    drawn = sampler(
+        start.world, (prepare_question(query.left, start), prepare_question(query.right, start)), settings.seed
+    )
 
     def pairs(runs: int) -> tuple[Array, Array]:
         left, right = drawn.draw(runs).T.astype(float)
@@ -214,7 +225,7 @@ def _comparison(query: q.PairedComparison, start: Start, settings: QuerySettings
     }
     for name, side in (("left", comparison.left), ("right", comparison.right)):
         numbers |= {name: side.probability, f"{name} low": side.low, f"{name} high": side.high}
-    numbers |= _left_out(drawn)
+    numbers |= _left_out_count(drawn)
     return Answer(
         query=query,
         kind="comparison",
@@ -238,10 +249,10 @@ def _rare(query: q.Probability, path: PreparedPath, start: Start, settings: Quer
         )
     where = cuts((path,))
     # No step over several pieces (`lines`): a run's way to the levels in between counts, wherever they are.
-    made = engine(start.world, replace(where, longest=min(where.longest, path.bound / SPLIT_STEPS), lines=None))
+    made = engine(start.world, replace(where, longest=min(where.longest, path.bound / MIN_SPLIT_STEPS), lines=None))
     # The spawn key lies beyond those of the chunks of plain runs (`runs.generator`): no random number is used twice.
     rng = np.random.Generator(np.random.SFC64(np.random.SeedSequence(entropy=settings.seed, spawn_key=(1 << 20,))))
-    splitting = split(made, path, rng, confidence=settings.level, report=report)
+    splitting = split_estimate(made, path, rng, confidence=settings.level, report=report)
     estimate = splitting.estimate
     if isinstance(query.path, q.Always):
         # The complement is said as "1 - x": 1 - 1e-6 printed with four digits would read 1.
@@ -334,7 +345,7 @@ def _simulation(query: q.Simulation, start: Start, settings: QuerySettings, repo
     )
 
 
-def decided(query: q.Symbolic, sha: SHA) -> Answer:
+def decide_symbolic(query: q.Symbolic, sha: SHA) -> Answer:
     """The answer to a symbolic query, with the word that shows it where one does. Raises ValueError as `decide`."""
     verdict = decide(query, sha)
     sentence = f"{query.kind}: {'holds' if verdict.holds else 'does not hold'}"
@@ -371,7 +382,7 @@ def _outcomes(drawn: Sampler) -> Draw:
     return lambda runs: drawn.draw(runs)[:, 0].astype(float)
 
 
-def _answered(
+def _format_answer(
     query: q.Probability | q.Hypothesis,
     kind: str,
     sentence: str,
@@ -388,7 +399,8 @@ def _answered(
         kind=kind,
         sentence=sentence,
         verdict=outcome.holds,
-        numbers={"probability": estimate.probability, "low": estimate.low, "high": estimate.high} | _left_out(drawn),
+        numbers={"probability": estimate.probability, "low": estimate.low, "high": estimate.high}
+        | _left_out_count(drawn),
         rule=outcome.rule,
         runs=estimate.runs,
         seed=drawn.seed,
@@ -398,7 +410,7 @@ def _answered(
     )
 
 
-def _left_out(drawn: Sampler) -> dict[str, float]:
+def _left_out_count(drawn: Sampler) -> dict[str, float]:
     """How many causes the weak responses have left out; nothing where there is no such response."""
     weak = any(isinstance(path.path, q.BoundedResponse) and path.path.weak for path in drawn.paths)
     return {"causes left out": float(drawn.left_out.sum())} if weak else {}

@@ -19,22 +19,31 @@ from sim.lab.checking.smc.monitors import (
     follow,
     linear_in_temperature,
 )
-from sim.lab.checking.smc.paths import LONGEST, Cuts, Engine, Indices, World, augmented, known, semi_markov
+from sim.lab.checking.smc.paths import (
+    MAX_PIECE_S,
+    Cuts,
+    Engine,
+    Indices,
+    World,
+    effects_engine,
+    known_engine,
+    semi_markov,
+)
 from sim.lab.checking.smc.rules import Progress
 from sim.sha import Array, Mask
 
 SMALLEST, LARGEST = 64, 32768
 """Runs of the first chunk, and of the large ones: each is twice the one before it. A chunk's rows fit the cache."""
 
-MOST_MOMENTS = 1_000_000
+MAX_MOMENTS = 1_000_000
 """Runs whose moment of the goal is kept, for a picture."""
 
 
 def engine(world: World, where: Cuts) -> Engine:
     """The engine for a world: along its trace's events, or by the semi-Markov law."""
     if world.under_effects:
-        return augmented(world, where)
-    return known(world, where) if world.trace is not None else semi_markov(world, where)
+        return effects_engine(world, where)
+    return known_engine(world, where) if world.trace is not None else semi_markov(world, where)
 
 
 def chunk_size(number: int) -> int:
@@ -90,8 +99,8 @@ class Sampler:
         self.totals += follow(self.engine, monitors, runs, generator(self.seed, self.chunks))
         self.chunks += 1
         self.unclear += sum(getattr(monitor, "unclear", 0) for monitor in monitors)
-        moments = self.paths[0].when(monitors[0])
-        if moments is not None and sum(part.size for part in self.when) < MOST_MOMENTS:
+        moments = self.paths[0].goal_moment(monitors[0])
+        if moments is not None and sum(part.size for part in self.when) < MAX_MOMENTS:
             self.when.append(moments)
         self.left = np.stack([path.verdict(seen) for path, seen in zip(self.paths, monitors, strict=True)], axis=1)
         nothing = np.zeros(runs, dtype=np.intp)
@@ -127,7 +136,7 @@ class RunStatistics:
     least: float = inf
     greatest: float = -inf
 
-    def joined(self, values: Array) -> "RunStatistics":
+    def add_values(self, values: Array) -> "RunStatistics":
         """With these values too (Chan, Golub & LeVeque 1979)."""
         mean, runs = float(values.mean()), self.runs + values.size
         off = mean - self.mean
@@ -154,7 +163,7 @@ def extremes(
     factor, rest = linear_in_temperature(expression)
     bent = affine(rest) is None
     looked = ((0.0, bound),) if factor or bent else ()
-    made = engine(world, Cuts(bound, (), (), looked, LONGEST if bent else inf))
+    made = engine(world, Cuts(bound, (), (), looked, MAX_PIECE_S if bent else inf))
     sign = 1.0 if greatest else -1.0
     statistics, totals, number = RunStatistics(), Totals(), 0
     while statistics.runs < runs:
@@ -162,7 +171,7 @@ def extremes(
         monitor = ExtremeMonitor(factor, rest, sign, np.full(size, -inf))
         totals += follow(made, [monitor], size, generator(seed, number))
         _check_finite(monitor.best)
-        statistics = statistics.joined(sign * monitor.best[: runs - statistics.runs])
+        statistics = statistics.add_values(sign * monitor.best[: runs - statistics.runs])
         number += 1
         report("runs", statistics.runs / runs)
     notes = ("what is not linear in the clocks is looked at each 4 s at least, at the ends of steps",) if bent else ()
@@ -177,10 +186,10 @@ class Trajectory:
     values: Array
 
 
-MOST_SHOWN = 1000
+MAX_COURSE_STEPS = 1000
 """Steps into which a course is cut for being shown, where its flow does not ask for more."""
 
-MOST_POINTS = 20_000_000
+MAX_POINTS = 20_000_000
 """Numbers of all courses of one simulation together."""
 
 
@@ -191,9 +200,9 @@ def trajectories(
 
     Raises ValueError for more numbers than fit, and for an expression that is not finite everywhere.
     """
-    made = engine(world, Cuts(bound, (), (), ((0.0, bound),), max(LONGEST, bound / MOST_SHOWN)))
+    made = engine(world, Cuts(bound, (), (), ((0.0, bound),), max(MAX_PIECE_S, bound / MAX_COURSE_STEPS)))
     rows = made.clock.size - 1
-    if runs * rows * 2 * len(expressions) > MOST_POINTS:
+    if runs * rows * 2 * len(expressions) > MAX_POINTS:
         raise ValueError(
             f"{runs} courses of {rows} steps with {len(expressions)} expressions are too many numbers; "
             f"ask for fewer runs or a shorter bound"

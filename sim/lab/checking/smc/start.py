@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 from difflib import get_close_matches
 
-from sim.engine import Belief, Tracker, advance, compiled, filter_trace, measured
+from sim.engine import Belief, Tracker, advance, compile_tracker, filter_trace, readings
 from sim.lab.checking.smc.paths import World
-from sim.sha import Distribution, Model, Trace, drawn_temperature
+from sim.sha import Distribution, Model, Trace, draw_temperature
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,7 +23,7 @@ def initial(model: Model | Tracker, trace: Trace | None = None, location: str | 
 
     Raises ValueError where there is no such law, reading or location.
     """
-    tracker = compiled(model)
+    tracker = compile_tracker(model)
     sha = tracker.model.sha
     names = [place.name for place in sha.locations]
     if location is not None and location not in names:
@@ -32,13 +32,13 @@ def initial(model: Model | Tracker, trace: Trace | None = None, location: str | 
         raise ValueError(f"model {sha.name!r} has no location {location!r}; did you mean {' or '.join(near)}?")
     place = names.index(location or sha.initial)
     if trace is not None:
-        times, values = measured(trace, tracker.model.temperature)
+        times, values = readings(trace, tracker.model.temperature)
         first = Distribution("normal", {"mu": float(values[0]), "sigma": 0.0})
         world = World(tracker, float(times[0]), place, first, trace=trace)
         return Start(
             world, f"the first reading of {trace.name}, {values[0]:.4g} {tracker.model.unit}; events of the trace"
         )
-    law = tracker.model.initial or drawn_temperature(sha.locations[place])
+    law = tracker.model.initial or draw_temperature(sha.locations[place])
     if law is None:
         raise ValueError(
             f"model {sha.name!r} has no law of its first temperature: start from a trace (its first reading) or belief"
@@ -46,13 +46,15 @@ def initial(model: Model | Tracker, trace: Trace | None = None, location: str | 
     return Start(World(tracker, 0.0, place, law), f"{names[place]}, first temperature by the model; semi-Markov events")
 
 
-def believed(model: Model | Tracker, trace: Trace, until: float | None = None, *, recorded: bool = False) -> Start:
+def believed_start(
+    model: Model | Tracker, trace: Trace, until: float | None = None, *, recorded: bool = False
+) -> Start:
     """What is believed after the rows of an encoded trace up to `until` (absolute s; its end unless given).
 
     With `recorded` the trace's later events and inputs drive the runs, else the semi-Markov law. Raises ValueError when
     no temperature was read by then, and when nothing is recorded after it.
     """
-    tracker = compiled(model)
+    tracker = compile_tracker(model)
     end = float(trace.times[-1]) if until is None and trace.times.size else until
     if end is None or not trace.times.size or end < trace.times[0]:
         raise ValueError(f"trace {trace.name!r} has no row up to the time from which the runs should start")

@@ -1,7 +1,7 @@
 """The given model's own parameters: which there are, what is believed of them, and what each does to a target.
 
 The given values are the centre of a weak belief; where a record hardly shows a location the belief is stronger
-(`anchored`).
+(`with_priors`).
 Locations of equal rate share it, and so do those of equal gains, as the learner left them.
 """
 
@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 
 from sim.engine import linear_recursion
 from sim.lab.discrepancy.fitting.record import Record
-from sim.lab.learning import RATES, FitShape, ParameterNames, Prior, shape_of, steps
+from sim.lab.learning import RATE_PARAMETERS, FitShape, ParameterNames, Prior, build_shape, steps
 from sim.sha import Array, Model, mode_parameter
 
 TARGET_SPREAD, DRIFT_SPREAD, FACTOR_SPREAD, LOG_RATE_SPREAD, GAIN_SPREAD = 40.0, 0.02, 10.0, 1.5, 1.0
 """How far the plant's parameters are believed to lie from the given ones: degC, degC/s, degC, 1, shares of a gain."""
-SHOWN = 0.1
+SHOWN_SHARE = 0.1
 """A location is shown where the temperature has gone this share of the way to a new target of it, at least once."""
-ANCHORED = 1e-3
+ANCHOR_SHARE = 1e-3
 """Share of its spread to which a rate or gain is held that no location shows."""
 
 
@@ -47,7 +47,7 @@ class Frame:
         return np.concatenate([self.shape.centre, self.shape.rate_centre])
 
 
-def frame_of(record: Record) -> Frame:
+def build_frame(record: Record) -> Frame:
     """The parameters of the record's model that the record's traces visit; equal rates and gains are shared."""
     model = record.model
     visited = set(np.unique(record.runs.place).tolist())
@@ -60,17 +60,17 @@ def frame_of(record: Record) -> Frame:
     of_gains: dict[tuple[tuple[str, float], ...], str] = {}
     for location in model.sha.locations:
         name, flow = location.name, location.flow
-        if flow.kind in RATES:
-            rate = RATES[flow.kind]
+        if flow.kind in RATE_PARAMETERS:
+            rate = RATE_PARAMETERS[flow.kind]
             rates[name] = of_rate.setdefault((rate, flow.params[rate]), name)
         if flow.inputs:
             gains[name] = of_gains.setdefault(tuple((driving.signal, driving.gain) for driving in flow.inputs), name)
-    shape, names = shape_of(model.sha, free, record.signals, Prior((20.0, TARGET_SPREAD)), rates=rates, gains=gains)
-    shape = _centred(model, shape, names)
+    shape, names = build_shape(model.sha, free, record.signals, Prior((20.0, TARGET_SPREAD)), rates=rates, gains=gains)
+    shape = _centre_shape(model, shape, names)
     return Frame(record, shape, names)
 
 
-def _centred(model: Model, shape: FitShape, names: ParameterNames) -> FitShape:
+def _centre_shape(model: Model, shape: FitShape, names: ParameterNames) -> FitShape:
     """The shape with the given model's values as the belief's centre."""
     by_name = model.sha.by_name
     centre, spread = shape.centre.copy(), shape.spread.copy()
@@ -81,7 +81,7 @@ def _centred(model: Model, shape: FitShape, names: ParameterNames) -> FitShape:
     for number, (group, signal) in enumerate(names.gains, start=len(names.targets)):
         gain = next(driver.gain for driver in by_name[group].flow.inputs if driver.signal == signal)
         centre[number], spread[number] = gain, max(GAIN_SPREAD * abs(gain), 1e-4)
-    rates = [by_name[name].flow.params[RATES[by_name[name].flow.kind]] for name in names.rates]
+    rates = [by_name[name].flow.params[RATE_PARAMETERS[by_name[name].flow.kind]] for name in names.rates]
     return replace(
         shape,
         centre=centre,
@@ -91,7 +91,7 @@ def _centred(model: Model, shape: FitShape, names: ParameterNames) -> FitShape:
     )
 
 
-def on(frame: Frame, record: Record) -> Frame:
+def move_frame(frame: Frame, record: Record) -> Frame:
     """The same parameters over another record of the same model."""
     return Frame(record, frame.shape, frame.names)
 
@@ -103,7 +103,7 @@ def targets(frame: Frame, linear: Array) -> Array:
     total = np.asarray(values[shape.target][runs.place])
     for number in range(shape.gain.shape[1]):
         if (shape.gain[:, number] >= 0).any():
-            total += values[shape.gain[:, number]][runs.place] * _beyond(frame, number)
+            total += values[shape.gain[:, number]][runs.place] * _excess(frame, number)
     return total
 
 
@@ -114,17 +114,17 @@ def load(frame: Frame, parameter: int) -> Array:
     for number in range(shape.gain.shape[1]):
         driven = shape.gain[:, number] == parameter
         if driven.any():
-            total += np.where(driven[place], _beyond(frame, number), 0.0)
+            total += np.where(driven[place], _excess(frame, number), 0.0)
     return total
 
 
-def _beyond(frame: Frame, number: int) -> Array:
+def _excess(frame: Frame, number: int) -> Array:
     """(n,) by how much an input is more than that at which it adds nothing; 0 while it was never read."""
     runs = frame.record.runs
     return np.nan_to_num(runs.inputs[:, number] - frame.shape.reference[:, number][runs.place])
 
 
-def anchored(frame: Frame) -> Frame:
+def with_priors(frame: Frame) -> Frame:
     """The frame with the given values believed in locations that its record hardly shows.
 
     What the free run is off by in a short visit, a tenth of a degree, is divided by the share of the way that the
@@ -138,12 +138,12 @@ def anchored(frame: Frame) -> Frame:
     for place in np.unique(frame.record.runs.place):
         target = shape.target[place]
         if not shown[place] and target >= 0:
-            own = max(float(np.sqrt(mode_parameter(locations[place])[1])), ANCHORED * spread[target])
+            own = max(float(np.sqrt(mode_parameter(locations[place])[1])), ANCHOR_SHARE * spread[target])
             spread[target] = min(spread[target], own)
     gains = np.arange(len(frame.names.targets), spread.size)
-    spread[gains] *= np.where(np.isin(gains, shape.gain[shown]), 1.0, ANCHORED)
+    spread[gains] *= np.where(np.isin(gains, shape.gain[shown]), 1.0, ANCHOR_SHARE)
     rates = np.isin(np.arange(shape.rate_spread.size), shape.rate[shown])
-    kept = replace(shape, spread=spread, rate_spread=shape.rate_spread * np.where(rates, 1.0, ANCHORED))
+    kept = replace(shape, spread=spread, rate_spread=shape.rate_spread * np.where(rates, 1.0, ANCHOR_SHARE))
     return replace(frame, shape=kept)
 
 
@@ -155,5 +155,5 @@ def shown_locations(frame: Frame) -> NDArray[np.bool_]:
     for place in np.unique(runs.place):
         way = linear_recursion(decay, np.where(runs.place == place, pull, 0.0), 0.0)
         # Of a flow without a target to relax to nothing is said: it counts as shown.
-        shown[place] = RATES.get(shape.kinds[place]) != "k" or way.max() >= SHOWN
+        shown[place] = RATE_PARAMETERS.get(shape.kinds[place]) != "k" or way.max() >= SHOWN_SHARE
     return shown

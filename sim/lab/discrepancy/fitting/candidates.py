@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
-from sim.effects import EFFECTS, RIVALS, EffectCandidate, EffectKind, kind_of, own_kind
+from sim.effects import EFFECTS, RIVALS, EffectCandidate, EffectKind, effect_kind, own_kind
 from sim.sha import Effect, EffectLine
 
 
@@ -66,7 +66,7 @@ class CatalogueEntry:
     @property
     def needs(self) -> tuple[str, ...]:
         """The roles of the signals without which it cannot be told."""
-        return self.kind.needed
+        return self.kind.required_roles
 
     def role_key(self, role: str) -> str:
         """What a role is called among all roles: a line's own roles are its own, whatever they are called."""
@@ -102,11 +102,11 @@ def own_roles(own: Sequence[EffectLine]) -> dict[str, str]:
 
 def entry_of_effect(effect: Effect) -> CatalogueEntry:
     """The entry of an effect that a model has. Raises ValueError for one that a diagnosis does not know."""
-    kind_of(effect)
-    return entry_of(effect.kind) if effect.line is None else entry_of_line(effect.line)
+    effect_kind(effect)
+    return catalogue_entry(effect.kind) if effect.line is None else entry_of_line(effect.line)
 
 
-def entry_of(name: str) -> CatalogueEntry:
+def catalogue_entry(name: str) -> CatalogueEntry:
     """The entry of a kind. Raises ValueError, naming it, for one that a diagnosis does not know."""
     entry = next((known for known in catalogue() if known.name == name), None)
     if entry is None:
@@ -114,7 +114,7 @@ def entry_of(name: str) -> CatalogueEntry:
     return entry
 
 
-def signals_of(entry: CatalogueEntry, present: Mapping[str, str]) -> dict[str, str] | None:
+def role_signals(entry: CatalogueEntry, present: Mapping[str, str]) -> dict[str, str] | None:
     """role -> signal for an entry from the roles that are `present`; None where a needed one is missing."""
     keys = {role: entry.role_key(role) for role in (*entry.needs, *entry.kind.optional)}
     if any(keys[role] not in present for role in entry.needs):

@@ -12,26 +12,26 @@ from itertools import pairwise
 import numpy as np
 from scipy.linalg.lapack import dtbtrs
 
-from sim.effects import Structural, is_gradual, kind_of, lag_of
+from sim.effects import Structural, effect_kind, heat_lag, is_gradual
 from sim.engine import linear_recursion
 from sim.lab.discrepancy.fitting.baseline import Frame, load, targets
 from sim.lab.discrepancy.fitting.effects import (
-    as_sensed,
-    coupled,
     deviation,
     follows_course,
     heat_and_loss,
+    housing_coupling,
     late_inrush,
     on_sensor,
+    sense_course,
 )
-from sim.lab.discrepancy.fitting.named import Named, effects_of
+from sim.lab.discrepancy.fitting.named import Named, automaton_effects
 from sim.lab.discrepancy.fitting.noise import Grid, decay_and_pull
-from sim.lab.learning import RATES, steps
+from sim.lab.learning import RATE_PARAMETERS, steps
 from sim.sha import Array, Effect
 
 ITERATIONS, STILL = 60, 1e-6
 """Passes at most, and the change (degC) below which a course stands still."""
-TAIL = 4
+TAIL_CYCLES = 4
 """Cycles over which the heat of one is followed, itself included: about a day."""
 
 LATE_TOGETHER, LATE_APART = 0.5, 12.0**-0.5
@@ -80,8 +80,8 @@ def run_free(
     first = runs.first
     decay, pull = steps(runs, frame.shape, log_rates)
     target = targets(frame, linear)
-    k = rates_of(frame, log_rates)
-    effects = [effect for each in named for effect in effects_of(each, frame.record.model)]
+    k = step_rates(frame, log_rates)
+    effects = [effect for each in named for effect in automaton_effects(each, frame.record.model)]
     heating = [effect for effect in effects if not on_sensor(effect)]
     # A run's first row has decay 0, so that one recursion serves all runs: what is pushed there is the start itself.
     push = pull * target
@@ -90,8 +90,8 @@ def run_free(
     loss, heat = np.zeros(len(runs)), np.zeros(len(runs))
     if heating:
         flow = (decay, np.where(first, start[np.cumsum(first) - 1], push), k)
-        course, loss, heat = _driven(frame, heating, flow, course if guess is None else guess)
-    mean = _sensed(frame, named, course)
+        course, loss, heat = _drive(frame, heating, flow, course if guess is None else guess)
+    mean = _sense(frame, named, course)
     return CourseState(
         linear=linear,
         log_rates=log_rates,
@@ -106,7 +106,7 @@ def run_free(
     )
 
 
-def _driven(
+def _drive(
     frame: Frame, effects: Sequence[Effect], flow: tuple[Array, Array, Array], course: Array
 ) -> tuple[Array, Array, Array]:
     """(course, loss, heat) with the effects; `flow` is (decay, what the flow adds, k) without them."""
@@ -139,10 +139,10 @@ def midway(frame: Frame, course: Array) -> Array:
     return np.where(frame.record.runs.first, course, 0.5 * (course + np.concatenate([course[:1], course[:-1]])))
 
 
-def rates_of(frame: Frame, log_rates: Array) -> Array:
+def step_rates(frame: Frame, log_rates: Array) -> Array:
     """(n,) 1/s the rate of each step's flow, 0 where it does not relax."""
     shape = frame.shape
-    relaxing = np.array([RATES.get(kind) == "k" for kind in shape.kinds])
+    relaxing = np.array([RATE_PARAMETERS.get(kind) == "k" for kind in shape.kinds])
     rate = np.append(np.exp(log_rates), 0.0)[np.where(relaxing, shape.rate, -1)]
     return np.asarray(rate[frame.record.runs.place])
 
@@ -162,23 +162,23 @@ def window_sensitivity(frame: Frame, state: CourseState, start: Array) -> Array:
     none, since it opens a row earlier or does not; it is told by differences of the simulation itself.
     """
     # Column by column: at the knots all of them together would be most of the memory that a diagnosis takes.
-    columns = [frame.record.windowed(column) for column in _knot_sensitivities(frame, state, start)]
+    columns = [frame.record.window_means(column) for column in _knot_sensitivities(frame, state, start)]
     return np.column_stack(columns)
 
 
 def _knot_sensitivities(frame: Frame, state: CourseState, start: Array) -> Iterator[Array]:
     """The same at the knots (n,), one parameter after the other."""
     model = frame.record.model
-    effects = [effect for named in state.named for effect in effects_of(named, model)]
-    if any(kind_of(effect).law == VALVE and not is_gradual(effect) for effect in effects):
+    effects = [effect for named in state.named for effect in automaton_effects(named, model)]
+    if any(effect_kind(effect).law == VALVE and not is_gradual(effect) for effect in effects):
         yield from _by_differences(frame, state, start)
         return
     heating = any(not on_sensor(effect) for effect in effects)
-    here = _steps_at(frame, state.log_rates, state.loss if heating else None)
+    here = _linear_steps(frame, state.log_rates, state.loss if heating else None)
     carried, late = _carrier(frame, effects, here), any(named.entry.whole for named in state.named)
     for forcing, read in _forcings(frame, state, here, heating=heating):
         column = carried(forcing)
-        column = as_read(frame, state, column) if late else column
+        column = sensor_view(frame, state, column) if late else column
         yield column if read is None else column + read
 
 
@@ -192,14 +192,14 @@ def _forcings(
     if r:
         loss = state.loss if heating else None
         group = np.append(frame.shape.rate, -1)[frame.record.runs.place]
-        up, down = (_steps_at(frame, state.log_rates + sign * RATE_STEP, loss) for sign in (1, -1))
-        by_rate = (_pushed(up, state, state.heat) - _pushed(down, state, state.heat)) / (2 * RATE_STEP)
+        up, down = (_linear_steps(frame, state.log_rates + sign * LOG_RATE_STEP, loss) for sign in (1, -1))
+        by_rate = (_step_targets(up, state, state.heat) - _step_targets(down, state, state.heat)) / (2 * LOG_RATE_STEP)
         for number in range(r):
             yield np.where(group == number, by_rate, 0.0), None
     yield from _by_strengths(frame, state, here)
 
 
-RATE_STEP = 1e-4
+LOG_RATE_STEP = 1e-4
 """By how much a log(rate) is moved for the derivative of a step's coefficients."""
 VALVE, HOUSING = Structural("thermostat"), Structural("housing")
 
@@ -213,20 +213,20 @@ class _LinearSteps:
     pull: Array
 
 
-def _steps_at(frame: Frame, log_rates: Array, loss: Array | None) -> _LinearSteps:
+def _linear_steps(frame: Frame, log_rates: Array, loss: Array | None) -> _LinearSteps:
     """The steps of `run_free` at other rates, with what effects lose (None: none of them heats)."""
     runs = frame.record.runs
     decay, pull = steps(runs, frame.shape, log_rates)
     if loss is None:
         return _LinearSteps(decay, np.zeros(len(runs)), pull)
-    k = rates_of(frame, log_rates)
+    k = step_rates(frame, log_rates)
     _, own = decay_and_pull(k, runs.dt)
     decay, heated = decay_and_pull(k + loss, runs.dt)
     decay, heated = np.where(runs.first, 0.0, decay), np.where(runs.first, 0.0, heated)
     return _LinearSteps(decay, heated, heated * pull / np.maximum(own, 1e-12))
 
 
-def _pushed(moved: _LinearSteps, state: CourseState, heat: Array) -> Array:
+def _step_targets(moved: _LinearSteps, state: CourseState, heat: Array) -> Array:
     """(n,) degC to which each step would lead from where the state has it begin; nothing where a run begins."""
     before = np.concatenate([[0.0], state.course[:-1]])
     return np.asarray(moved.decay * before + moved.heated * heat + moved.pull * state.target)
@@ -238,47 +238,47 @@ def _by_strengths(frame: Frame, state: CourseState, here: _LinearSteps) -> Itera
     The temperature along which an effect heats is held: what follows it comes in by `_carrier`.
     """
     record = frame.record
-    middle, pushed = midway(frame, state.course), _pushed(here, state, state.heat)
+    middle, pushed = midway(frame, state.course), _step_targets(here, state, state.heat)
     for number, named in enumerate(state.named):
         was = _heats(frame, named, middle)
-        for place, size in enumerate(_steps_of(named)):
-            moved = named.at([value + size * (place == other) for other, value in enumerate(named.point)])
+        for place, size in enumerate(_derivative_steps(named)):
+            moved = named.with_point([value + size * (place == other) for other, value in enumerate(named.point)])
             heat, loss = (new - old for new, old in zip(_heats(frame, moved, middle), was, strict=True))
             changed, shown = np.zeros(len(record.runs)), None
             if np.any(heat) or np.any(loss):
-                trial = _steps_at(frame, state.log_rates, state.loss + loss) if np.any(loss) else here
-                changed = (_pushed(trial, state, state.heat + heat) - pushed) / size
-            if any(on_sensor(effect) for effect in effects_of(moved, record.model)):
+                trial = _linear_steps(frame, state.log_rates, state.loss + loss) if np.any(loss) else here
+                changed = (_step_targets(trial, state, state.heat + heat) - pushed) / size
+            if any(on_sensor(effect) for effect in automaton_effects(moved, record.model)):
                 chain = [*state.named[:number], moved, *state.named[number + 1 :]]
-                shown = (_sensed(frame, chain, state.course) - state.mean) / size
+                shown = (_sense(frame, chain, state.course) - state.mean) / size
             yield changed, shown
 
 
 def _heats(frame: Frame, named: Named, middle: Array) -> tuple[Array, Array]:
     """(heat, loss) of each step by one effect along a temperature (n,) degC."""
     heat, loss = np.zeros(middle.size), np.zeros(middle.size)
-    for effect in effects_of(named, frame.record.model):
+    for effect in automaton_effects(named, frame.record.model):
         if not on_sensor(effect):
             added, lost = heat_and_loss(frame.record, effect, middle)
             heat, loss = heat + added, loss + lost
     return heat, loss
 
 
-def _sensed(frame: Frame, named: Sequence[Named], course: Array) -> Array:
+def _sense(frame: Frame, named: Sequence[Named], course: Array) -> Array:
     """(n,) degC what the sensor reads of a course."""
-    for effect in (effect for each in named for effect in effects_of(each, frame.record.model)):
+    for effect in (effect for each in named for effect in automaton_effects(each, frame.record.model)):
         if on_sensor(effect):
-            course = as_sensed(frame.record, effect, course)
+            course = sense_course(frame.record, effect, course)
     return course
 
 
 def _carrier(frame: Frame, effects: Sequence[Effect], here: _LinearSteps) -> Callable[[Array], Array]:
     """What makes of pushes (n,) degC the courses (n,) degC, with what a housing gives back of them."""
-    housings = [effect for effect in effects if kind_of(effect).law == HOUSING]
+    housings = [effect for effect in effects if effect_kind(effect).law == HOUSING]
     if not housings:
         return lambda forcing: linear_recursion(here.decay, forcing, 0.0)
     record, runs = frame.record, frame.record.runs
-    coupling = sum(coupled(record, effect) for effect in housings)
+    coupling = sum(housing_coupling(record, effect) for effect in housings)
     # x = decay x' + push (coupling y) + forcing and y = keep y' + (1 - keep) (x + x') / 2, y = x where a run begins:
     # one lower band of the unknowns (x, y) of each knot, with y for a share of x put in at the step's end.
     keep = np.exp(-runs.dt / housings[0].params["tau"])
@@ -292,59 +292,61 @@ def _carrier(frame: Frame, effects: Sequence[Effect], here: _LinearSteps) -> Cal
     bands[2, 1:-2:2] = np.where(runs.first, 0.0, -keep)[1:]
     bands[3, 0:-2:2] = np.where(runs.first, 0.0, -half)[1:]
 
-    def carried(forcing: Array) -> Array:
+    def carry(forcing: Array) -> Array:
         right = np.zeros(2 * len(runs))
         right[0::2] = forcing
         solved, _ = dtbtrs(bands, right, uplo="L", overwrite_b=True)
         return np.asarray(solved[0::2])
 
-    return carried
+    return carry
 
 
 def _by_differences(frame: Frame, state: CourseState, start: Array) -> Iterator[Array]:
     """The sensitivities at the knots by finite differences of the simulation itself."""
     # One more free run each, begun from the course at hand, so that only the change is iterated.
     point = state.parameters
-    strengths = [size for named in state.named for size in _steps_of(named)]
+    strengths = [size for named in state.named for size in _derivative_steps(named)]
     for number, size in enumerate(
         [*(1e-3 * frame.shape.spread).tolist(), *[1e-3] * frame.shape.rate_spread.size, *strengths]
     ):
         moved = point.copy()
         moved[number] += size
-        trial = at(frame, moved, start, state.named, state.course)
+        trial = run_frame(frame, moved, start, state.named, state.course)
         yield (trial.mean - state.mean) / size
 
 
-def _steps_of(named: Named) -> list[float]:
+def _derivative_steps(named: Named) -> list[float]:
     """By how much each free parameter of an effect is moved for a derivative: its strength by a share, thresholds in
     degC."""
     return [max(1e-3 * abs(named.strength), 1e-18), *[0.01] * (len(named.free) - 1)]
 
 
-def at(frame: Frame, point: Array, start: Array, named: Sequence[Named], guess: Array | None = None) -> CourseState:
+def run_frame(
+    frame: Frame, point: Array, start: Array, named: Sequence[Named], guess: Array | None = None
+) -> CourseState:
     """The free run at a vector of all parameters (p + r + e,)."""
     p, r = frame.count
     ends = np.cumsum([p + r, *(len(effect.free) for effect in named)]).tolist()
-    moved = [effect.at(point[a:b].tolist()) for effect, (a, b) in zip(named, pairwise(ends), strict=True)]
+    moved = [effect.with_point(point[a:b].tolist()) for effect, (a, b) in zip(named, pairwise(ends), strict=True)]
     return run_free(frame, point[:p], point[p : p + r], start, named=moved, guess=guess)
 
 
-def grid_at(frame: Frame, state: CourseState) -> Grid:
+def window_grid(frame: Frame, state: CourseState) -> Grid:
     """The windows of the frame's record as the noise sees them around a state.
 
     What is rough reaches the reading as late as the rest: heat that came with the start at once, beside one that comes
     late, would be played against it.
     """
-    rate, running = (as_read(frame, state, column) for column in (state.k + state.loss, frame.record.running))
+    rate, running = (sensor_view(frame, state, column) for column in (state.k + state.loss, frame.record.running))
     late = lateness(frame, state)
 
     def windows(jumps: Array) -> Array:
-        return frame.record.windowed(as_read(frame, state, jumped(frame, state, jumps)))
+        return frame.record.window_means(sensor_view(frame, state, jump_response(frame, state, jumps)))
 
     return frame.record.grid(
         rate,
         running,
-        scattered(frame, state),
+        scatter_response(frame, state),
         jumps=(LATE_APART * late) ** 2,
         shared=windows(LATE_TOGETHER * late),
         inrush=windows(inrush(frame, state)),
@@ -358,8 +360,8 @@ def unseen_switches(frame: Frame, state: CourseState, known_s: float, unsure: fl
     late = lateness(frame, state, known_s)
     decay, _ = decay_and_pull(state.k + state.loss, frame.record.runs.dt)
     decay = np.where(frame.record.runs.first, 0.0, decay)
-    apart = frame.record.windowed(linear_recursion(decay**2, (LATE_APART * late) ** 2, 0.0))
-    shared = frame.record.windowed(as_read(frame, state, jumped(frame, state, unsure * late)))
+    apart = frame.record.window_means(linear_recursion(decay**2, (LATE_APART * late) ** 2, 0.0))
+    shared = frame.record.window_means(sensor_view(frame, state, jump_response(frame, state, unsure * late)))
     return np.asarray(apart + shared**2)
 
 
@@ -391,8 +393,8 @@ def inrush(frame: Frame, state: CourseState) -> Array:
     place = np.searchsorted(settled, np.arange(len(runs)))
     after = settled[np.minimum(place, settled.size - 1)]
     known = record.rushed & (place < settled.size) & (record.running[after] > 0.5) & (runs.run[after] == runs.run)
-    effects = [effect for named in state.named for effect in effects_of(named, record.model)]
-    late = [effect for effect in effects if not on_sensor(effect) and lag_of(effect) > 0]
+    effects = [effect for named in state.named for effect in automaton_effects(named, record.model)]
+    late = [effect for effect in effects if not on_sensor(effect) and heat_lag(effect) > 0]
     at_once = state.drive - sum((deviation(record, effect) for effect in late), np.zeros(len(runs)))
     beyond = sum((late_inrush(record, effect) for effect in late), np.zeros(len(runs)))
     return np.asarray(np.where(known, at_once - at_once[after], 0.0) * runs.dt + beyond * runs.dt)
@@ -400,44 +402,47 @@ def inrush(frame: Frame, state: CourseState) -> Array:
 
 def row_later(frame: Frame, state: CourseState) -> Array:
     """(n,) degC by which the reading would be off, had all that turns between two rows turned a row earlier."""
-    return as_read(frame, state, jumped(frame, state, lateness(frame, state)))
+    return sensor_view(frame, state, jump_response(frame, state, lateness(frame, state)))
 
 
-def jumped(frame: Frame, state: CourseState, jumps: Array) -> Array:
+def jump_response(frame: Frame, state: CourseState, jumps: Array) -> Array:
     """(n,) degC what jumps (n,) of the bearing's temperature at the knots leave of themselves."""
     runs = frame.record.runs
     decay, _ = decay_and_pull(state.k + state.loss, runs.dt)
     return np.asarray(linear_recursion(np.where(runs.first, 0.0, decay), jumps, 0.0))
 
 
-def scattered(frame: Frame, state: CourseState) -> Array:
+def scatter_response(frame: Frame, state: CourseState) -> Array:
     """(m, cycles) degC what a scatter of 1 of each cycle's friction heat does to the windows' readings.
 
     Formed at the knots and through the sensor, as the sensitivities of the parameters are. What is only nearly alike
     would be played against them, to make up for what is missing at starts and stops. What a cycle leaves behind is
-    followed through the next ones of TAIL.
+    followed through the next ones of TAIL_CYCLES.
     """
     record, runs = frame.record, frame.record.runs
     cycles, order = np.unique(record.cycle, return_inverse=True)
     decay, pull = decay_and_pull(state.k + state.loss, runs.dt)
     heat = np.where(runs.first, 0.0, pull * friction_heat(frame, state))
-    # A column for each cycle would cost a recursion each; TAIL of them, each of every TAIL-th cycle, are enough.
+    # A column for each cycle would cost a recursion each; TAIL_CYCLES of them, each of every TAIL_CYCLES-th cycle, are
+    # enough.
     begins = np.diff(order, prepend=-1) != 0
     followed = []
-    for group in range(TAIL):  # cycles so far apart share a column: what one of them leaves is dropped at the next
-        own = order % TAIL == group
+    for group in range(
+        TAIL_CYCLES
+    ):  # cycles so far apart share a column: what one of them leaves is dropped at the next
+        own = order % TAIL_CYCLES == group
         response = linear_recursion(np.where(runs.first | (begins & own), 0.0, decay), np.where(own, heat, 0.0), 0.0)
-        followed.append(record.windowed(as_read(frame, state, response)))
+        followed.append(record.window_means(sensor_view(frame, state, response)))
     age = order[record.rows[record.begins]][:, None] - np.arange(cycles.size)
-    columns = np.column_stack(followed)[:, np.arange(cycles.size) % TAIL]
-    return np.asfortranarray(np.where((age >= 0) & (age < TAIL), columns, 0.0))
+    columns = np.column_stack(followed)[:, np.arange(cycles.size) % TAIL_CYCLES]
+    return np.asfortranarray(np.where((age >= 0) & (age < TAIL_CYCLES), columns, 0.0))
 
 
-def as_read(frame: Frame, state: CourseState, column: Array) -> Array:
+def sensor_view(frame: Frame, state: CourseState, column: Array) -> Array:
     """(n,) degC what the sensor shows of a part (n,) of the bearing's temperature: as late as it shows the whole."""
     model = frame.record.model
-    for effect in (effect for named in state.named if named.entry.whole for effect in effects_of(named, model)):
-        column = as_sensed(frame.record, effect, column)
+    for effect in (effect for named in state.named if named.entry.whole for effect in automaton_effects(named, model)):
+        column = sense_course(frame.record, effect, column)
     return column
 
 

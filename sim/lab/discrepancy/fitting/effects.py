@@ -16,37 +16,37 @@ from sim.effects import (
     RecordView,
     Structural,
     VaryingLaw,
-    acts_in,
+    affects_location,
     delay_of,
+    effect_kind,
+    heat_lag,
     in_scale_of_x,
     is_gradual,
-    kind_of,
-    lag_of,
     late_jumps,
-    late_kept,
     late_mean,
     late_source,
     radiation_tangent,
+    remaining_share,
     unknown,
 )
 from sim.engine import linear_recursion
 from sim.lab.discrepancy.fitting.record import Record
-from sim.lab.learning import RATES
+from sim.lab.learning import RATE_PARAMETERS
 from sim.sha import Array, Effect, Mask
 
-ON_SENSOR = ("dead time", "sensor lag", "sensor offset")
+SENSOR_FEATURES = ("dead time", "sensor lag", "sensor offset")
 """Features that act between the temperature and its reading."""
 
 
 def on_sensor(effect: Effect) -> bool:
     """Whether an effect acts between the temperature and its reading, and so has no heat."""
-    law = kind_of(effect).law
-    return isinstance(law, Structural) and law.feature in ON_SENSOR
+    law = effect_kind(effect).law
+    return isinstance(law, Structural) and law.feature in SENSOR_FEATURES
 
 
 def follows_course(effect: Effect) -> bool:
     """Whether an effect's heat or loss depends on the temperature itself."""
-    return isinstance(kind_of(effect).law, Structural) and not on_sensor(effect)
+    return isinstance(effect_kind(effect).law, Structural) and not on_sensor(effect)
 
 
 def net_heat(record: Record, effects: Iterable[Effect], course: Array) -> Array:
@@ -67,7 +67,7 @@ def heat_and_loss(record: Record, effect: Effect, course: Array) -> tuple[Array,
     runs = record.runs
     signals = {name: record.signal(name) for name in effect.signals.values()}
     nothing = np.zeros(len(runs))
-    match kind_of(effect).law:
+    match effect_kind(effect).law:
         case HeldLaw() as law:
             heat, loss = law.heat_and_loss(effect, signals)
         case VaryingLaw() as law:
@@ -77,7 +77,7 @@ def heat_and_loss(record: Record, effect: Effect, course: Array) -> tuple[Array,
             heat, loss = law.heat_and_loss(effect, _view(record, effect))
         case Structural(feature="housing"):
             coupling, tau = effect.params["coupling"], effect.params["tau"]
-            heat, loss = coupling * lagged(record, course, tau, housing_starts(record, tau)), nothing + coupling
+            heat, loss = coupling * lag_column(record, course, tau, housing_starts(record, tau)), nothing + coupling
         case Structural(feature="thermostat"):
             if is_gradual(effect):
                 opened = (course > effect.params["opens"]).astype(float)
@@ -94,15 +94,15 @@ def heat_and_loss(record: Record, effect: Effect, course: Array) -> tuple[Array,
             loss, heat = radiation_tangent(effect, gain=effect.params["gain"], about=course, around=around)
         case law:
             raise unknown("a diagnosis", effect.kind, law)
-    present = np.array([acts_in(effect, location.name) for location in record.model.sha.locations])[runs.place]
+    present = np.array([affects_location(effect, location.name) for location in record.model.sha.locations])[runs.place]
     acting = present & np.isfinite(heat) & np.isfinite(loss)
-    late = deviation(record, effect) if lag_of(effect) > 0 else nothing
+    late = deviation(record, effect) if heat_lag(effect) > 0 else nothing
     return np.where(acting, heat, 0.0) + late, np.where(acting, loss, 0.0)
 
 
-def coupled(record: Record, effect: Effect) -> Array:
+def housing_coupling(record: Record, effect: Effect) -> Array:
     """(n,) 1/s the coupling of a housing in each step, 0 where it does not act."""
-    acting = np.array([acts_in(effect, location.name) for location in record.model.sha.locations])
+    acting = np.array([affects_location(effect, location.name) for location in record.model.sha.locations])
     return np.asarray(np.where(acting[record.runs.place], effect.params["coupling"], 0.0))
 
 
@@ -122,7 +122,7 @@ def _view(record: Record, effect: Effect) -> RecordView:
 def stated_rate(record: Record) -> Array:
     """(n,) 1/s the rate of each step's flow as the given model has it, 0 where it does not relax."""
     flows = (location.flow for location in record.model.sha.locations)
-    rates = [flow.params["k"] if RATES.get(flow.kind) == "k" else 0.0 for flow in flows]
+    rates = [flow.params["k"] if RATE_PARAMETERS.get(flow.kind) == "k" else 0.0 for flow in flows]
     return np.array(rates)[record.runs.place]
 
 
@@ -148,7 +148,7 @@ def late_inrush(record: Record, effect: Effect) -> Array:
 
 def _late(record: Record, effect: Effect, signals: Mapping[str, Array]) -> Array:
     uncut = record.uncut
-    source = late_source(effect, {name: _known_from_there(record, column) for name, column in signals.items()})
+    source = late_source(effect, {name: _hold_column(record, column) for name, column in signals.items()})
     jumps = late_jumps(np.concatenate([source[:1], source[:-1]]), source)
     jumps = np.where(uncut.first, 0.0, jumps)
     waiting = np.zeros(len(uncut))
@@ -156,7 +156,7 @@ def _late(record: Record, effect: Effect, signals: Mapping[str, Array]) -> Array
         jumped = linear_recursion(np.where(uncut.first, 0.0, 1.0), jumps, 0.0)
         due = _mean_before(record, jumped, delay_of(effect))
         waiting, jumps = jumped - due, np.where(uncut.first, 0.0, np.diff(due, prepend=0.0))
-    kept = np.concatenate([[0.0], late_kept(effect, uncut.dt[:-1])])
+    kept = np.concatenate([[0.0], remaining_share(effect, uncut.dt[:-1])])
     begins = linear_recursion(np.where(uncut.first, 0.0, kept), jumps, 0.0)
     return np.asarray((begins * late_mean(effect, uncut.dt) + waiting)[record.kept])
 
@@ -175,7 +175,7 @@ def _mean_before(record: Record, column: Array, delay: float) -> Array:
     return out
 
 
-def _known_from_there(record: Record, column: Array) -> Array:
+def _hold_column(record: Record, column: Array) -> Array:
     """A column (N,) held over each step of `Record.uncut`, where a run begins as it is from there on.
 
     Where the traces have a gap the last value before it stands there, and when in the gap it changed is not known:
@@ -187,15 +187,15 @@ def _known_from_there(record: Record, column: Array) -> Array:
     return out
 
 
-def as_sensed(record: Record, effect: Effect, course: Array) -> Array:
+def sense_course(record: Record, effect: Effect, course: Array) -> Array:
     """The course (n,) degC as it is read through an effect that acts between temperature and reading."""
-    match kind_of(effect).law:
+    match effect_kind(effect).law:
         case Structural(feature="dead time"):
-            return delayed(record, course, effect.params["delay"])
+            return delay_course(record, course, effect.params["delay"])
         case Structural(feature="sensor lag"):
             order = round(effect.params["order"])
             for _ in range(order):
-                course = lagged(record, course, effect.params["tau"] / order)
+                course = lag_column(record, course, effect.params["tau"] / order)
             return course
         case Structural(feature="sensor offset"):
             return course + effect.params["size"] * (record.runs.time >= effect.params["at"])
@@ -203,14 +203,14 @@ def as_sensed(record: Record, effect: Effect, course: Array) -> Array:
             raise unknown("a diagnosis", effect.kind, law)
 
 
-def held(record: Record, name: str) -> Array:
+def hold_signal(record: Record, name: str) -> Array:
     """(n,) a signal over each step, its mean where it was never read yet."""
     column = record.signal(name)
     known = np.isfinite(column)
     return np.where(known, column, float(np.mean(column[known])) if known.any() else 0.0)
 
 
-def lagged(record: Record, column: Array, lag: float, starts: Array | None = None) -> Array:
+def lag_column(record: Record, column: Array, lag: float, starts: Array | None = None) -> Array:
     """A column (n,) through a first-order lag (s), in each run from its first value, or from that of `starts` (n,)."""
     if lag <= 0:
         return column
@@ -245,11 +245,11 @@ def lagged_signal(record: Record, column: Array, lag: float) -> Array:
         return np.asarray(column[record.kept])
     uncut = record.uncut
     keep = np.where(uncut.first, 0.0, np.exp(-uncut.dt / lag))
-    pushed = (1.0 - keep) * _known_from_there(record, column)
+    pushed = (1.0 - keep) * _hold_column(record, column)
     return np.asarray(linear_recursion(keep, pushed, 0.0)[record.kept])
 
 
-def delayed(record: Record, column: Array, delay: float) -> Array:
+def delay_course(record: Record, column: Array, delay: float) -> Array:
     """A course (n,) `delay` seconds later: as its inputs would come so much later, from the same start."""
     runs = record.runs
     out = np.empty(column.size)

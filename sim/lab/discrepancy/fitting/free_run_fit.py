@@ -15,8 +15,8 @@ import scipy
 from sim.effects import of_feature
 from sim.engine import repeat_factor
 from sim.lab.discrepancy.fitting.baseline import TARGET_SPREAD, Frame
-from sim.lab.discrepancy.fitting.course import LATE_TOGETHER, CourseState, at, grid_at, window_sensitivity
-from sim.lab.discrepancy.fitting.named import Named, named_of
+from sim.lab.discrepancy.fitting.course import LATE_TOGETHER, CourseState, run_frame, window_grid, window_sensitivity
+from sim.lab.discrepancy.fitting.named import Named, model_effects
 from sim.lab.discrepancy.fitting.noise import (
     LEAST_HEAT,
     Derivatives,
@@ -28,30 +28,30 @@ from sim.lab.discrepancy.fitting.noise import (
     vector,
 )
 from sim.lab.discrepancy.fitting.record import Record
-from sim.lab.discrepancy.fitting.scattering import spans_of
+from sim.lab.discrepancy.fitting.scattering import column_spans
 from sim.sha import Array, Model
 
 ROUNDS, NEWTON = 4, 8
 LARGEST_TARGET, LARGEST_SHARE = 15.0, 0.7
 """A step of Newton's is shortened to this: degC of a target (other parameters in proportion to their belief), and the
 share of itself by which a strength may change."""
-STRIDE = 2.0
+MAX_THRESHOLD_STEP_DEGC = 2.0
 """degC by which such a step may move a threshold."""
 RUNAWAY, SOFTENED = 20.0, 12
 """Times the range of the readings (and 1 degC) from which a free run has run away, and how often the strengths that it
 begins with are halved then."""
-AT_REST = 0.95
+REST_HEAT_SHARE = 0.95
 """The share of a model's own heat with a memory that acts at rest: all of it, as near as a share can be fitted."""
-SLIGHT = 3e-4
+SLIGHT_HEAT_DEGC_PER_S = 3e-4
 """degC/s of rough heat: that of a slightly rough plant. A model's own heat that is less says nothing of what acts at
 rest."""
-LEAST_STILL = 0.02
+MIN_REST_NOISE_RATIO = 0.02
 """Times the process noise while the machine runs that is believed of it at rest at least."""
-MOVING = 0.5
+MOVING_SHARE = 0.5
 """The share of readings that differ from the one before, up to which a course is a staircase."""
-LEAST_SCATTER = 1e-5
+MIN_SCATTER = 1e-5
 """The relative scatter of the friction below which there is none."""
-SETTLED = 0.05
+SETTLED_LOG_STEP = 0.05
 """The fit ends when no part of the noise moves by more than this (log)."""
 
 
@@ -79,12 +79,12 @@ class Fitted:
     likelihood: float
 
     @property
-    def left(self) -> Array:
+    def turn_residual(self) -> Array:
         """(m,) degC the residual of a free run in which what turns between two rows turns `behind` the later one."""
         return self.residual - self.behind[0] / LATE_TOGETHER * self.grid.shared
 
     @property
-    def timed(self) -> Grid:
+    def timed_grid(self) -> Grid:
         """The grid with no more in it of what is late together than is not known of it."""
         return replace(self.grid, shared=self.behind[1] / LATE_TOGETHER * self.grid.shared)
 
@@ -129,12 +129,14 @@ def first_noise(model: Model, record: Record) -> NoiseModel:
     """
     white, at_rest = stated_process(record)
     sensor = max(model.sensor_sigma, 0.02) / np.sqrt(readings_in_window(record))
-    step = rounding(model, record)
+    step = rounding_error(model, record)
     sensor = max(float(sensor), step)
     heats = of_feature(model.sha, "disturbance")
-    still = min(max(at_rest / white, LEAST_STILL), 1.0)
+    still = min(max(at_rest / white, MIN_REST_NOISE_RATIO), 1.0)
     if not heats:
-        return NoiseModel(sensor=sensor, process=white / 2, rough=SLIGHT, cycle=0.01, still=still, lasting=step)
+        return NoiseModel(
+            sensor=sensor, process=white / 2, rough=SLIGHT_HEAT_DEGC_PER_S, cycle=0.01, still=still, lasting=step
+        )
     learned = heats[0].params  # an automaton has one at most
     return NoiseModel(
         sensor=sensor,
@@ -142,15 +144,15 @@ def first_noise(model: Model, record: Record) -> NoiseModel:
         rough=max(learned["sigma"], LEAST_HEAT),
         cycle=0.01,
         memory=learned["memory"],
-        rest=AT_REST if learned["sigma"] >= SLIGHT else 0.5,
+        rest=REST_HEAT_SHARE if learned["sigma"] >= SLIGHT_HEAT_DEGC_PER_S else 0.5,
         still=still,
         lasting=step,
     )
 
 
-def belief_of(record: Record) -> WindowBelief:
+def window_belief(record: Record) -> WindowBelief:
     """What is believed of the noise before a record's windows are looked at."""
-    return WindowBelief(first_noise(record.model, record), least=rounding(record.model, record))
+    return WindowBelief(first_noise(record.model, record), least=rounding_error(record.model, record))
 
 
 def begin_noise(centre: NoiseModel) -> NoiseModel:
@@ -158,10 +160,14 @@ def begin_noise(centre: NoiseModel) -> NoiseModel:
 
     What is too little to be seen has no slope: the process noise would take all that a rough plant does.
     """
-    return centre if centre.rough >= SLIGHT else replace(centre, rough=SLIGHT, process=centre.process / 2)
+    return (
+        centre
+        if centre.rough >= SLIGHT_HEAT_DEGC_PER_S
+        else replace(centre, rough=SLIGHT_HEAT_DEGC_PER_S, process=centre.process / 2)
+    )
 
 
-def as_read_here(noise: NoiseModel, centre: NoiseModel) -> NoiseModel:
+def with_reading_error(noise: NoiseModel, centre: NoiseModel) -> NoiseModel:
     """The noise of a fit of other cycles, with an error of the reading that lasts where these have one (`centre`)."""
     # Whether readings stand on the steps of their rounding is asked of each record: some of its cycles may, all do not.
     if (noise.lasting > 0) == (centre.lasting > 0):
@@ -187,14 +193,14 @@ def stated_process(record: Record) -> tuple[float, float]:
     return white, at_rest or white
 
 
-def rounding(model: Model, record: Record) -> float:
+def rounding_error(model: Model, record: Record) -> float:
     """degC that rounding alone is off by in the mean of a window: 0 where the sensor's noise blurs the steps.
 
     Readings that stand on one step for a window's length are all wrong by the same; their mean is no better than one.
     """
     change = np.abs(np.diff(record.runs.reading[record.rows]))
     moves = change[change > 0]
-    if moves.size == 0 or moves.size > MOVING * change.size:
+    if moves.size == 0 or moves.size > MOVING_SHARE * change.size:
         return 0.0
     step = float(np.median(moves))
     # A rounding error spread evenly over one step has the standard deviation step / sqrt(12).
@@ -212,15 +218,15 @@ class _Tangent:
     off: Array
 
 
-def _around(frame: Frame, state: CourseState, start: Array, reading: Array, grid: Grid | None = None) -> _Tangent:
+def _tangent(frame: Frame, state: CourseState, start: Array, reading: Array, grid: Grid | None = None) -> _Tangent:
     """The linear problem around a state; `grid` is one that stands for the state's."""
     record = frame.record
     own = sum(frame.count)
     off = np.concatenate([state.parameters[:own] - frame.centre, np.zeros(state.parameters.size - own)])
     return _Tangent(
         state,
-        grid_at(frame, state) if grid is None else grid,
-        reading - record.windowed(state.mean),
+        window_grid(frame, state) if grid is None else grid,
+        reading - record.window_means(state.mean),
         window_sensitivity(frame, state, start),
         off,
     )
@@ -248,56 +254,57 @@ def fit(
     prior = np.concatenate([frame.prior, np.zeros(len(added))])
     # Parameters under fixed noise, then the noise under fixed parameters, until the noise stands still: a wrong target
     # looks like a rough plant, and a rough plant hides a wrong target, so that neither is right after one round.
-    belief = belief_of(record)
-    noise = begin_noise(belief.centre) if begin is None else as_read_here(begin.noise, belief.centre)
-    first = _allowed(named, np.concatenate([own, added]))
-    point = _around(frame, at(frame, first, start, named), start, reading)
+    belief = window_belief(record)
+    noise = begin_noise(belief.centre) if begin is None else with_reading_error(begin.noise, belief.centre)
+    first = _clip_strengths(named, np.concatenate([own, added]))
+    point = _tangent(frame, run_frame(frame, first, start, named), start, reading)
     # The linear problem knows no end of a loss: where less of it than none was asked for, less of the effect is begun
     # with.
     for _ in range(SOFTENED):
-        if not _runs_away(point.residual, reading):
+        if not _diverges(point.residual, reading):
             break
-        first = _allowed(named, np.concatenate([own, _halved(named, first[own.size :])]))
-        point = _around(frame, at(frame, first, start, named), start, reading)
+        first = _clip_strengths(named, np.concatenate([own, _halve_strengths(named, first[own.size :])]))
+        point = _tangent(frame, run_frame(frame, first, start, named), start, reading)
     for _ in range(rounds):
         point = _newton_steps(frame, point, start=start, reading=reading, noise=noise, prior=prior)
         before = noise
-        noise, cost = noise_around(point, frame, belief, noise, iterations)
-        if largest_change(before, noise) < SETTLED:
+        noise, cost = fit_local_noise(point, frame, belief, noise, iterations)
+        if largest_change(before, noise) < SETTLED_LOG_STEP:
             break
-    return _fitted(frame, point, start=start, noise=noise, prior=prior, cost=cost)
+    return _finish_fit(frame, point, start=start, noise=noise, prior=prior, cost=cost)
 
 
-def given_fit(fitted: Fitted) -> Fitted:
+def given_model_fit(fitted: Fitted) -> Fitted:
     """The given model's own numbers on the same record, none of them fitted; the noise is that of greatest likelihood
     beside them."""
-    frame, named = fitted.frame, named_of(fitted.frame.record.model)
+    frame, named = fitted.frame, model_effects(fitted.frame.record.model)
     record = frame.record
     numbers = np.concatenate([frame.centre, *(np.array(each.point) for each in named)])
     prior = np.concatenate([frame.prior, np.zeros(numbers.size - frame.centre.size)])
-    point = _around(frame, at(frame, numbers, fitted.start, named), fitted.start, record.reading)
-    belief = belief_of(record)
-    noise, cost = noise_around(point, frame, belief, fitted.noise, 12)
-    return _fitted(frame, point, start=fitted.start, noise=noise, prior=prior, cost=cost)
+    point = _tangent(frame, run_frame(frame, numbers, fitted.start, named), fitted.start, record.reading)
+    belief = window_belief(record)
+    noise, cost = fit_local_noise(point, frame, belief, fitted.noise, 12)
+    return _finish_fit(frame, point, start=fitted.start, noise=noise, prior=prior, cost=cost)
 
 
 def slim(fitted: Fitted) -> Fitted:
-    """The fit without what its free run gives again (`restored`): of many fits of a long record, most of the memory."""
+    """The fit without what its free run gives again (`restore_fit`): of many fits of a long record, most of the
+    memory."""
     state, nothing = fitted.state, np.empty(0)
     bare = replace(state, mean=nothing, decay=nothing, k=nothing, target=nothing, loss=nothing, heat=nothing)
     return replace(fitted, state=bare, grid=replace(fitted.grid, heats=np.empty((0, 0))))
 
 
-def restored(fitted: Fitted) -> Fitted:
+def restore_fit(fitted: Fitted) -> Fitted:
     """A fit that may be `slim`, whole."""
     before = fitted.state
     if before.mean.size:
         return fitted
-    state = at(fitted.frame, before.parameters, fitted.start, before.named, before.course)
-    return replace(fitted, state=state, grid=grid_at(fitted.frame, state))
+    state = run_frame(fitted.frame, before.parameters, fitted.start, before.named, before.course)
+    return replace(fitted, state=state, grid=window_grid(fitted.frame, state))
 
 
-def _fitted(frame: Frame, point: _Tangent, *, start: Array, noise: NoiseModel, prior: Array, cost: float) -> Fitted:
+def _finish_fit(frame: Frame, point: _Tangent, *, start: Array, noise: NoiseModel, prior: Array, cost: float) -> Fitted:
     gram = Whitener(point.grid, noise).gram(np.column_stack([point.grid.shared, point.residual, point.columns]))
     covariance = np.asarray(np.linalg.inv(gram[2:, 2:] + np.diag(np.maximum(prior, 1e-12))), dtype=float)
     return Fitted(
@@ -311,12 +318,12 @@ def _fitted(frame: Frame, point: _Tangent, *, start: Array, noise: NoiseModel, p
         prior=prior,
         off=point.off,
         covariance=covariance,
-        behind=_behind(gram, covariance),
+        behind=_turn_delay(gram, covariance),
         likelihood=-cost,
     )
 
 
-def _behind(gram: Array, covariance: Array) -> tuple[float, float]:
+def _turn_delay(gram: Array, covariance: Array) -> tuple[float, float]:
     """(rows by which what turns is known late together, the standard error), of the Gram matrix of what it does if it
     is as believed, of the residual and of the parameters."""
     # The mean of a standard normal strength given the residual; its variance is what the readings leave open, and what
@@ -327,7 +334,7 @@ def _behind(gram: Array, covariance: Array) -> tuple[float, float]:
     return float(np.clip(LATE_TOGETHER * size, 0.0, 1.0)), LATE_TOGETHER * float(np.sqrt(open_))
 
 
-def noise_around(
+def fit_local_noise(
     point: _Tangent, frame: Frame, belief: WindowBelief, noise: NoiseModel, iterations: int
 ) -> tuple[NoiseModel, float]:
     """(the noise of greatest restricted likelihood around a point, minus that likelihood), searched from `noise`."""
@@ -335,10 +342,12 @@ def noise_around(
     # different effects have the same integral and their likelihoods differ by what the effects explain.
     own = sum(frame.count)
     columns, prior, off = point.columns[:, :own], frame.prior, point.off[:own]
-    grid, spans = point.grid, spans_of(point.grid.heats)
+    grid, spans = point.grid, column_spans(point.grid.heats)
 
     def cost(trial: NoiseModel) -> tuple[float, Derivatives]:
-        value, derivatives = restricted(Whitener(grid, trial, spans=spans), columns, point.residual, prior, off)
+        value, derivatives = restricted_likelihood(
+            Whitener(grid, trial, spans=spans), columns, point.residual, prior, off
+        )
         return -value, derivatives
 
     return fit_noise(cost, belief, noise, iterations)
@@ -350,14 +359,14 @@ def with_heats(before: Fitted, heats: Array, iterations: int = 8) -> Fitted:
     `heats` (m, c) degC is what a heat of one standard deviation of each does to the windows, at the noise's `cycle`:
     they scatter together with the cycles' friction.
     """
-    columns = np.column_stack([before.grid.heats, heats / max(before.noise.cycle, LEAST_SCATTER)])
+    columns = np.column_stack([before.grid.heats, heats / max(before.noise.cycle, MIN_SCATTER)])
     # In the order in which they begin, as the cycles are.
     begins = np.where((columns != 0.0).any(axis=0), np.argmax(columns != 0.0, axis=0), columns.shape[0])
     grid = replace(before.grid, heats=columns[:, np.argsort(begins, kind="stable")])
     frame, record = before.frame, before.frame.record
-    belief = belief_of(record)
+    belief = window_belief(record)
     point = _Tangent(before.state, grid, before.residual, before.columns, before.off)
-    noise, cost = noise_around(point, frame, belief, before.noise, iterations)
+    noise, cost = fit_local_noise(point, frame, belief, before.noise, iterations)
     return replace(before, grid=grid, noise=noise, likelihood=-cost)
 
 
@@ -367,7 +376,7 @@ def with_column(before: Fitted, column: Array, rounds: int = 2) -> tuple[Fitted,
     The noise is fitted anew, the parameters make room in the linear problem, and the course stays.
     """
     frame, record = before.frame, before.frame.record
-    belief = belief_of(record)
+    belief = window_belief(record)
     noise, strength, cost = before.noise, 0.0, 0.0
     prior, off = np.append(np.maximum(before.prior, 1e-12), 0.0), np.append(before.off, 0.0)
     columns = np.column_stack([before.residual, before.columns, column])
@@ -375,7 +384,7 @@ def with_column(before: Fitted, column: Array, rounds: int = 2) -> tuple[Fitted,
         gram = Whitener(before.grid, noise).gram(columns)
         strength = float(np.linalg.solve(gram[1:, 1:] + np.diag(prior), gram[1:, 0] - prior * off)[-1])
         point = _Tangent(before.state, before.grid, before.residual - strength * column, before.columns, before.off)
-        noise, cost = noise_around(point, frame, belief, noise, 8)
+        noise, cost = fit_local_noise(point, frame, belief, noise, 8)
     return replace(before, residual=point.residual, noise=noise, likelihood=-cost), strength
 
 
@@ -415,28 +424,30 @@ def _newton_steps(
         # Backtracking, five lengths at most. If none helps, the linear problem does not describe the plant here.
         before = float(gram[0, 0] + point.off @ (prior * point.off))
         for _half in range(5):
-            moved = at(frame, _allowed(state.named, state.parameters + step), start, state.named, state.course)
-            residual = reading - frame.record.windowed(moved.mean)
+            moved = run_frame(
+                frame, _clip_strengths(state.named, state.parameters + step), start, state.named, state.course
+            )
+            residual = reading - frame.record.window_means(moved.mean)
             off = point.off + np.where(np.arange(step.size) < sum(frame.count), step, 0.0)
             after = float(whitener.gram(residual[:, None])[0, 0] + off @ (prior * off))
-            lost = not np.isfinite(after) or _runs_away(residual, reading)
+            lost = not np.isfinite(after) or _diverges(residual, reading)
             if not lost and after <= before + 1e-6:
                 break
             step = 0.5 * step
         if lost or after > before:
             break
-        point = _around(frame, moved, start, reading, point.grid)
+        point = _tangent(frame, moved, start, reading, point.grid)
         if before - after < 0.02:  # a hundredth of a nat: no decision is that fine
             break
-    return point if point.state is first else replace(point, grid=grid_at(frame, point.state))
+    return point if point.state is first else replace(point, grid=window_grid(frame, point.state))
 
 
-def _runs_away(residual: Array, reading: Array) -> bool:
+def _diverges(residual: Array, reading: Array) -> bool:
     """Whether a free run has left the readings as no plant does: a sign in front of a loss that is less than none."""
     return not bool(np.max(np.abs(residual), initial=0.0) <= RUNAWAY * (np.ptp(reading) + 1.0))
 
 
-def _halved(effects: Sequence[Named], point: Array) -> Array:
+def _halve_strengths(effects: Sequence[Named], point: Array) -> Array:
     """The parameters of effects with half of each strength."""
     out, number = point.copy(), 0
     for named in effects:
@@ -447,10 +458,10 @@ def _halved(effects: Sequence[Named], point: Array) -> Array:
 
 def _longest(named: Named) -> list[float]:
     """How far a step of Newton's may move the free parameters of an effect."""
-    return [max(LARGEST_SHARE * abs(named.strength), 1e-15), *[STRIDE] * (len(named.free) - 1)]
+    return [max(LARGEST_SHARE * abs(named.strength), 1e-15), *[MAX_THRESHOLD_STEP_DEGC] * (len(named.free) - 1)]
 
 
-def _allowed(effects: Sequence[Named], point: Array) -> Array:
+def _clip_strengths(effects: Sequence[Named], point: Array) -> Array:
     """The point with strengths of the wrong sign put to a tiny one of the right sign: a loss below 0 runs away."""
     out = point.copy()
     number = point.size - sum(len(named.free) for named in effects)
@@ -471,7 +482,7 @@ def lower_root(matrix: Array) -> Array | None:
     return None if failed else np.asarray(root)
 
 
-def restricted(
+def restricted_likelihood(
     whitener: Whitener, columns: Array, residual: Array, prior: Array, off: Array
 ) -> tuple[float, Derivatives]:
     """The log-likelihood with the parameters integrated out around the free run (their belief included), and what makes

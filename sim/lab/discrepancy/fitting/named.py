@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from sim.effects import kind_of, without
+from sim.effects import drop_features, effect_kind
 from sim.lab.discrepancy.fitting.candidates import CatalogueEntry, entry_of_effect
 from sim.lab.learning import contexts, first_switch
 from sim.sha import UNKNOWN, Effect, Model
@@ -36,32 +36,34 @@ class Named:
         """The values of `free`."""
         return [self.params[name] for name in self.free]
 
-    def at(self, point: Sequence[float]) -> "Named":
+    def with_point(self, point: Sequence[float]) -> "Named":
         """The same effect at other values of `free`."""
         moved = dict(zip(self.free, point, strict=True))
         return replace(self, params=self.entry.candidate.settled({**self.params, **moved}))
 
 
-def named_of(model: Model) -> tuple[Named, ...]:
+def model_effects(model: Model) -> tuple[Named, ...]:
     """The effects that a model has already and that have a strength. Raises ValueError for a kind that has none.
 
     What is random in it is none of them: heat with a memory is the noise that a fit begins from, and a machine's own
     offset is in the targets, which are fitted to that machine.
     """
     named = []
-    for effect in without(model.sha, "disturbance", "machine offset").effects:
-        defaults = {name: each.default for name, each in kind_of(effect).parameters.items() if each.default is not None}
+    for effect in drop_features(model.sha, "disturbance", "machine offset").effects:
+        defaults = {
+            name: each.default for name, each in effect_kind(effect).parameters.items() if each.default is not None
+        }
         params = {**defaults, **effect.params}
         named.append(Named(entry_of_effect(effect), dict(effect.signals), params, effect))
     return tuple(named)
 
 
-def effects_of(named: Named, model: Model) -> tuple[Effect, ...]:
+def automaton_effects(named: Named, model: Model) -> tuple[Effect, ...]:
     """A named effect as the automaton takes it, and what else its shape stands for.
 
     That is a lag for the blur of a dead time, and the same effect of another strength where the machine rests.
     """
-    candidate, effect = named.entry.candidate, effect_of(named, model)
+    candidate, effect = named.entry.candidate, main_effect(named, model)
     more = None if candidate.besides is None else candidate.besides(named.params)
     share = named.params.get(candidate.at_rest, 1.0)
     if share != 1.0 and named.existing is None:
@@ -74,14 +76,14 @@ def effects_of(named: Named, model: Model) -> tuple[Effect, ...]:
     return (effect, *(() if more is None else (Effect(*more),)))
 
 
-def effect_of(named: Named, model: Model) -> Effect:
+def main_effect(named: Named, model: Model) -> Effect:
     """The effect that bears a named one's name."""
     kind, candidate = named.entry.kind, named.entry.candidate
     if named.existing is not None:
         return replace(named.existing, params={**named.existing.params, candidate.strength: named.strength})
     unread = candidate.unread != "" and bool(named.params.get(candidate.unread))
-    signals = {role: signal for role, signal in named.signals.items() if role in kind.needed or not unread}
-    acts, everywhere = kind.acts_with(signals), tuple(location.name for location in model.sha.locations)
+    signals = {role: signal for role, signal in named.signals.items() if role in kind.required_roles or not unread}
+    acts, everywhere = kind.action_place(signals), tuple(location.name for location in model.sha.locations)
     where: tuple[str, ...] = ()
     if acts != "everywhere":
         where = running_locations(model) if acts == "running" else everywhere
@@ -103,7 +105,7 @@ def running_locations(model: Model) -> tuple[str, ...]:
     """The locations in which the machine runs: all without a switch, or where the names are not the alphabet's.
 
     Both learners begin a location's name with what the alphabet has announced there; L*_SHA adds to it ("ON/200+ #2",
-    "ON/200-300 rising"). Where no name begins so, the edges decide (`_reached_running`).
+    "ON/200-300 rising"). Where no name begins so, the edges decide (`_running_locations`).
     """
     switch = first_switch(model.alphabet)
     if switch is None:
@@ -117,10 +119,10 @@ def running_locations(model: Model) -> tuple[str, ...]:
             running.append(location.name)
     if running:
         return tuple(running)
-    return tuple(sorted(_reached_running(model, switch.rising, switch.falling)))
+    return tuple(sorted(_running_locations(model, switch.rising, switch.falling)))
 
 
-def _reached_running(model: Model, rising: str, falling: str) -> set[str]:
+def _running_locations(model: Model, rising: str, falling: str) -> set[str]:
     """Locations entered by `rising`, or from those by anything but `falling` and UNKNOWN, after which nothing is."""
     reached = {edge.target for edge in model.sha.edges if edge.symbol == rising}
     while True:

@@ -22,11 +22,11 @@ import scipy
 
 from sim.effects import DisturbanceStep, disturbance_step
 from sim.engine import linear_recursion
-from sim.lab.discrepancy.fitting.scattering import Scattering, Spans, StateBand, spans_of
+from sim.lab.discrepancy.fitting.scattering import Scattering, Spans, StateBand, column_spans
 from sim.lab.learning import Indices
 from sim.sha import Array, Mask
 
-DIFFUSE = 1e4
+DIFFUSE_VARIANCE = 1e4
 """Variance (degC^2) of a run's first deviation: its start temperature is not believed in."""
 LEAST_HEAT, LEAST_PROCESS = 1e-7, 1e-5
 """Floors of the heats (degC/s) and of the process noise (degC/sqrt(s)), below anything that a plant has."""
@@ -35,7 +35,7 @@ SHORTEST, LONGEST = float(np.log(60.0)), float(np.log(1800.0))
 learned a longer one, that is the bound."""
 BRIEFEST, SLOWEST = float(np.log(5.0)), float(np.log(120.0))
 """The memory of an error that lasts (log s): longer, it would imitate effects on the sensor and at starts."""
-MOST_SCATTER = float(np.log(0.05))
+MAX_LOG_SCATTER = float(np.log(0.05))
 """The scatter of a cycle's friction (log): more of it would make up for wrong targets, cycle by cycle."""
 
 
@@ -107,22 +107,24 @@ class Whitener:
         self.grid, self.noise = grid, noise
         self._rough = disturbance_step(noise.memory, grid.k, grid.dt) if rough is None else rough
         self._precision, self._prior_logdet = _precision(grid, noise, self._rough)
-        factor = scipy.linalg.cholesky_banded(_given(self._precision, noise), lower=True, check_finite=False)
+        factor = scipy.linalg.cholesky_banded(
+            _reading_precision(self._precision, noise), lower=True, check_finite=False
+        )
         self._band = StateBand(factor, self._precision.shape[0] - 2, 1.0 / noise.sensor**2)
         others = np.column_stack([grid.shared, grid.inrush])
-        spans = spans_of(grid.heats) if spans is None else spans
+        spans = column_spans(grid.heats) if spans is None else spans
         self._scattering = Scattering(self._band, grid.heats, noise.cycle, others, spans)
 
     def gram(self, columns: Array) -> Array:
         """(c, c) C' V^-1 C of the columns C (m, c), for half of what weighing them costs."""
-        halved = self._band.halved(columns)
-        part = self._scattering.half(self._scattering.across(columns, halved))
+        halved = self._band.half_solve(columns)
+        part = self._scattering.half(self._scattering.cross_products(columns, halved))
         return np.asarray(columns.T @ columns * self._band.weight - halved.T @ halved - part.T @ part)
 
     def weigh(self, columns: Array) -> Array:
         """V^-1 times the columns (m, c)."""
-        left = self._unscattered(columns)
-        return self._band.left(left, self._band.solved(left))
+        left = self._unscatter(columns)
+        return self._band.residual_weights(left, self._band.solve(left))
 
     def slopes(self, columns: Array) -> tuple[Array, Array]:
         """(the derivative of ln |V| + the sum of c' V^-1 c over the columns c (m, k), by each coordinate of `vector`;
@@ -132,18 +134,18 @@ class Whitener:
         # the states' own precision, of whose band alone the products of X are needed.
         grid, noise, band, scattering = self.grid, self.noise, self._band, self._scattering
         strengths, others = (
-            scattering.solve(scattering.across(columns, band.halved(columns))),
+            scattering.solve(scattering.cross_products(columns, band.half_solve(columns))),
             scattering.others_besides(),
         )
         unscattered = columns - scattering.times(strengths)
         dense = np.column_stack([scattering.times(others), unscattered])
-        states = band.solved(dense)
-        left = band.left(dense, states)
+        states = band.solve(dense)
+        left = band.residual_weights(dense, states)
         size, products = float(np.sum(left**2)), _products(states, states, self._precision.shape[0])
         inverse = scattering.inner_inverse()
-        for piece in scattering.solved():
+        for piece in scattering.solve_cycles():
             mixed = inverse[piece.columns, piece.columns]
-            weighed = band.left(piece.own, piece.states)
+            weighed = band.residual_weights(piece.own, piece.states)
             size += float(np.sum(weighed * (weighed @ mixed)))
             rows = slice(band.states * piece.rows.start, band.states * piece.rows.stop)
             products[:, rows] += _products(
@@ -159,17 +161,17 @@ class Whitener:
                 out[number] = 2.0 * float(np.sum(1.0 - alike) - np.sum(cycles**2))
                 pulls[:, number] = 2.0 * scattering.times(cycles[:, -1:])[:, 0]
                 continue
-            trial = noise_of(point + SLOPE_STEP * (np.arange(point.size) == number))
+            trial = noise_model(point + DERIVATIVE_STEP * (np.arange(point.size) == number))
             if number == SENSOR:
                 moved, prior, change = self._precision, self._prior_logdet, -2.0 * noise.sensor**2 * size
                 pulls[:, number] = 2.0 * noise.sensor**2 * left[:, -1]
             else:
                 rough = self._rough if number != MEMORY else disturbance_step(trial.memory, grid.k, grid.dt)
                 moved, prior = _precision(grid, trial, rough)
-                by_step = (moved - self._precision) / SLOPE_STEP
+                by_step = (moved - self._precision) / DERIVATIVE_STEP
                 change = float(np.sum(by_step * products))
                 forced = np.column_stack([forced, _banded_times(by_step, states[:, -1])])
-            out[number] = change + (self._unscattered_logdet(moved, prior, trial) - logdet) / SLOPE_STEP
+            out[number] = change + (self._unscattered_logdet(moved, prior, trial) - logdet) / DERIVATIVE_STEP
         # dV0 V^-1 c = -H Q^-1 dQ X.
         solved = scipy.linalg.solveh_banded(self._precision, forced, lower=True, check_finite=False)
         pulls[:, of_states] = -sum(solved[part :: band.states] for part in range(0, band.states, 2))
@@ -179,14 +181,16 @@ class Whitener:
     def _unscattered_logdet(precision: Array, prior_logdet: float, noise: NoiseModel) -> float:
         """ln |V0|, without the columns of Z."""
         # The determinant lemma: |A + U U'| = |A| |I + U' A^-1 U|.
-        factor = scipy.linalg.cholesky_banded(_given(precision, noise), lower=True, check_finite=False)
+        factor = scipy.linalg.cholesky_banded(_reading_precision(precision, noise), lower=True, check_finite=False)
         windows = precision.shape[1] // (precision.shape[0] - 2)
         return float(2.0 * windows * np.log(noise.sensor) + 2.0 * np.log(factor[0]).sum() - prior_logdet)
 
-    def _unscattered(self, columns: Array) -> Array:
+    def _unscatter(self, columns: Array) -> Array:
         """(m, c) columns that V0^-1 weighs as V^-1 weighs the given ones."""
         scattering = self._scattering
-        return columns - scattering.times(scattering.solve(scattering.across(columns, self._band.halved(columns))))
+        return columns - scattering.times(
+            scattering.solve(scattering.cross_products(columns, self._band.half_solve(columns)))
+        )
 
     @property
     def logdet(self) -> float:
@@ -195,7 +199,7 @@ class Whitener:
         banded = 2.0 * np.log(self._band.factor[0]).sum() - self._prior_logdet
         return float(sensor + banded + self._scattering.logdet)
 
-    def smoothed(self, residual: Array) -> Array:
+    def smooth(self, residual: Array) -> Array:
         """(m,) the residual without the errors of the reading, white and lasting: its mean given all readings, degC."""
         noise, weighed = self.noise, self.weigh(residual[:, None])[:, 0]
         error = noise.sensor**2 * weighed
@@ -210,12 +214,12 @@ class Whitener:
     def heat(self, residual: Array) -> tuple[Array, Array]:
         """(mean, variance) (m,) of the rough heat h at each window, degC/s, given all readings."""
         band, scattering = self._band, self._scattering
-        mean = band.solved(self._unscattered(residual[:, None]))[1 :: band.states, 0]
+        mean = band.solve(self._unscatter(residual[:, None]))[1 :: band.states, 0]
         # What is not known of the columns' sizes adds to what the states themselves leave open.
-        besides = band.solved(scattering.times(scattering.others_besides()))[1 :: band.states]
+        besides = band.solve(scattering.times(scattering.others_besides()))[1 :: band.states]
         variance = inverse_diagonal(band.factor)[1 :: band.states] + np.sum(besides**2, axis=1)
         inverse = scattering.inner_inverse()
-        for piece in scattering.solved():
+        for piece in scattering.solve_cycles():
             heats = piece.states[1 :: band.states]
             variance[piece.rows] += np.einsum("mc,mc->m", heats @ inverse[piece.columns, piece.columns], heats)
         return np.asarray(mean), np.asarray(variance)
@@ -226,7 +230,7 @@ class Whitener:
         size = (grid.dt.size, count)
         heat, deviation = np.zeros(count), np.zeros(count)
         decay, variance, heat_step = _steps(grid, noise, self._rough)
-        into, fresh = heat_step.into, np.sqrt(heat_step.dd)
+        into, fresh = heat_step.coupling, np.sqrt(heat_step.dd)
         variance = variance + noise.rough**2 * heat_step.own
         out = np.empty(size)
         for row in range(size[0]):
@@ -239,9 +243,9 @@ class Whitener:
                 heat = heat_step.keep[row] * heat + new
             out[row] = deviation
         scatter = self._scattering.times(rng.standard_normal((grid.heats.shape[1] + 2, count)))
-        return out + scatter + self._lasting(rng, size) + noise.sensor * rng.standard_normal(size)
+        return out + scatter + self._draw_error(rng, size) + noise.sensor * rng.standard_normal(size)
 
-    def _lasting(self, rng: np.random.Generator, size: tuple[int, int]) -> Array | float:
+    def _draw_error(self, rng: np.random.Generator, size: tuple[int, int]) -> Array | float:
         """Draws of the error that lasts; no draw where there is none."""
         if self.noise.lasting <= 0:
             return 0.0
@@ -251,7 +255,7 @@ class Whitener:
 
 SENSOR, CYCLE, MEMORY, LASTS = 0, 3, 4, 7
 """Places in `vector`; from LASTS on stands the error that lasts."""
-SLOPE_STEP = 1e-4
+DERIVATIVE_STEP = 1e-4
 """By how much a coordinate is moved for the derivatives of the banded precision and of its determinant."""
 LONGEST_STEP, HALVINGS = 1.5, 6
 """How far a step may move a coordinate (a factor of 4 or so), and how often it is halved where it leads up."""
@@ -262,7 +266,7 @@ Derivatives = Callable[[], tuple[Array, Array]]
 """What makes slopes (c,) and information (c, c) of a log-likelihood by the noise's coordinates."""
 
 
-def _given(precision: Array, noise: NoiseModel) -> Array:
+def _reading_precision(precision: Array, noise: NoiseModel) -> Array:
     """The states' banded precision given the readings: each window is one of its x, or of x + u."""
     posterior, weight = precision.copy(), 1.0 / noise.sensor**2
     posterior[0, :: 3 if noise.lasting > 0 else 2] += weight
@@ -331,7 +335,10 @@ def _precision(grid: Grid, noise: NoiseModel, rough: DisturbanceStep) -> tuple[A
     heat = max(noise.rough, LEAST_HEAT) ** 2
     # A Markov chain's precision has a block of two rows a window and one to its neighbour: with z' = F z + q, cov q =
     # Q, the step to each window adds Q^-1 to its own block, F' Q^-1 F to the block before, -Q^-1 F between them.
-    qx, qh = np.where(grid.first, DIFFUSE, variance + heat * step.xx), np.where(grid.first, heat, heat * step.dd)
+    qx, qh = (
+        np.where(grid.first, DIFFUSE_VARIANCE, variance + heat * step.xx),
+        np.where(grid.first, heat, heat * step.dd),
+    )
     cross = np.where(grid.first, 0.0, heat * step.xd)
     # Q^-1 = (a b; b d), written out: two rows need no solver. In lower form row i of `band` is the i-th subdiagonal.
     determinant = qx * qh - cross**2
@@ -351,10 +358,10 @@ def _precision(grid: Grid, noise: NoiseModel, rough: DisturbanceStep) -> tuple[A
     band[1, 1::2][before] -= a * f12 + b * f22
     band[2, 1::2][before] -= b * f12 + d * f22
     logdet = float(-np.log(determinant).sum())
-    return _with_lasting(band, logdet, grid, noise) if noise.lasting > 0 else (band, logdet)
+    return _add_error_state(band, logdet, grid, noise) if noise.lasting > 0 else (band, logdet)
 
 
-def _with_lasting(band: Array, logdet: float, grid: Grid, noise: NoiseModel) -> tuple[Array, float]:
+def _add_error_state(band: Array, logdet: float, grid: Grid, noise: NoiseModel) -> tuple[Array, float]:
     """The banded precision of (x, h) with the error that lasts as a third state, which goes its own way."""
     keep, fresh = _lasting_steps(grid, noise)
     own = 1.0 / fresh
@@ -399,7 +406,7 @@ def vector(noise: NoiseModel) -> Array:
     return np.concatenate([logs, [np.log(noise.rest / (1.0 - noise.rest)), np.log(noise.still)], lasts])
 
 
-def noise_of(point: Array) -> NoiseModel:
+def noise_model(point: Array) -> NoiseModel:
     """The inverse of `vector`."""
     sensor, process, rough, cycle, memory = np.exp(point[:5]).tolist()
     return NoiseModel(
@@ -430,12 +437,12 @@ def fit_noise(
     spread = np.array([*belief.spread, 1.0, belief.still, *(belief.lasts if centre.size > LASTS else ())])
 
     def cost(point: Array) -> tuple[float, Derivatives]:
-        value, derivatives = objective(noise_of(point))
+        value, derivatives = objective(noise_model(point))
         return value + 0.5 * float(np.sum(((point - centre) / spread) ** 2)), derivatives
 
     low, high = centre - 4.0, centre + 4.0
     low[SENSOR] = max(low[SENSOR], float(np.log(max(belief.least, 1e-12))))
-    high[CYCLE] = MOST_SCATTER
+    high[CYCLE] = MAX_LOG_SCATTER
     low[MEMORY], high[MEMORY] = SHORTEST, max(LONGEST, centre[MEMORY])
     if centre.size > LASTS:
         low[LASTS + 1], high[LASTS + 1] = BRIEFEST, SLOWEST
@@ -460,4 +467,4 @@ def fit_noise(
         else:
             break
         point, value = moved, after
-    return noise_of(point), value
+    return noise_model(point), value

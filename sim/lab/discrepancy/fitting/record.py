@@ -13,38 +13,38 @@ import numpy as np
 import scipy
 
 from sim.lab.discrepancy.fitting.noise import Grid
-from sim.lab.learning import FreeRuns, Indices, LearningError, first_switch, free_runs, thinned
-from sim.sha import UNKNOWN, Alphabet, Array, Mask, Model, Switch, Trace, encoded
+from sim.lab.learning import FreeRuns, Indices, LearningError, first_switch, free_runs, thin_runs
+from sim.sha import UNKNOWN, Alphabet, Array, Mask, Model, Switch, Trace, encode_trace
 
 KNOTS, WINDOWS = 64_000, 4_000
 """Fine knots and windows at most: what lies closer together is merged. Sixteen knots a window: what a window's mean
 loses by them is of second order in the rate times a sixteenth of its length."""
-LEAST_WINDOW = 20.0
+MIN_WINDOW_S = 20.0
 """Seconds of a window at least (or one row, where rows lie further apart)."""
 LIVELY, FINER = 900.0, 4.0
 """Seconds after a start or a stop in which windows are so many times shorter."""
-SLOW = 2.0
+GAP_RATIO = 2.0
 """Times the usual interval between rows (all but one in a hundred) beyond which a recorder has a gap."""
-LATE = 1.5
+LATE_RATIO = 1.5
 """Times the usual interval between rows from which a start or a stop in it was noticed late."""
 MANY, FORGOTTEN = 8, 6.0
 """Cycles from which they are the independent pieces of evidence. Where they are fewer, a run or a rest that goes on for
 twice so many of its time constants is several pieces: e^-6 of how a piece began is left at its end."""
-PIECE_ROWS = 24
+MIN_PIECE_ROWS = 24
 """Readings of such a piece at least: of fewer neither its mean nor how it wanders can be told, and where rows are as
 rare as the time constant is long there would be a piece for every second row."""
-BETWEEN = 3600.0
+TRACE_GAP_S = 3600.0
 """Seconds that are put between traces of which nobody knows when they were recorded."""
 BESIDE, STANDS_OUT = 5, 4.5
 """Rows before and after a row's end with which a change of a signal there is compared, and the times their median that
 a step is: three standard deviations, since the median size of what is normal is 0.67 of one. Where a signal is restless
 or on its way, half of the rows beside change as much, and nothing steps."""
-INRUSH = 30.0
+INRUSH_S = 30.0
 """Seconds after a start (or two rows) in which the current may be what turns the drum up: a motor on the line is at
 speed within a quarter of a minute."""
-NEVER = 1e9
+NO_START_S = 1e9
 """Seconds since a start-up that was not seen."""
-CLOCK = 1e-3
+CLOCK_TOLERANCE_S = 1e-3
 """Seconds by which a step may differ from what its times say: what is lost where many steps are added up."""
 
 
@@ -57,13 +57,13 @@ class Record:
     step's start, `whole` (n,) numbers the cycles, what lies before a trace's first start-up counting to its first.
     `cycle` (n,) are the independent pieces of evidence: the cycles, or, of a machine that runs on, pieces of its long
     runs (`in_pieces`). `turned` (n,) says where a start, a stop or a step
-    of a load lies somewhere in the row that ends at the knot (`_turned`), `rushed` (n,) where a start draws what turns
-    the drum up (`_rushed`).
+    of a load lies somewhere in the row that ends at the knot (`_turn_rows`), `rushed` (n,) where a start draws what
+    turns the drum up (`_inrush_rows`).
     `window` (s) is the length of a window at rest, `rows` (r,) are the knots with a reading, `begins` (m,) the place in
     `rows` where each window begins.
     `uncut` holds the knots before anything was cut, `kept` (n,) the place of each knot there: what follows from signals
     alone runs on through cuts (`history`). `ran` (N,) are the seconds that the machine had run by then.
-    What holds of every record, whatever its recorder did, is asked of it when it is made (`broken`).
+    What holds of every record, whatever its recorder did, is asked of it when it is made (`record_faults`).
     """
 
     model: Model
@@ -83,10 +83,10 @@ class Record:
     ran: Array
 
     def __post_init__(self) -> None:
-        if wrong := broken(self):
+        if wrong := record_faults(self):
             raise RecordFault(f"a record in which this does not hold: {'; '.join(wrong)}")
 
-    def windowed(self, columns: Array) -> Array:
+    def window_means(self, columns: Array) -> Array:
         """The mean over each window's readings of columns (n,) or (n, c) given at the knots: (m,) or (m, c)."""
         picked = columns[self.rows]
         counts = np.diff(np.append(self.begins, self.rows.size))
@@ -96,12 +96,12 @@ class Record:
     @property
     def times(self) -> Array:
         """(m,) the mean time of each window's readings, absolute s."""
-        return self.windowed(self.runs.time)
+        return self.window_means(self.runs.time)
 
     @property
     def reading(self) -> Array:
         """(m,) the mean reading of each window, degC."""
-        return self.windowed(self.runs.reading)
+        return self.window_means(self.runs.reading)
 
     @property
     def window_cycle(self) -> Indices:
@@ -131,7 +131,7 @@ class Record:
         heat acts, `jumps` (n,) degC^2 the variance of a jump at each knot, `heats` (m, cycles) `shared` and `inrush`
         (m,) as in `Grid`."""
         passed = np.cumsum(np.column_stack([k, running]) * self.runs.dt[:, None], axis=0)
-        times, mean = self.times, self.windowed(passed)
+        times, mean = self.times, self.window_means(passed)
         # Rate and running share between two windows are those between their mean times: the integral over all knots,
         # averaged in each window as the readings are, then differenced.
         first = self.window_first
@@ -151,22 +151,22 @@ class Record:
             inrush=inrush,
         )
 
-    def where(self, keep: Mask) -> "Record":
+    def select(self, keep: Mask) -> "Record":
         """The knots of whole cycles, of which the first of each piece begins a run of its own.
 
         Raises LearningError where no reading is among them.
         """
         followed = np.append(keep[1:], True)
-        reading = _until_switched(self.runs, self.running, ~followed)
+        reading = _readings_before_turns(self.runs, self.running, ~followed)
         cut = self.runs.first | ~np.append(True, keep[:-1])
-        return _laid(self, replace(self.runs, reading=reading, run=np.cumsum(cut) - 1), keep)
+        return _build_record(self, replace(self.runs, reading=reading, run=np.cumsum(cut) - 1), keep)
 
     def by_cycles(self) -> "Record":
         """The record with a run of its own for each cycle."""
         begun = np.diff(self.whole, prepend=-1) != 0
-        reading = _until_switched(self.runs, self.running, np.append(begun[1:], False))
+        reading = _readings_before_turns(self.runs, self.running, np.append(begun[1:], False))
         run = np.cumsum(self.runs.first | begun) - 1
-        return _laid(self, replace(self.runs, run=run, reading=reading), np.ones(len(self.runs), dtype=bool))
+        return _build_record(self, replace(self.runs, run=run, reading=reading), np.ones(len(self.runs), dtype=bool))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -191,7 +191,7 @@ class RecordFault(AssertionError):
     """A record that breaks what holds for every one: a fault of the program, whatever the traces are."""
 
 
-def _laid(knots: Record | _Knots, runs: FreeRuns, keep: Mask) -> Record:
+def _build_record(knots: Record | _Knots, runs: FreeRuns, keep: Mask) -> Record:
     """The record of the knots to `keep`, cut into the runs that `runs` numbers: every record is made here.
 
     A run in which nothing was read says nothing and is left out. Raises LearningError where that is every run.
@@ -204,7 +204,7 @@ def _laid(knots: Record | _Knots, runs: FreeRuns, keep: Mask) -> Record:
             f"none of these cycles has a reading of {knots.model.temperature!r}, the model's temperature"
         )
     kept = _together(keep)
-    runs = runs.where(kept)
+    runs = runs.select(kept)
     runs = replace(runs, run=np.cumsum(runs.first) - 1)
     runs = replace(runs, dt=np.where(runs.first, 0.0, runs.dt))
     running, cycle = knots.running[kept], knots.cycle[kept]
@@ -235,7 +235,7 @@ def _together(keep: Mask) -> Mask | slice:
     return slice(begin, end) if end - begin == places.size else keep
 
 
-def broken(record: Record) -> tuple[str, ...]:
+def record_faults(record: Record) -> tuple[str, ...]:
     """What does not hold of a record though it holds of every one, in words; () where all does."""
     runs, rows, begins = record.runs, record.rows, record.begins
     n, first, run = len(runs), runs.first, runs.run
@@ -250,7 +250,7 @@ def broken(record: Record) -> tuple[str, ...]:
         "runs are numbered 0, 1, 2 and so on": run[0] == 0 and bool(np.isin(np.diff(run), (0, 1)).all()),
         "a run's first knot ends no step": not runs.dt[first].any(),
         "times rise within a run": bool((passed > 0).all()),
-        "a row is as late as it is": bool(np.allclose(runs.dt[~first], passed, rtol=1e-6, atol=CLOCK)),
+        "a row is as late as it is": bool(np.allclose(runs.dt[~first], passed, rtol=1e-6, atol=CLOCK_TOLERANCE_S)),
         "cycles follow one another": bool((np.diff(record.cycle) >= 0).all()),
         "the rows are the knots with a reading": np.array_equal(rows, np.flatnonzero(np.isfinite(runs.reading))),
         "every window has a reading": begins[:1].tolist() == [0]
@@ -261,7 +261,7 @@ def broken(record: Record) -> tuple[str, ...]:
     return tuple(words for words, true in holds.items() if not true)
 
 
-def overlapping(traces: Sequence[Trace]) -> str:
+def find_overlap(traces: Sequence[Trace]) -> str:
     """Which trace begins before another one ends, in words; "" where they lie one after the other."""
     ordered = sorted((trace for trace in traces if trace.times.size), key=lambda trace: float(trace.times[0]))
     for before, after in pairwise(ordered):
@@ -273,25 +273,25 @@ def overlapping(traces: Sequence[Trace]) -> str:
 def in_order(traces: Sequence[Trace]) -> list[Trace]:
     """The traces by their times; those that overlap (each begins at 0, say) one after the other as they were given."""
     having = [trace for trace in traces if trace.times.size]
-    if not overlapping(having):
+    if not find_overlap(having):
         return sorted(having, key=lambda trace: float(trace.times[0]))
     laid, end = list[Trace](), 0.0
     for trace in having:
         shift = end - float(trace.times[0])
         events = tuple(replace(event, time=event.time + shift) for event in trace.events)
         laid.append(replace(trace, times=trace.times + shift, events=events))
-        end = float(laid[-1].times[-1]) + BETWEEN
+        end = float(laid[-1].times[-1]) + TRACE_GAP_S
     return laid
 
 
 def patiently(trace: Trace, alphabet: Alphabet) -> Trace:
     """The trace encoded with a gap that suits its recorder: rows that usually come late leave no gap between them."""
     # The 99th percentile, not the largest: single pauses of a recorder are the gaps that the encoder must see.
-    usual = SLOW * float(np.quantile(np.diff(trace.times), 0.99)) if trace.times.size > 2 else 0.0
-    return encoded(trace, replace(alphabet, gap=max(usual, alphabet.gap)))
+    usual = GAP_RATIO * float(np.quantile(np.diff(trace.times), 0.99)) if trace.times.size > 2 else 0.0
+    return encode_trace(trace, replace(alphabet, gap=max(usual, alphabet.gap)))
 
 
-def record_of(
+def build_record(
     model: Model, traces: Sequence[Trace], signals: Sequence[str], *, knots: int = KNOTS, windows: int = WINDOWS
 ) -> Record:
     """The encoded `traces` under the locations of `model`; a trace without a reading of the temperature is left out.
@@ -306,11 +306,11 @@ def record_of(
                 "looked for in a temperature that goes on over events, so give a model that was learned with "
                 "--default-flow exponential"
             )
-    having = [_each_time_once(trace) for trace in traces if _can_be_followed(trace, model)]
+    having = [_each_time_once(trace) for trace in traces if _is_followable(trace, model)]
     if not having:
         raise LearningError(f"no trace has a reading of {model.temperature!r}, the model's temperature")
-    runs = thinned(
-        free_runs(having, model.sha, model.temperature, signals=tuple(signals), modelled=known(model)), knots
+    runs = thin_runs(
+        free_runs(having, model.sha, model.temperature, signals=tuple(signals), modelled=known_locations(model)), knots
     )
     running, since, whole = _machine(runs, having, first_switch(model.alphabet))
     rates = np.array([location.flow.params.get("k", 0.0) for location in model.sha.locations])
@@ -323,24 +323,24 @@ def record_of(
         since=since,
         whole=whole,
         cycle=cycle,
-        turned=_turned(model, runs, running, signals),
-        rushed=_rushed(model, runs, running, since, signals),
-        window=max(float(_clock(runs, running)[-1]) / windows, LEAST_WINDOW * FINER),
+        turned=_turn_rows(model, runs, running, signals),
+        rushed=_inrush_rows(model, runs, running, since, signals),
+        window=max(float(_clock(runs, running)[-1]) / windows, MIN_WINDOW_S * FINER),
         uncut=uncut,
         kept=np.arange(len(runs)),
         ran=np.cumsum(running * uncut.dt),
     )
-    return _laid(laid_out, runs, np.ones(len(runs), dtype=bool))
+    return _build_record(laid_out, runs, np.ones(len(runs), dtype=bool))
 
 
-def first_cycle_after(record: Record, traces: Sequence[Trace]) -> float:
+def first_new_cycle(record: Record, traces: Sequence[Trace]) -> float:
     """The record's first piece of evidence (`cycle`) after the `traces` that it begins with; inf: there is none."""
-    count = sum(_can_be_followed(trace, record.model) for trace in traces)
+    count = sum(_is_followable(trace, record.model) for trace in traces)
     later = record.cycle[record.runs.trace >= count]
     return float(later[0]) if later.size else inf
 
 
-def _can_be_followed(trace: Trace, model: Model) -> bool:
+def _is_followable(trace: Trace, model: Model) -> bool:
     return bool(np.isfinite(trace.signals.get(model.temperature, np.empty(0))).any()) and trace.times.size > 1
 
 
@@ -355,38 +355,38 @@ def _each_time_once(trace: Trace) -> Trace:
     return replace(trace, times=trace.times[last], signals=signals, bad=bad, held=held)
 
 
-def _turned(model: Model, runs: FreeRuns, running: Array, signals: Sequence[str]) -> Mask:
+def _turn_rows(model: Model, runs: FreeRuns, running: Array, signals: Sequence[str]) -> Mask:
     """(n,) where the machine starts or stops, or what the flows go by steps, between the row before and a knot's own.
 
     A step stands out of what its signal does from row to row beside it (`STANDS_OUT`).
     """
     turned = np.append(np.diff(running) != 0, False)
-    for number in _driving(model, signals):
+    for number in _driving_signals(model, signals):
         change = np.abs(np.append(np.diff(np.nan_to_num(runs.inputs[:, number])), 0.0))
         beside = scipy.ndimage.median_filter(change, size=2 * BESIDE + 1, mode="nearest")
         turned |= change > STANDS_OUT * beside
     return turned
 
 
-def _driving(model: Model, signals: Sequence[str]) -> list[int]:
+def _driving_signals(model: Model, signals: Sequence[str]) -> list[int]:
     """The places in `signals` of those that the flows go by, or that decide between locations."""
     driving = {each.signal for location in model.sha.locations for each in location.flow.inputs}
     driving |= {channel.signal for channel in model.alphabet.channels}
     return [number for number, name in enumerate(signals) if name in driving]
 
 
-def _rushed(model: Model, runs: FreeRuns, running: Array, since: Array, signals: Sequence[str]) -> Mask:
-    """(n,) where a start draws more than the machine ever does afterwards, until it stops: its first `INRUSH`.
+def _inrush_rows(model: Model, runs: FreeRuns, running: Array, since: Array, signals: Sequence[str]) -> Mask:
+    """(n,) where a start draws more than the machine ever does afterwards, until it stops: its first `INRUSH_S`.
 
     A motor on the line draws several times its current until the drum turns. A load that comes and goes is none.
     """
     seen = runs.dt[runs.dt > 0]
     row = float(np.median(seen)) if seen.size else 0.0
-    starting = (running > 0.5) & (since < max(INRUSH, 2.0 * row))
+    starting = (running > 0.5) & (since < max(INRUSH_S, 2.0 * row))
     after = (running > 0.5) & ~starting
     stretch = np.cumsum(runs.first | (np.diff(starting, prepend=False) & starting))
     rushed = np.zeros(len(runs), dtype=bool)
-    for number in _driving(model, signals):
+    for number in _driving_signals(model, signals):
         drawn = np.nan_to_num(runs.inputs[:, number])
         most = np.full(int(stretch[-1]) + 1, np.inf)
         most[stretch[after]] = 0.0
@@ -401,14 +401,14 @@ def _cut_late(runs: FreeRuns, running: Array) -> FreeRuns:
     Heat that the model would then be given late is no heat that it lacks.
     """
     seen = runs.dt[runs.dt > 0]
-    late = runs.dt > LATE * (float(np.median(seen)) if seen.size else 0.0)
+    late = runs.dt > LATE_RATIO * (float(np.median(seen)) if seen.size else 0.0)
     turns = np.append(np.diff(running) != 0, False) & (np.diff(runs.run, append=-1) == 0)
     cut = late & turns & np.isfinite(runs.reading)
     run = np.cumsum(runs.first | cut) - 1
     return replace(runs, run=run, dt=np.where(runs.first | cut, 0.0, runs.dt))
 
 
-def _until_switched(runs: FreeRuns, running: Array, last: Mask) -> Array:
+def _readings_before_turns(runs: FreeRuns, running: Array, last: Mask) -> Array:
     """(n,) the readings, without those of the knots at which a piece ends (`last`) and the machine starts or stops.
 
     Where a switch is known to a row only, such a reading tells of what came after it and is not in the piece.
@@ -417,7 +417,7 @@ def _until_switched(runs: FreeRuns, running: Array, last: Mask) -> Array:
     return np.where(last & turned, np.nan, runs.reading)
 
 
-def known(model: Model) -> Mask:
+def known_locations(model: Model) -> Mask:
     """(L,) which locations say how the temperature moves.
 
     Not an initial one in which nothing is known yet; nor one that no data have shown (`Model.borrowed`): what another
@@ -435,7 +435,7 @@ def known(model: Model) -> Mask:
 
 def _machine(runs: FreeRuns, traces: Sequence[Trace], switch: Switch | None) -> tuple[Array, Array, Indices]:
     """(running, since, cycle) of every knot, from the switch's events."""
-    running, since = np.ones(len(runs)), np.full(len(runs), NEVER)
+    running, since = np.ones(len(runs)), np.full(len(runs), NO_START_S)
     cycle, count = np.zeros(len(runs), dtype=np.intp), 0
     for number, trace in enumerate(traces):
         rows = np.flatnonzero(runs.trace == number)
@@ -455,7 +455,7 @@ def _machine(runs: FreeRuns, traces: Sequence[Trace], switch: Switch | None) -> 
             starts = times[rises]
         place = np.searchsorted(starts, begin, side="right")
         if starts.size:
-            since[rows] = np.where(place > 0, begin - starts[np.maximum(place, 1) - 1], NEVER)
+            since[rows] = np.where(place > 0, begin - starts[np.maximum(place, 1) - 1], NO_START_S)
         cycle[rows] = count + np.maximum(place - 1, 0)
         count += max(int(starts.size), 1)
     return running, since, cycle
@@ -465,7 +465,7 @@ def in_pieces(cycle: Indices, runs: FreeRuns, running: Array, k: Array) -> Indic
     """(n,) the cycles; where they are few, their long runs and rests cut into equal pieces of FORGOTTEN time constants.
 
     `k` (n,) 1/s is the given model's rate of each step; a flow that does not relax forgets nothing and is not cut. Of
-    a stretch there are so few pieces that they have PIECE_ROWS readings each, in the mean.
+    a stretch there are so few pieces that they have MIN_PIECE_ROWS readings each, in the mean.
     """
     if np.unique(cycle).size >= MANY:
         return cycle
@@ -476,7 +476,7 @@ def in_pieces(cycle: Indices, runs: FreeRuns, running: Array, k: Array) -> Indic
     before = np.cumsum(passed) - passed
     within = before - before[changed][stretch]
     read = np.bincount(stretch, np.isfinite(runs.reading))
-    most = np.minimum(np.floor(whole / FORGOTTEN), np.floor(read / PIECE_ROWS))
+    most = np.minimum(np.floor(whole / FORGOTTEN), np.floor(read / MIN_PIECE_ROWS))
     count = np.where(whole >= 2.0 * FORGOTTEN, np.maximum(most, 1.0), 1.0)
     piece = np.floor(within / np.maximum(whole, 1e-12)[stretch] * count[stretch])
     inside = (np.diff(piece, prepend=0.0) != 0) & ~changed

@@ -17,9 +17,9 @@ from scipy.linalg.lapack import dtbtrs
 from sim.lab.learning import Indices
 from sim.sha import Array
 
-TOGETHER = 256
+CHUNK_WINDOWS = 256
 """Windows that are worked out at a time."""
-FADED = 1e-10
+NEGLIGIBLE_SHARE = 1e-10
 """The share of a column's size below which what is left of it is nothing: of the order of rounding."""
 
 
@@ -32,25 +32,25 @@ class StateBand:
     states: int
     weight: float
 
-    def pushed(self, columns: Array) -> Array:
+    def push(self, columns: Array) -> Array:
         """(states m, c) what the columns (m, c), read as residuals, say of the states."""
         pushed = np.zeros((self.states * columns.shape[0], columns.shape[1]), order="F")
         for part in range(0, self.states, 2):  # x and u
             pushed[part :: self.states] = columns * self.weight
         return pushed
 
-    def halved(self, columns: Array) -> Array:
+    def half_solve(self, columns: Array) -> Array:
         """(states m, c) half of the solution: only down the factor."""
-        return _substituted(self.factor, self.pushed(columns), "N")
+        return _solve_factor(self.factor, self.push(columns), "N")
 
-    def solved(self, columns: Array) -> Array:
+    def solve(self, columns: Array) -> Array:
         """(states m, c) the states' means given the columns (m, c)."""
         solved = scipy.linalg.cho_solve_banded(
-            (self.factor, True), self.pushed(columns), overwrite_b=True, check_finite=False
+            (self.factor, True), self.push(columns), overwrite_b=True, check_finite=False
         )
         return np.asarray(solved)
 
-    def left(self, columns: Array, solved: Array) -> Array:
+    def residual_weights(self, columns: Array, solved: Array) -> Array:
         """(m, c) V0^-1 times the columns, by the states' means given them."""
         shown = sum(solved[part :: self.states] for part in range(0, self.states, 2))
         return np.asarray((columns - shown) * self.weight)
@@ -85,7 +85,7 @@ class Spans:
     end: Indices
 
 
-def spans_of(columns: Array) -> Spans:
+def column_spans(columns: Array) -> Spans:
     """The spans of the columns (m, C)."""
     there = columns != 0.0
     some = there.any(axis=0)
@@ -126,7 +126,7 @@ class Scattering:
         self.band, self.others, self.count = band, others, cycles.shape[1]
         self._spans = spans
         self._pieces = list(_pieces(band, cycles, scatter, spans))
-        self._others = band.halved(others)
+        self._others = band.half_solve(others)
         # M = (B F; F' H): B a band in lower form, its entry (j + i, j) in row i.
         width = max(1, *(piece.halved.shape[1] for piece in self._pieces))
         inner = np.zeros((width, self.count))
@@ -137,7 +137,7 @@ class Scattering:
                 inner[row, piece.columns.start : piece.columns.stop - row] += np.diagonal(gram, -row)
         self._root = scipy.linalg.cholesky_banded(inner, lower=True, check_finite=False)
         border = self._by_cycles(others, self._others)
-        self._border = self._down(border)
+        self._border = self._forward(border)
         corner = np.eye(others.shape[1]) + others.T @ others * band.weight - self._others.T @ self._others
         self._corner = scipy.linalg.cholesky(corner - self._border.T @ self._border, lower=True, check_finite=False)
 
@@ -146,14 +146,14 @@ class Scattering:
         """ln |M|."""
         return 2.0 * float(np.log(self._root[0]).sum() + np.log(np.diag(self._corner)).sum())
 
-    def across(self, columns: Array, halved: Array) -> Array:
+    def cross_products(self, columns: Array, halved: Array) -> Array:
         """(C + c, k) Z' V0^-1 times the columns (m, k), which are half solved, too."""
         others = self.others.T @ columns * self.band.weight - self._others.T @ halved
         return np.vstack([self._by_cycles(columns, halved), others])
 
     def half(self, across: Array) -> Array:
         """(C + c, k) R^-1 times (C + c, k), with R R' = M."""
-        cycles = self._down(across[: self.count])
+        cycles = self._forward(across[: self.count])
         others = across[self.count :] - self._border.T @ cycles
         return np.vstack([cycles, scipy.linalg.solve_triangular(self._corner, others, lower=True, check_finite=False)])
 
@@ -163,7 +163,7 @@ class Scattering:
         others = scipy.linalg.solve_triangular(
             self._corner, half[self.count :], lower=True, trans="T", check_finite=False
         )
-        return np.vstack([self._up(half[: self.count] - self._border @ others), others])
+        return np.vstack([self._backward(half[: self.count] - self._border @ others), others])
 
     def times(self, strengths: Array) -> Array:
         """(m, k) Z times (C + c, k)."""
@@ -181,9 +181,9 @@ class Scattering:
         root = scipy.linalg.solve_triangular(
             self._corner, np.eye(self._corner.shape[0]), lower=True, trans="T", check_finite=False
         )
-        return np.vstack([-self._up(self._border @ root), root])
+        return np.vstack([-self._backward(self._border @ root), root])
 
-    def solved(self) -> Iterator[SolvedPiece]:
+    def solve_cycles(self) -> Iterator[SolvedPiece]:
         """The cycles' columns solved along the band, from the last windows to the first."""
         band, reach = self.band, self.band.reach
         carried, size, high = np.zeros((reach, self.count)), np.zeros(self.count), 0
@@ -195,7 +195,7 @@ class Scattering:
             right = np.zeros((piece.halved.shape[0], high - low), order="F")
             right[:, :own] = piece.halved
             right[-reach:] -= carried[-right.shape[0] :, low:high]
-            states = _substituted(band.part(piece.rows.start, piece.rows.stop), right, "T")
+            states = _solve_factor(band.part(piece.rows.start, piece.rows.stop), right, "T")
             columns = np.zeros((piece.own.shape[0], high - low))
             columns[:, :own] = piece.own
             yield SolvedPiece(piece.rows, slice(low, high), columns, states, after[:, low:high])
@@ -206,12 +206,12 @@ class Scattering:
             after[:, low:high] = states[:reach]
             carried[:, low:high] = band.border(piece.rows.start).T @ states[:reach]
             # A column that begins later and is felt no more before it is done with.
-            faded = np.max(carried**2, axis=0) <= FADED**2 * size
+            faded = np.max(carried**2, axis=0) <= NEGLIGIBLE_SHARE**2 * size
             kept = np.flatnonzero(~(faded & (self._spans.begin >= piece.rows.start))[low:high])
             high = low + (int(kept[-1]) + 1 if kept.size else 0)
 
     def _by_cycles(self, columns: Array, halved: Array) -> Array:
-        """(C, k) the cycles' part of `across`."""
+        """(C, k) the cycles' part of `cross_products`."""
         states = self.band.states
         out = np.zeros((self.count, columns.shape[1]))
         for piece in self._pieces:
@@ -219,16 +219,16 @@ class Scattering:
             out[piece.columns] += piece.own.T @ columns[piece.rows] * self.band.weight - piece.halved.T @ half
         return out
 
-    def _down(self, columns: Array) -> Array:
+    def _forward(self, columns: Array) -> Array:
         """Half of the solution with B."""
-        return _substituted(self._root, columns, "N")
+        return _solve_factor(self._root, columns, "N")
 
-    def _up(self, columns: Array) -> Array:
+    def _backward(self, columns: Array) -> Array:
         """The other half."""
-        return _substituted(self._root, columns, "T")
+        return _solve_factor(self._root, columns, "T")
 
 
-def _substituted(factor: Array, columns: Array, trans: str) -> Array:
+def _solve_factor(factor: Array, columns: Array, trans: str) -> Array:
     """The columns (n, c) solved for the lower banded factor (d + 1, n), or for its transpose ("T")."""
     # LAPACK's wrapper breaks the memory where there is no column.
     return np.asarray(dtbtrs(factor, columns, uplo="L", trans=trans)[0]) if columns.size else columns
@@ -239,20 +239,22 @@ def _pieces(band: StateBand, columns: Array, scatter: float, spans: Spans) -> It
     m, count = columns.shape
     reach = band.reach
     carried, size, low = np.zeros((reach, count)), np.zeros(count), 0
-    edges = [*range(0, max(m - TOGETHER // 2, 1), TOGETHER), m]
+    edges = [*range(0, max(m - CHUNK_WINDOWS // 2, 1), CHUNK_WINDOWS), m]
     for begin, end in pairwise(edges):
         high = max(int(np.searchsorted(spans.begin, end)), low)
         own = columns[begin:end, low:high] * scatter
-        pushed = band.pushed(own)
+        pushed = band.push(own)
         if begin:
             pushed[:reach] -= band.border(begin) @ carried[:, low:high]
-        halved = _substituted(band.part(begin, end), pushed, "N")
+        halved = _solve_factor(band.part(begin, end), pushed, "N")
         yield _WindowBlock(slice(begin, end), slice(low, high), own, halved)
         if end == m:
             return
         carried[:, low:high] = halved[-reach:]
         size[low:high] += np.einsum("ij,ij->j", halved, halved)
         # A column that has ended and is felt no more after it is done with.
-        done = (spans.end[low:high] <= end) & (np.max(carried[:, low:high] ** 2, axis=0) <= FADED**2 * size[low:high])
+        done = (spans.end[low:high] <= end) & (
+            np.max(carried[:, low:high] ** 2, axis=0) <= NEGLIGIBLE_SHARE**2 * size[low:high]
+        )
         left = np.flatnonzero(~done)
         low += int(left[0]) if left.size else high - low

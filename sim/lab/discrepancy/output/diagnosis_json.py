@@ -13,7 +13,7 @@ import numpy as np
 from drivers.csv_rows import write_rows
 from sim.artefacts import effect_line_part
 from sim.lab.discrepancy import (
-    LONGEST,
+    MAX_PHASE_S,
     CandidateLaw,
     Diagnosis,
     DiagnosisCourse,
@@ -23,14 +23,14 @@ from sim.lab.discrepancy import (
     NamedEffect,
     ProposedExperiment,
     TriedEffect,
+    advice_lines,
     held_out_sentence,
     law_sentence,
-    look_at,
 )
 from sim.strict_json import json_text, strict
 
 FORMAT, VERSION = "decanter-diagnosis", 1
-MISSING_HEAT = "missing_heat.csv"
+MISSING_HEAT_FILE = "missing_heat.csv"
 
 
 def document(diagnosis: Diagnosis) -> dict[str, Any]:
@@ -68,8 +68,8 @@ def document(diagnosis: Diagnosis) -> dict[str, Any]:
         "settings": diagnosis.settings,
         "unit": diagnosis.unit,
         "laws": [_law(law) for law in diagnosis.laws],
-        "look_at": look_at(diagnosis),
-        "missing_heat": None if diagnosis.missing_heat is None else MISSING_HEAT,
+        "look_at": advice_lines(diagnosis),
+        "missing_heat": None if diagnosis.missing_heat is None else MISSING_HEAT_FILE,
     }
     if diagnosis.began is not None:
         content["began"] = _beginning(diagnosis.began)
@@ -163,7 +163,7 @@ def _place(place: HeatPlace, course: DiagnosisCourse | None) -> dict[str, Any]:
     low, high = place.seconds
     if not isfinite(high):
         since = np.empty(0) if course is None else course.since_event[np.array(course.location) == place.location]
-        since = since[np.isfinite(since) & (since <= LONGEST)]
+        since = since[np.isfinite(since) & (since <= MAX_PHASE_S)]
         high = float(since.max()) if since.size else 0.0
     return asdict(place) | {"seconds": [low, max(low, high)], "cycles": f"{place.cycles[0]}/{place.cycles[1]}"}
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from sim.files import replace_durably, sync_directory
 from sim.lab.discrepancy import Diagnosis
-from sim.lab.discrepancy.output.diagnosis_json import FORMAT, MISSING_HEAT, document_text, missing_heat_text
+from sim.lab.discrepancy.output.diagnosis_json import FORMAT, MISSING_HEAT_FILE, document_text, missing_heat_text
 from sim.lab.discrepancy.output.pictures import FILES, draw
 from sim.lab.discrepancy.output.report import Occasion, report_html
 from sim.lab.formats import write_model_directory
@@ -59,18 +59,18 @@ def write_diagnosis(diagnosis: Diagnosis, occasion: Occasion, model: Model | Non
             pictures = draw(diagnosis, f"Diagnosis of {occasion.name}: {diagnosis.verdict}", beside)
             replace_durably(beside / REPORT, report_html(diagnosis, occasion, pictures))
         if diagnosis.missing_heat is not None:
-            replace_durably(beside / MISSING_HEAT, missing_heat_text(diagnosis.missing_heat))
+            replace_durably(beside / MISSING_HEAT_FILE, missing_heat_text(diagnosis.missing_heat))
         replace_durably(beside / DOCUMENT, document_text(diagnosis))
         if model is not None:
             write_model_directory(beside / MODEL, model)
         # What is new is whole by now. The document goes first and comes last: whoever reads while the rest is being
         # exchanged, or after a crash in between, finds a folder without a diagnosis and not one of two halves.
         (out / DOCUMENT).unlink(missing_ok=True)
-        for name in (*FILES, MISSING_HEAT, REPORT):
+        for name in (*FILES, MISSING_HEAT_FILE, REPORT):
             (out / name).unlink(missing_ok=True)
         if (out / MODEL).exists():
             shutil.rmtree(out / MODEL)
-        for name in (MODEL, *FILES, MISSING_HEAT, REPORT, DOCUMENT):
+        for name in (MODEL, *FILES, MISSING_HEAT_FILE, REPORT, DOCUMENT):
             if (beside / name).exists():
                 (beside / name).replace(out / name)
         sync_directory(out)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from drivers.named_files import writing
+from drivers.named_files import name_write_errors
 from sim.effects import moment_words
 from sim.lab.discrepancy import (
     Diagnosis,
@@ -26,7 +26,7 @@ from sim.lab.discrepancy import (
     heat_map,
 )
 from sim.lab.pictures import blank_figure
-from sim.sha import DEGREES, Array, shown_unit
+from sim.sha import DEFAULT_UNIT, Array, display_unit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -38,18 +38,18 @@ ERRORS, SHEET = "held_out_errors.png", "diagnosis.png"
 FILES = (MISSING, WHERE, CYCLES, ERRORS, SHEET)
 MEASURED, BEFORE, AFTER, FLOOR = "#555555", "#c65d1e", "#1f6fb4", "#2a8c6a"
 HEAT, BEGINS, RESTING = "#8a3a7c", "#b3261e", "#dfe4e8"
-SHOWN = 6
+MAX_CURVES = 6
 """Held-out cycles that are drawn as curves."""
-ANNOTATED = 160
+MAX_ANNOTATED_CELLS = 160
 """Cells of a map at most in which the number stands too."""
-LONGEST_NAME = 28
+MAX_NAME_CHARS = 28
 """Characters of a location's name on an axis."""
 DPI = 110
-CHARACTERS = 125
+LINE_CHARS = 125
 """Of a line of the sentence on the sheet."""
 BREAK_S, BREAK_STEPS = 1800.0, 10.0
 """Seconds without a window, and steps of the usual length, from which a curve over time is broken."""
-OUTLIER = 0.005
+OUTLIER_SHARE = 0.005
 """Share of the windows on either side that may lie outside of what is drawn of the missing heat."""
 
 
@@ -67,7 +67,7 @@ def draw(diagnosis: Diagnosis, title: str, folder: Path) -> dict[str, Path]:
         jobs.append((MISSING, figure))
     if heat is not None:
         figure = blank_figure(11.0 if heat.after is not None else 8.0, _map_height(heat))
-        draw_where(figure, heat, unit)
+        draw_heat_maps(figure, heat, unit)
         jobs.append((WHERE, figure))
     if course is not None and shown:
         figure = blank_figure(11.0, 4.6)
@@ -82,7 +82,7 @@ def draw(diagnosis: Diagnosis, title: str, folder: Path) -> dict[str, Path]:
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Glyph")  # a letter that the font lacks is shown as a box
         for name, figure in jobs:
-            with writing(folder / name):
+            with name_write_errors(folder / name):
                 figure.savefig(folder / name, dpi=DPI)
     return {name: folder / name for name, _ in jobs}
 
@@ -105,7 +105,7 @@ def _sheet(diagnosis: Diagnosis, title: str, heat: HeatMap | None, shown: Sequen
     course, held_out = _to_show(diagnosis)
     errors = held_out is not None and bool(held_out.per_cycle)
     missing = diagnosis.missing_heat
-    sentence = "\n".join(wrap(diagnosis.sentence, CHARACTERS))
+    sentence = "\n".join(wrap(diagnosis.sentence, LINE_CHARS))
     heights = [MISSING_HEIGHT] if missing is not None else []
     heights += [0.2 + 0.2 * (sentence.count("\n") + 1)]
     heights += [_map_height(heat)] if heat else []
@@ -117,7 +117,7 @@ def _sheet(diagnosis: Diagnosis, title: str, heat: HeatMap | None, shown: Sequen
         draw_missing_heat(next(parts).subplots(), missing, diagnosis.began, diagnosis.unit)
     next(parts).text(0.01, 0.5, sentence, fontsize=12, va="center", ha="left", parse_math=False)
     if heat is not None:
-        draw_where(next(parts), heat, diagnosis.unit)
+        draw_heat_maps(next(parts), heat, diagnosis.unit)
     if course is not None and shown:
         draw_cycles(next(parts), course, shown, held_out, diagnosis.unit)
     if held_out is not None and errors:
@@ -155,14 +155,14 @@ def draw_missing_heat(axis: Axes, heat: MissingHeat, began: GapBeginning | None,
         first, moment, last = _days(np.array([began.interval[0], began.time, began.interval[1]])).tolist()
         axis.axvspan(first, last, color=BEGINS, alpha=0.15, linewidth=0)
         axis.axvline(moment, color=BEGINS, linewidth=1.6, label=f"begins {moment_words(began.time)} (95 % interval)")
-    least, most = np.nanquantile(low, OUTLIER), np.nanquantile(high, 1.0 - OUTLIER)
+    least, most = np.nanquantile(low, OUTLIER_SHARE), np.nanquantile(high, 1.0 - OUTLIER_SHARE)
     room = 0.06 * max(float(most - least), 1e-9)
     axis.set_ylim(min(float(least), 0.0) - room, max(float(most), 0.0) + room)
     axis.set_xlim(float(days[0]), float(days[-1]) if days[-1] > days[0] else float(days[0]) + 1.0)
     axis.xaxis_date()
     axis.tick_params(labelsize=8)
     axis.set_xlabel("time (UTC)", fontsize=9)
-    axis.set_ylabel(f"missing heat ({shown_unit(unit)}/h)", fontsize=9)
+    axis.set_ylabel(f"missing heat ({display_unit(unit)}/h)", fontsize=9)
     axis.grid(alpha=0.25)
     axis.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), borderaxespad=0.2, ncols=5, fontsize=8, frameon=False)
 
@@ -179,7 +179,7 @@ def _map_height(heat: HeatMap) -> float:
     return 1.7 + 0.34 * len(heat.locations)
 
 
-def draw_where(figure: Figure | SubFigure, heat: HeatMap, unit: str) -> None:
+def draw_heat_maps(figure: Figure | SubFigure, heat: HeatMap, unit: str) -> None:
     """The map before, and beside it the map after, on one scale of colours, in `unit`/h."""
     from matplotlib.colors import Normalize
     from matplotlib.patches import Rectangle
@@ -199,19 +199,19 @@ def draw_where(figure: Figure | SubFigure, heat: HeatMap, unit: str) -> None:
         axis.set_title(title, fontsize=10, loc="left")
         axis.set_xticks(range(len(heat.columns)), heat.columns, rotation=35, ha="right", fontsize=8)
         # A $ would begin a formula in matplotlib's text.
-        short = [name if len(name) <= LONGEST_NAME else f"{name[: LONGEST_NAME - 1]}…" for name in heat.locations]
+        short = [name if len(name) <= MAX_NAME_CHARS else f"{name[: MAX_NAME_CHARS - 1]}…" for name in heat.locations]
         axis.set_yticks(range(len(short)), [name.replace("$", r"\$") for name in short], fontsize=8)
         axis.set_xlabel("time since the last start or stop", fontsize=9)
         axis.set_facecolor("#eceff2")
     if heat.left_out:
         axes[0].set_ylabel(f"{heat.left_out} rarer locations are left out", fontsize=8)
     bar = figure.colorbar(image, ax=list(axes), fraction=0.03, pad=0.01)
-    bar.set_label(f"mean heat, {shown_unit(unit)}/h", fontsize=9)
+    bar.set_label(f"mean heat, {display_unit(unit)}/h", fontsize=9)
 
 
 def _numbers(axis: Axes, values: Array, limit: float) -> None:
     """The means in the cells, where there are few enough to be read."""
-    if values.size > ANNOTATED:
+    if values.size > MAX_ANNOTATED_CELLS:
         return
     digits = 0 if limit >= 20 else 1 if limit >= 2 else 2
     for row, column in zip(*np.nonzero(np.isfinite(values)), strict=True):
@@ -224,7 +224,7 @@ def _numbers(axis: Axes, values: Array, limit: float) -> None:
 # -------------------------------------------------------------------- cycles
 
 
-def cycles_to_show(course: DiagnosisCourse, most: int = SHOWN) -> list[int]:
+def cycles_to_show(course: DiagnosisCourse, most: int = MAX_CURVES) -> list[int]:
     """The numbers of held-out cycles to draw, spread evenly; of all cycles where none is held out."""
     seen = np.isfinite(course.before) & np.isfinite(course.reading)
     chosen = seen & (course.held_out > 0.5)
@@ -269,9 +269,9 @@ def draw_cycles(
             axis.grid(alpha=0.25)
             axis.tick_params(labelsize=8)
         if not number:
-            quantity = "temperature" if unit == DEGREES else "value"
-            above.set_ylabel(f"{quantity} ({shown_unit(unit)})", fontsize=9)
-            below.set_ylabel(f"free run −\nmeasured ({shown_unit(unit)})", fontsize=9)
+            quantity = "temperature" if unit == DEFAULT_UNIT else "value"
+            above.set_ylabel(f"{quantity} ({display_unit(unit)})", fontsize=9)
+            below.set_ylabel(f"free run −\nmeasured ({display_unit(unit)})", fontsize=9)
             entries = [axis.get_legend_handles_labels() for axis in (above, below)]
     figure.legend(
         entries[0][0] + entries[1][0],
@@ -301,7 +301,7 @@ def draw_errors(axis: Axes, held_out: HeldOutProof, cycles: Sequence[int], unit:
     few = place[:: max(1, place.size // 30)]
     axis.set_xticks(few, [str(names[number]) for number in few], fontsize=8)
     axis.set_xlabel("held-out cycle", fontsize=9)
-    axis.set_ylabel(f"free-run rms error ({shown_unit(unit)})", fontsize=9)
+    axis.set_ylabel(f"free-run rms error ({display_unit(unit)})", fontsize=9)
     axis.set_ylim(bottom=0.0)
     axis.grid(alpha=0.25, axis="y")
     axis.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), borderaxespad=0.2, ncols=3, fontsize=8, frameon=False)

@@ -8,23 +8,23 @@ from pathlib import Path
 from shlex import quote
 
 from sim.lab.discrepancy import (
-    LEAST_TOLD_SHARE,
+    MIN_LISTED_SHARE,
     Diagnosis,
     HeatPlace,
     NamedEffect,
     TriedEffect,
+    advice_lines,
     beginning_sentence,
     floor_sentence,
     held_out_count,
     law_sentence,
-    look_at,
     overlap_sentence,
     span,
     told_places,
 )
 from sim.lab.discrepancy.output.pictures import CYCLES, ERRORS, MISSING, SHEET, WHERE
 from sim.lab.pages import page_environment
-from sim.sha import shown_unit
+from sim.sha import display_unit
 
 MEANINGS: Mapping[str, str] = {
     "agree": "On these cycles the model, with its parameters fitted anew, is as right as its own noise allows. "
@@ -46,7 +46,7 @@ COLOURS: Mapping[str, str] = {
     "unexplained": "failed",
     "too-little-data": "review",
 }
-TOLD = 3
+MAX_LISTED = 3
 """Places that are told as sentences; the table has all."""
 
 
@@ -88,9 +88,9 @@ def report_html(diagnosis: Diagnosis, occasion: Occasion, pictures: Mapping[str,
         if name != SHEET
     }
     best = max((tried.gain for tried in diagnosis.candidates if isfinite(tried.gain)), default=0.0)
-    unit, held = shown_unit(diagnosis.unit), diagnosis.held_out
+    unit, held = display_unit(diagnosis.unit), diagnosis.held_out
     environment = page_environment(
-        "sim.lab.discrepancy.output", share=_share, span=lambda seconds: span(*seconds), shown_unit=shown_unit
+        "sim.lab.discrepancy.output", share=_share, span=lambda seconds: span(*seconds), shown_unit=display_unit
     )
     return environment.get_template("diagnosis.html").render(
         one=diagnosis,
@@ -99,7 +99,7 @@ def report_html(diagnosis: Diagnosis, occasion: Occasion, pictures: Mapping[str,
         meaning=MEANINGS[diagnosis.verdict],
         colour=COLOURS[diagnosis.verdict],
         missing=data.get(MISSING),
-        told_share=LEAST_TOLD_SHARE,
+        told_share=MIN_LISTED_SHARE,
         began="" if diagnosis.began is None else beginning_sentence(diagnosis.began, unit),
         floor="" if diagnosis.floor is None else floor_sentence(diagnosis.floor, unit),
         held_out_count="" if held is None else held_out_count(held),
@@ -107,14 +107,14 @@ def report_html(diagnosis: Diagnosis, occasion: Occasion, pictures: Mapping[str,
         where=data.get(WHERE),
         cycles=data.get(CYCLES),
         errors=data.get(ERRORS),
-        places=[place_sentence(place, unit) for place in told_places(diagnosis.places)[:TOLD]],
-        looks=look_at(diagnosis),
+        places=[place_sentence(place, unit) for place in told_places(diagnosis.places)[:MAX_LISTED]],
+        looks=advice_lines(diagnosis),
         laws=[law_sentence(law) for law in diagnosis.laws],
         overlap=overlap_sentence(diagnosis.places),
         unexplained=[place_sentence(place, unit) for place in told_places(diagnosis.unexplained)],
         candidates=diagnosis.candidates,
         best=max(best, 1e-9),
-        rivals={effect.name: rivals_of(effect, diagnosis.candidates) for effect in diagnosis.effects},
+        rivals={effect.name: name_rivals(effect, diagnosis.candidates) for effect in diagnosis.effects},
     )
 
 
@@ -134,7 +134,7 @@ def place_sentence(place: HeatPlace, unit: str) -> str:
     return sentence + (f"; it goes with {place.correlates}" if place.correlates and not place.when else "")
 
 
-def rivals_of(effect: NamedEffect, candidates: Sequence[TriedEffect]) -> tuple[str, ...]:
+def name_rivals(effect: NamedEffect, candidates: Sequence[TriedEffect]) -> tuple[str, ...]:
     """The names that look somewhat like a named effect in these data, outside its class."""
     own = next((candidate for candidate in candidates if candidate.name == effect.name), None)
     return () if own is None else tuple(name for name in own.rivals if name not in effect.members)

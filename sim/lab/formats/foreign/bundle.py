@@ -5,7 +5,7 @@ from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 
-from sim.files import ArtefactError, at, refused, replace_durably
+from sim.files import ArtefactError, file_error, replace_durably, write_error
 from sim.lab.formats.foreign.dot import Source, read_source, source_text
 from sim.lab.formats.foreign.flow_file import FLOW_FILE, FlowFile, flow_file_text, read_flow_file
 from sim.lab.formats.foreign.histogram import Histogram, histogram_text, read_histogram
@@ -50,7 +50,7 @@ def read_artefacts(directory: Path, name: str, optional: Collection[str] = ()) -
     try:
         present = sorted(path.name for path in directory.iterdir())
     except OSError as error:
-        raise at(directory, None, f"is no directory that can be read ({error.strerror}); give one") from None
+        raise file_error(directory, None, f"is no directory that can be read ({error.strerror}); give one") from None
     names = file_names(name)
     missing = [file for kind, file in names.items() if file not in present and kind not in optional]
     if missing:
@@ -64,7 +64,7 @@ def read_artefacts(directory: Path, name: str, optional: Collection[str] = ()) -
         bases = [file.removesuffix(suffix) for file in present if file.endswith(suffix)]
         sets = f"the sets here are {', '.join(bases)}" if bases else "there is no file *_source.txt here"
         files = ", ".join(file for file in present if file.casefold().startswith(name.casefold()) or file == FLOW_FILE)
-        raise at(directory, None, f"{'; '.join(parts)}; {sets}{f', with the files {files}' if files else ''}")
+        raise file_error(directory, None, f"{'; '.join(parts)}; {sets}{f', with the files {files}' if files else ''}")
     histogram, flows = names["histogram"], names["flows"]
     return Artefacts(
         name,
@@ -94,4 +94,4 @@ def write_artefacts(directory: Path, artefacts: Artefacts) -> None:
         for name, text in content.items():
             replace_durably(directory / name, text)
     except OSError as error:
-        raise refused(directory, error) from None
+        raise write_error(directory, error) from None

@@ -24,14 +24,30 @@ from sim.files import ArtefactError
 from sim.lab.formats.foreign.bundle import Artefacts
 from sim.lab.formats.foreign.dot import INIT, Source, SourceLocation
 from sim.lab.formats.foreign.flow_file import FlowFile
-from sim.lab.formats.foreign.flow_kinds import flow_of, same_equation
-from sim.lab.formats.foreign.histogram import evidence, fit
-from sim.lab.formats.foreign.report import EFFECT, ReportedLocation
-from sim.sha import FIXED, FLOWS, RELAXING, SHA, Distribution, Entry, Flow, Input, Location, nondeterminism
+from sim.lab.formats.foreign.flow_kinds import recognise_flow, same_equation
+from sim.lab.formats.foreign.histogram import evidence, fit_values
+from sim.lab.formats.foreign.report import EFFECT_PREFIX, ReportedLocation
+from sim.sha import (
+    FIXED_PARAMETER,
+    FLOWS,
+    RELAXING_FLOWS,
+    SHA,
+    Distribution,
+    Entry,
+    Flow,
+    Input,
+    Location,
+    nondeterminism,
+)
 
 Parameter = Literal["rate", "target"]
-STILL = Flow("constant", {"noise": 0.0})
-ALIASES: Mapping[str, str] = {"alpha": FIXED, "a": FIXED, "target": FIXED, "rate": "k"}
+STILL_FLOW = Flow("constant", {"noise": 0.0})
+PARAMETER_ALIASES: Mapping[str, str] = {
+    "alpha": FIXED_PARAMETER,
+    "a": FIXED_PARAMETER,
+    "target": FIXED_PARAMETER,
+    "rate": "k",
+}
 ENTRIES: Mapping[str, Entry] = {"parameter": "parameter", "resample": "resample", "none": "none"}
 
 
@@ -47,7 +63,7 @@ def structure(source: Source, name: str) -> SHA:
     """Locations and edges alone, every flow constant: for reachability, determinism and acceptance of words."""
     start = _start(source)
     locations = tuple(
-        Location(location.name, STILL, None, "none")
+        Location(location.name, STILL_FLOW, None, "none")
         for location in source.locations
         if location.name != INIT or start == INIT
     )
@@ -90,7 +106,7 @@ def to_sha(artefacts: Artefacts, parameter: Parameter = "rate") -> Converted:
     lost = [
         f"the report names an effect that only the model's JSON holds, and that is left out here: {text}"
         for key, text in artefacts.report.performance
-        if key.startswith(EFFECT)
+        if key.startswith(EFFECT_PREFIX)
     ]
     return Converted(sha, (*notes, *lost, *nondeterminism(sha)))
 
@@ -126,7 +142,7 @@ def _laws(artefacts: Artefacts) -> tuple[dict[str, Distribution], list[str]]:
     if used is not None:
         for name, values in used.values.items():
             if name in laws and values:
-                laws[name] = Distribution("normal", {"mu": laws[name].params["mu"], "sigma": fit(values).sigma})
+                laws[name] = Distribution("normal", {"mu": laws[name].params["mu"], "sigma": fit_values(values).sigma})
     return laws, list(used.disagreements) if used else []
 
 
@@ -140,7 +156,7 @@ def _from_line(node: SourceLocation, line: ReportedLocation, flows: FlowFile | N
         if dot and part in ("gain", "reference"):
             signals.setdefault(signal.strip("`"), {})[part] = value
         else:
-            constants[ALIASES.get(name, name)] = value
+            constants[PARAMETER_ALIASES.get(name, name)] = value
     inputs = (Input(name, parts.get("gain", 0.0), parts.get("reference", 0.0)) for name, parts in signals.items())
     flow = Flow(kind, constants, tuple(inputs))
     equation = flows.equations.get(node.flow) if flows and node.flow is not None else None
@@ -166,7 +182,7 @@ def _from_equation(
     node: SourceLocation, flows: FlowFile | None, laws: Mapping[str, Distribution], parameter: Parameter
 ) -> tuple[Location, list[str]]:
     if node.flow is None and node.distribution is None:
-        return Location(node.name, STILL, None, "none"), []
+        return Location(node.name, STILL_FLOW, None, "none"), []
     flow = _flow_of_node(node, flows)
     if node.distribution is None:
         return Location(node.name, flow, None, "none"), []
@@ -176,7 +192,7 @@ def _from_equation(
         raise ArtefactError(f"the distribution {node.distribution} is not in the report, which has {known}")
     if flow.kind == "constant":
         return Location(node.name, flow, law, "none"), []
-    if flow.kind in RELAXING and FIXED in flow.params and parameter == "rate":
+    if flow.kind in RELAXING_FLOWS and FIXED_PARAMETER in flow.params and parameter == "rate":
         # k becomes the distribution's mean; the law stays at the location, undrawn, and what is lost is told.
         rate, own = law.params["mu"], flow.params["k"]
         if rate <= 0:
@@ -186,7 +202,7 @@ def _from_equation(
             )
         note = f"{node.name}: the rate is {rate:g} 1/s, the mean of {node.distribution}; the equation's is {own:g}"
         return Location(node.name, replace(flow, params={**flow.params, "k": rate}), law, "none"), [note]
-    drawn = {name: value for name, value in flow.params.items() if name != FIXED}
+    drawn = {name: value for name, value in flow.params.items() if name != FIXED_PARAMETER}
     return Location(node.name, replace(flow, params=drawn), law, "parameter"), []
 
 
@@ -200,6 +216,6 @@ def _flow_of_node(node: SourceLocation, flows: FlowFile | None) -> Flow:
         known = ", ".join(map(str, flows.equations)) or "none"
         raise ArtefactError(f"it follows flow {node.flow}, which flow_conditions.txt does not have (it has {known})")
     try:
-        return flow_of(equation)
+        return recognise_flow(equation)
     except ArtefactError as error:
         raise ArtefactError(f"flow {node.flow}: {error}") from None

@@ -17,13 +17,13 @@ from pathlib import Path
 
 from lark import Lark, Token, Tree
 
-from sim.files import ArtefactError, at, read_text
+from sim.files import ArtefactError, file_error, read_text
 from sim.lab.formats.foreign.grammar import parse_text, subtrees, trees
 from sim.sha import Edge
 
 INIT = "__init__"
 NAME_COLOUR, MODE_COLOUR, SYMBOL_COLOUR, GUARD_COLOUR = "black", "#ad0c00", "#0067b0", "#008c05"
-UNOBSERVED = "ε"
+UNOBSERVED_LABEL = "ε"
 
 GRAMMAR = r"""
 start: STRICT? DIGRAPH id? "{" _statement* "}"
@@ -52,8 +52,8 @@ COMMENT: /\/\/[^\n]*|\/\*(?:.|\n)*?\*\/|#[^\n]*/
 %ignore COMMENT
 %ignore /[ \t\f\r\n]+/
 """
-WANTED = "the file must be DOT: digraph NAME { a [label=<...>]  a -> b [label=<...>] }"
-HEADER = (
+EXPECTED_TEXT = "the file must be DOT: digraph NAME { a [label=<...>]  a -> b [label=<...>] }"
+HEADER_LINES = (
     "edge [arrowsize=0.5]",
     "rankdir=LR size=2",
     "node [shape=circle]",
@@ -94,7 +94,7 @@ def read_source(path: Path) -> Source:
 
 def parse_source(text: str, file: str | Path = "source") -> Source:
     """As `read_source`, from the text itself; `file` is the name for messages."""
-    tree = parse_text(_parser(), text, file, WANTED)
+    tree = parse_text(_parser(), text, file, EXPECTED_TEXT)
     title = next((_text(child) for child in trees(tree, "id")), "")
     locations: dict[str, SourceLocation] = {}
     for node in subtrees(tree, "node"):
@@ -102,16 +102,16 @@ def parse_source(text: str, file: str | Path = "source") -> Source:
         modes = [text for text, colour in runs(_label(node)) if colour == MODE_COLOUR]
         location = SourceLocation(name)
         if modes:
-            match = re.fullmatch(rf"(?:f_(\d+)|{UNOBSERVED})\s*,\s*([A-Z]_\d+|{UNOBSERVED})", modes[0])
+            match = re.fullmatch(rf"(?:f_(\d+)|{UNOBSERVED_LABEL})\s*,\s*([A-Z]_\d+|{UNOBSERVED_LABEL})", modes[0])
             if match is None or len(modes) > 1:
                 wanted = "one flow and one distribution are needed, like 'f_1, D_0'"
-                raise at(file, node.meta.line, f"location {name!r} is labelled {' '.join(modes)!r}; {wanted}")
+                raise file_error(file, node.meta.line, f"location {name!r} is labelled {' '.join(modes)!r}; {wanted}")
             flow, distribution = match.groups()
             location = SourceLocation(
-                name, None if flow is None else int(flow), None if distribution == UNOBSERVED else distribution
+                name, None if flow is None else int(flow), None if distribution == UNOBSERVED_LABEL else distribution
             )
         if name in locations:
-            raise at(file, node.meta.line, f"location {name!r} stands here a second time; keep one")
+            raise file_error(file, node.meta.line, f"location {name!r} stands here a second time; keep one")
         locations[name] = location
     # After all nodes, wherever they stand: DOT lets an edge come before the nodes that it joins.
     edges = tuple(edge for node in subtrees(tree, "edge") for edge in _edges(node, locations, file))
@@ -146,7 +146,9 @@ def _edges(node: Tree[Token], locations: dict[str, SourceLocation], file: str | 
     ends = [_node_name(end) for end in trees(node, "node_id")]
     for end in ends:
         if end not in locations:
-            raise at(file, line, f"the edge {' -> '.join(ends)} leads to {end!r}, which is not defined; add the node")
+            raise file_error(
+                file, line, f"the edge {' -> '.join(ends)} leads to {end!r}, which is not defined; add the node"
+            )
     # By colour where the colours are known; else the last text is the symbol and the one before it the guard.
     parts = runs(_label(node))
     guard = next((text for text, colour in parts if colour == GUARD_COLOUR), None)
@@ -156,7 +158,9 @@ def _edges(node: Tree[Token], locations: dict[str, SourceLocation], file: str | 
         guard = parts[-2][0] if len(parts) > 1 else None
     symbol = symbol or ""
     if not symbol and ends[0] != INIT:
-        raise at(file, line, f"the edge {' -> '.join(ends)} has no event; give it a label with the event's symbol")
+        raise file_error(
+            file, line, f"the edge {' -> '.join(ends)} has no event; give it a label with the event's symbol"
+        )
     for source, target in pairwise(ends):
         yield Edge(source, symbol, target, guard)
 
@@ -194,24 +198,24 @@ def runs(label: str) -> list[tuple[str, str]]:
 
 def source_text(source: Source) -> str:
     """The DOT text, byte for byte as the public learner writes it. Raises ArtefactError for unusable names."""
-    lines = [f"digraph {_quoted(source.graph)} {{" if source.graph else "digraph {"]
-    lines += [f"\t{line}" for line in HEADER]
+    lines = [f"digraph {_quote_name(source.graph)} {{" if source.graph else "digraph {"]
+    lines += [f"\t{line}" for line in HEADER_LINES]
     for location in source.locations:
         parts = [_font(_plain(location.name), 8, NAME_COLOUR)]
         if location.flow is not None or location.distribution is not None:
-            flow = UNOBSERVED if location.flow is None else f"f_{location.flow}"
-            mode = f"<br/><b>{flow}, {location.distribution or UNOBSERVED}</b>"
+            flow = UNOBSERVED_LABEL if location.flow is None else f"f_{location.flow}"
+            mode = f"<br/><b>{flow}, {location.distribution or UNOBSERVED_LABEL}</b>"
             parts.append(_font(mode, 6, MODE_COLOUR))
-        lines.append(f"\t{_quoted(location.name)} [label=<{'<br/>'.join(parts)}>]")
+        lines.append(f"\t{_quote_name(location.name)} [label=<{'<br/>'.join(parts)}>]")
     for edge in source.edges:
         parts = [_font(_plain(edge.guard), 8, GUARD_COLOUR)] if edge.guard else []
         parts += [_font(_plain(edge.symbol), 8, SYMBOL_COLOUR)] if edge.symbol else []
         label = f"<{'<br/>'.join(parts)}>" if parts else '""'
-        lines.append(f"\t{_quoted(edge.source)} -> {_quoted(edge.target)} [label={label}]")
+        lines.append(f"\t{_quote_name(edge.source)} -> {_quote_name(edge.target)} [label={label}]")
     return "\n".join([*lines, "}", ""])
 
 
-def _quoted(name: str) -> str:
+def _quote_name(name: str) -> str:
     if re.fullmatch(r"[a-zA-Z_]\w*", name, re.ASCII) and name.lower() not in (
         "strict",
         "digraph",

@@ -28,7 +28,7 @@ from pathlib import Path
 
 from lark import Lark, Token, Tree
 
-from sim.files import at, read_text
+from sim.files import file_error, read_text
 from sim.lab.formats.foreign.grammar import finite_number, parse_text, tokens, trees
 from sim.lab.formats.foreign.polynomial import Polynomial, add, constant, degree, multiply, scale, variable
 
@@ -67,7 +67,7 @@ NAME: /[^\W\d][\w.]*|`[^`\n]+`/
 _NL: /(?:[ \t\r]*\n)+[ \t]*/
 %ignore /[ \t\r]+/
 """
-WANTED = "a line with the flow's number must be followed by its equation, like (x0)' = 0.004 1 + -0.004 x0"
+EXPECTED_TEXT = "a line with the flow's number must be followed by its equation, like (x0)' = 0.004 1 + -0.004 x0"
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,29 +123,31 @@ def parse_flow_file(text: str, file: str | Path = FLOW_FILE) -> FlowFile:
     """As `read_flow_file`, from the text itself; `file` is the name for messages."""
     lines = text.split("\n")
     equations: dict[int, Equation] = {}
-    for flow in trees(parse_text(_parser(), text + "\n", file, WANTED)):
+    for flow in trees(parse_text(_parser(), text + "\n", file, EXPECTED_TEXT)):
         number = tokens(flow)[0]
         key = int(str(number).removeprefix("f_"))
         if key in equations:
-            raise at(file, number.line, f"flow {key} stands here a second time; keep one of them")
+            raise file_error(file, number.line, f"flow {key} stands here a second time; keep one of them")
         several = []
         for tree in trees(flow):
             left, right = trees(tree)
             line = tree.meta.line
             if left.data == "discrete":
                 wanted = "a derivative is needed, like (x0)' = ..."
-                raise at(file, line, f"this is a step from one sample to the next ([k+1]); {wanted}")
+                raise file_error(file, line, f"this is a step from one sample to the next ([k+1]); {wanted}")
             reading = _ParseContext(file, line, {})
             try:
                 value = _sum(right, reading)
             except RecursionError:
                 reason = "the brackets or signs are nested too deeply; write the equation out"
-                raise at(file, line, reason) from None
+                raise file_error(file, line, reason) from None
             state = str(tokens(left)[0]).strip("`")
             several.append(Equation(lines[line - 1].strip(), state, value.top, value.bottom, reading.references))
         if len(several) > 1:
             states = ", ".join(equation.state for equation in several)
-            raise at(file, number.line, f"flow {key} has {len(several)} equations ({states}); one state is supported")
+            raise file_error(
+                file, number.line, f"flow {key} has {len(several)} equations ({states}); one state is supported"
+            )
         equations[key] = several[0]
     return FlowFile(equations)
 
@@ -183,8 +185,8 @@ def _product(tree: Tree[Token], reading: _ParseContext) -> _Quotient:
             continue
         factor = _exponential(next(parts, None), reading) if _is_name(part, "exp") else _factor(part, reading)
         if divide and not factor.top:
-            raise at(reading.file, reading.line, "the equation divides by zero; correct the denominator")
-        total = _bounded(_times(total, _Quotient(factor.bottom, factor.top) if divide else factor), reading)
+            raise file_error(reading.file, reading.line, "the equation divides by zero; correct the denominator")
+        total = _check_size(_times(total, _Quotient(factor.bottom, factor.top) if divide else factor), reading)
         divide = False
     return total
 
@@ -201,7 +203,7 @@ def _exponential(argument: Tree[Token] | Token | None, reading: _ParseContext) -
     rate = -value.top.get(((AGE, 1),), Fraction(0))
     if rate <= 0 or len(value.top) != 1 or value.bottom != ONE:
         wanted = f"exp is known of -{AGE} / tau alone, {AGE} being the seconds since entry and tau a positive number"
-        raise at(reading.file, reading.line, wanted)
+        raise file_error(reading.file, reading.line, wanted)
     return _Quotient(variable(f"`exp(-{rate} {AGE})`"), ONE)
 
 
@@ -218,19 +220,23 @@ def _factor(tree: Tree[Token], reading: _ParseContext) -> _Quotient:
     written = next((token for token in tokens(tree) if token.type == "WHOLE"), "1")
     power = int(written) if len(written) <= 3 else MAX_DEGREE + 1
     if power > MAX_DEGREE:
-        raise at(reading.file, reading.line, f"the power {written} is above {MAX_DEGREE}; no flow here needs one")
+        raise file_error(
+            reading.file, reading.line, f"the power {written} is above {MAX_DEGREE}; no flow here needs one"
+        )
     total = _Quotient(ONE, ONE)
     for _ in range(power):
-        total = _bounded(_times(total, value), reading)
+        total = _check_size(_times(total, value), reading)
     return total
 
 
-def _bounded(value: _Quotient, reading: _ParseContext) -> _Quotient:
+def _check_size(value: _Quotient, reading: _ParseContext) -> _Quotient:
     """The value itself, if it is of a size that an equation of a plant can have: brackets multiply out fast."""
     if max(degree(value.top), degree(value.bottom)) > MAX_DEGREE:
-        raise at(reading.file, reading.line, f"a term has a degree above {MAX_DEGREE}; no flow here needs one")
+        raise file_error(reading.file, reading.line, f"a term has a degree above {MAX_DEGREE}; no flow here needs one")
     if max(len(value.top), len(value.bottom)) > MAX_TERMS:
-        raise at(reading.file, reading.line, f"the equation has more than {MAX_TERMS} terms when multiplied out")
+        raise file_error(
+            reading.file, reading.line, f"the equation has more than {MAX_TERMS} terms when multiplied out"
+        )
     return value
 
 
@@ -239,7 +245,9 @@ def _atom(tree: Tree[Token], reading: _ParseContext) -> _Quotient:
     if isinstance(child, Tree):
         return _sum(child, reading)
     if child in FUNCTIONS:
-        raise at(reading.file, reading.line, f"the function {child} is not known here; write sums, products and powers")
+        raise file_error(
+            reading.file, reading.line, f"the function {child} is not known here; write sums, products and powers"
+        )
     if child.type == "NAME" and child.lower() not in ("nan", "inf", "infinity"):
         return _Quotient(variable(child.strip("`")), ONE)
     return _Quotient(constant(exact(str(child), reading.file, reading.line)), ONE)

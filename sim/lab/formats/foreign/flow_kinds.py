@@ -8,10 +8,10 @@ from sim.lab.formats.foreign.flow_file import AGE, FUNCTIONS, PARAMETER, Equatio
 from sim.lab.formats.foreign.polynomial import Monomial, Polynomial, scale, term_text
 from sim.sha import FLOWS, Flow, Input
 
-LIBRARY = f"the flow library has {', '.join(FLOWS)}"
+FLOW_LIBRARY_TEXT = f"the flow library has {', '.join(FLOWS)}"
 
 
-def flow_of(equation: Equation, noise: float = 0.0) -> Flow:
+def recognise_flow(equation: Equation, noise: float = 0.0) -> Flow:
     """The flow that the equation describes, with `noise` (degC/sqrt(s)), which no equation carries.
 
     A parameter that the equation fixes to a number becomes the flow's constant `m`. Raises ArtefactError, naming the
@@ -34,14 +34,14 @@ def flow_of(equation: Equation, noise: float = 0.0) -> Flow:
             what = "a product of the state with another variable"
         else:
             what = f"{order} in other variables than the state"
-        raise ArtefactError(f"the term {term_text(monomial)} is {what}; {LIBRARY}")
+        raise ArtefactError(f"the term {term_text(monomial)} is {what}; {FLOW_LIBRARY_TEXT}")
     rate = -equation.numerator.get(((equation.state, 1),), Fraction(0))
     if rate < 0:
         raise ArtefactError(
             f"{equation.state} has the positive coefficient {float(-rate):g}, so it would grow without bound; "
             "an exponential flow needs a negative one"
         )
-    return _relaxing(equation, rate, noise) if rate else _drifting(equation, noise)
+    return _relaxing_flow(equation, rate, noise) if rate else _drift_flow(equation, noise)
 
 
 def _is_constant(polynomial: Polynomial) -> bool:
@@ -54,23 +54,23 @@ def _signals(equation: Equation) -> list[str]:
     return sorted(names - {equation.state, PARAMETER})
 
 
-def _drifting(equation: Equation, noise: float) -> Flow:
+def _drift_flow(equation: Equation, noise: float) -> Flow:
     signals = _signals(equation)
     if signals:
         raise ArtefactError(
             f"the term {signals[0]} moves {equation.state} without pulling it back (no term -{equation.state}); only a "
-            f"driven flow takes signals; {LIBRARY}"
+            f"driven flow takes signals; {FLOW_LIBRARY_TEXT}"
         )
     fixed = equation.numerator.get((), Fraction(0))
     share = equation.numerator.get(((PARAMETER, 1),), Fraction(0))
     if share not in (0, 1) or (share and fixed):
-        raise ArtefactError(f"a linear flow's drift must be {PARAMETER} itself; {LIBRARY}")
+        raise ArtefactError(f"a linear flow's drift must be {PARAMETER} itself; {FLOW_LIBRARY_TEXT}")
     if share:
         return Flow("linear", {"noise": noise})
     return Flow("linear", {"m": float(fixed), "noise": noise}) if fixed else Flow("constant", {"noise": noise})
 
 
-def _relaxing(equation: Equation, rate: Fraction, noise: float) -> Flow:
+def _relaxing_flow(equation: Equation, rate: Fraction, noise: float) -> Flow:
     """k (m + sum of gain (signal - reference) - x), all from the expanded terms, exactly."""
     gains = {name: equation.numerator[((name, 1),)] / rate for name in _signals(equation)}
     references = {name: equation.references.get(name, Fraction(0)) for name in gains}
@@ -94,7 +94,7 @@ def _logarithmic(equation: Equation, noise: float) -> Flow:
         shape = " + ".join(term_text(monomial) for monomial in equation.denominator)
         raise ArtefactError(
             f"the denominator has the terms {shape}; only t0 + {AGE}, {AGE} being the seconds since entry, is known "
-            f"(logarithmic); {LIBRARY}"
+            f"(logarithmic); {FLOW_LIBRARY_TEXT}"
         )
     start = equation.denominator.get((), Fraction(0)) / slope
     top = scale(1 / slope, equation.numerator)
@@ -128,8 +128,9 @@ def _transient(equation: Equation, noise: float) -> Flow:
 
 
 def equation_text(flow: Flow, state: str) -> str:
-    """The flow's equation for the state variable, in the form that `flow_of` gives back. Raises ArtefactError."""
-    parameter, x = number_text(flow.params["m"]) if "m" in flow.params else PARAMETER, quoted(state)
+    """The flow's equation for the state variable, in the form that `recognise_flow` gives back. Raises
+    ArtefactError."""
+    parameter, x = number_text(flow.params["m"]) if "m" in flow.params else PARAMETER, quote_name(state)
     if flow.kind == "constant":
         right = "0"
     elif flow.kind == "linear":
@@ -141,16 +142,16 @@ def equation_text(flow: Flow, state: str) -> str:
         right = f"{parameter} exp(-{AGE} / {tau}) / {tau}"
     elif flow.kind in ("exponential", "driven"):
         signals = "".join(
-            f" + {number_text(driving.gain)} ({quoted(driving.signal)} - {number_text(driving.reference)})"
+            f" + {number_text(driving.gain)} ({quote_name(driving.signal)} - {number_text(driving.reference)})"
             for driving in flow.inputs
         )
         right = f"{number_text(flow.params['k'])} ({parameter}{signals} - {x})"
     else:
-        raise ArtefactError(f"flow {flow.kind!r} has no equation; {LIBRARY}")
+        raise ArtefactError(f"flow {flow.kind!r} has no equation; {FLOW_LIBRARY_TEXT}")
     return f"({x})' = {right}"
 
 
-def quoted(name: str) -> str:
+def quote_name(name: str) -> str:
     """The name as an equation can have it: in backquotes unless it is a plain word. Raises ArtefactError."""
     if not name or name in (PARAMETER, AGE) or name != name.strip() or "`" in name or not name.isprintable():
         raise ArtefactError(

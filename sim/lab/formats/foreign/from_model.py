@@ -10,19 +10,19 @@ from sim.files import ArtefactError
 from sim.lab.formats.foreign.bundle import Artefacts
 from sim.lab.formats.foreign.dot import INIT, Source, SourceLocation
 from sim.lab.formats.foreign.flow_file import FlowFile, parse_equation
-from sim.lab.formats.foreign.flow_kinds import equation_text, quoted
+from sim.lab.formats.foreign.flow_kinds import equation_text, quote_name
 from sim.lab.formats.foreign.histogram import Histogram
 from sim.lab.formats.foreign.report import (
-    EFFECT,
+    EFFECT_PREFIX,
     EMPTY_WORD,
-    UNOBSERVED,
+    UNOBSERVED_EVENT,
     Report,
     ReportedLaw,
     ReportedLocation,
     ReportRow,
     Table,
 )
-from sim.sha import FIXED, SHA, Alphabet, Bins, Distribution, Edge, Location, Model, distributions
+from sim.sha import FIXED_PARAMETER, SHA, Alphabet, Bins, Distribution, Edge, Location, Model, distributions
 
 if TYPE_CHECKING:
     from sim.lab.learning.lsha import ObservationTable, TableRow
@@ -41,14 +41,14 @@ def to_artefacts(
     """Source, report, histogram and flow file of a model; base name is the automaton's.
 
     `observations` is the observation table of a learner that has one. These formats have no place for effects: the
-    report names them, a line `EFFECT` each, and only the model's JSON holds them. Equal equations share a number, equal
-    laws a name `D_i` (and their raw values). Raises ArtefactError for names that the formats cannot hold.
+    report names them, a line `EFFECT_PREFIX` each, and only the model's JSON holds them. Equal equations share a
+    number, equal laws a name `D_i` (and their raw values). Raises ArtefactError for names that the formats cannot hold.
     """
     sha = model.sha
-    equations = _numbered(equation_text(location.flow, model.temperature) for location in sha.locations)
-    laws = _numbered(_key(location.distribution) for location in sha.locations if location.distribution)
+    equations = _number_keys(equation_text(location.flow, model.temperature) for location in sha.locations)
+    laws = _number_keys(_key(location.distribution) for location in sha.locations if location.distribution)
     source = _source(sha, equations, laws, model.temperature)
-    effects = ((f"{EFFECT} {number}", effect_summary(each)) for number, each in enumerate(sha.effects, start=1))
+    effects = ((f"{EFFECT_PREFIX} {number}", effect_summary(each)) for number, each in enumerate(sha.effects, start=1))
     table = None
     if observations:
         # The cell of each location: its flow and its distribution by their numbers.
@@ -84,7 +84,7 @@ def reported_laws(sha: SHA) -> tuple[ReportedLaw, ...]:
     return tuple(ReportedLaw(f"D_{number}", float(distributions.mean(law))) for number, law in enumerate(laws.values()))
 
 
-def _numbered(keys: Iterator[K]) -> dict[K, int]:
+def _number_keys(keys: Iterator[K]) -> dict[K, int]:
     """Each different key with its number, in the order of appearance."""
     numbers: dict[K, int] = {}
     for key in keys:
@@ -124,7 +124,7 @@ def _table(observations: ObservationTable, cells: Mapping[str, str]) -> Table:
 
     def rows(part: Sequence[TableRow]) -> tuple[ReportRow, ...]:
         return tuple(
-            ReportRow(word(row.word), tuple(UNOBSERVED if cell is None else cells[cell] for cell in row.cells))
+            ReportRow(word(row.word), tuple(UNOBSERVED_EVENT if cell is None else cells[cell] for cell in row.cells))
             for row in part
         )
 
@@ -142,11 +142,11 @@ def _plain_name(name: str) -> str:
 def _line(location: Location) -> ReportedLocation:
     # The flow's constants in the thesis's spelling (`alpha` for a fixed linear drift), then the inputs.
     flow, values = location.flow, dict[str, float | str]()
-    spelling = {FIXED: "alpha"} if flow.kind == "linear" else {}
+    spelling = {FIXED_PARAMETER: "alpha"} if flow.kind == "linear" else {}
     constants = {spelling.get(name, name): float(value) for name, value in sorted(flow.params.items())}
     for driver in flow.inputs:
-        constants[f"{quoted(driver.signal)}.gain"] = float(driver.gain)
-        constants[f"{quoted(driver.signal)}.reference"] = float(driver.reference)
+        constants[f"{quote_name(driver.signal)}.gain"] = float(driver.gain)
+        constants[f"{quote_name(driver.signal)}.reference"] = float(driver.reference)
     calls = {"flow": (flow.kind, constants)}
     law = location.distribution
     if law is not None:

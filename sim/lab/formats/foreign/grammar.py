@@ -6,7 +6,7 @@ from pathlib import Path
 from lark import Lark, Token, Tree, UnexpectedEOF, UnexpectedInput
 from lark.exceptions import UnexpectedToken
 
-from sim.files import at
+from sim.files import file_error
 
 
 def parse_text(parser: Lark, text: str, file: str | Path, wanted: str) -> Tree[Token]:
@@ -16,10 +16,10 @@ def parse_text(parser: Lark, text: str, file: str | Path, wanted: str) -> Tree[T
     except UnexpectedInput as error:
         if isinstance(error, UnexpectedEOF) or (isinstance(error, UnexpectedToken) and error.token.type == "$END"):
             line = max(1, len(text.rstrip().splitlines()))
-            raise at(file, line, f"the text ends too early; {wanted}") from None
+            raise file_error(file, line, f"the text ends too early; {wanted}") from None
         rest = text.split("\n")[error.line - 1][error.column - 1 :][:40]
         reason = f"unexpected {rest!r}" if rest else "the line ends too early"
-        raise at(file, error.line, f"{reason} at column {error.column}; {wanted}") from None
+        raise file_error(file, error.line, f"{reason} at column {error.column}; {wanted}") from None
 
 
 def finite(token: Token, file: str | Path, what: str) -> float:
@@ -32,9 +32,9 @@ def finite_number(text: str, file: str | Path, line: int | None, what: str) -> f
     try:
         value = float(text)
     except ValueError:
-        raise at(file, line, f"{what} is {text[:60]!r}, which is no number; write one like 0.0031") from None
+        raise file_error(file, line, f"{what} is {text[:60]!r}, which is no number; write one like 0.0031") from None
     if value - value != 0.0:
-        raise at(file, line, f"{what} is {text[:60]!r}; a finite number is needed")
+        raise file_error(file, line, f"{what} is {text[:60]!r}; a finite number is needed")
     return value
 
 

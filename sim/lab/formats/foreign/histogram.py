@@ -14,14 +14,14 @@ from dataclasses import dataclass
 from math import fsum, sqrt
 from pathlib import Path
 
-from sim.files import at, read_text
+from sim.files import file_error, read_text
 from sim.lab.formats.foreign.grammar import finite_number
 from sim.lab.formats.foreign.report import ReportedLaw
 
 Values = Mapping[str, tuple[float, ...]]
 """The values of each distribution, by its name."""
 
-PRINTED = 1e-6
+PRINT_TOLERANCE = 1e-6
 """Tolerance of the cross-check, absolute and relative: the report prints six decimals."""
 
 
@@ -75,7 +75,9 @@ def parse_histogram(text: str, file: str | Path = "histogram") -> Histogram:
             current = runs[-1].setdefault(header[1], [])
         elif line.strip():
             if current is None:
-                raise at(file, number, f"a value, {line.strip()!r}, stands before any header; begin with a line D_0:")
+                raise file_error(
+                    file, number, f"a value, {line.strip()!r}, stands before any header; begin with a line D_0:"
+                )
             current.append(finite_number(line.strip(), file, number, "the value"))
     return Histogram(tuple({name: tuple(values) for name, values in run.items()} for run in runs))
 
@@ -111,7 +113,7 @@ def merge(histogram: Histogram) -> Values:
     return merged
 
 
-def fit(values: tuple[float, ...]) -> ParameterFit:
+def fit_values(values: tuple[float, ...]) -> ParameterFit:
     """Mean and standard deviation. Raises ValueError without values."""
     if not values:
         raise ValueError("nothing can be fitted without values")
@@ -122,7 +124,7 @@ def fit(values: tuple[float, ...]) -> ParameterFit:
     )
 
 
-def disagreements(values: Values, laws: tuple[ReportedLaw, ...], tolerance: float = PRINTED) -> tuple[str, ...]:
+def disagreements(values: Values, laws: tuple[ReportedLaw, ...], tolerance: float = PRINT_TOLERANCE) -> tuple[str, ...]:
     """One sentence per distribution where the values and the report differ, or that only one of them has.
 
     Means may differ by tolerance * max(1, |mean|), variances (where reported) likewise.
@@ -133,7 +135,7 @@ def disagreements(values: Values, laws: tuple[ReportedLaw, ...], tolerance: floa
         if not values.get(name):
             sentences.append(f"{name} is in the report but has no values")
             continue
-        fitted = fit(values[name])
+        fitted = fit_values(values[name])
         if abs(fitted.mean - law.mean) > tolerance * max(1.0, abs(law.mean)):
             sentences.append(
                 f"{name}: the mean of its {fitted.count} values is {fitted.mean:.6g}, the report says {law.mean:.6g} "
@@ -147,7 +149,9 @@ def disagreements(values: Values, laws: tuple[ReportedLaw, ...], tolerance: floa
     return tuple(sentences)
 
 
-def evidence(histogram: Histogram, laws: tuple[ReportedLaw, ...], tolerance: float = PRINTED) -> HistogramEvidence:
+def evidence(
+    histogram: Histogram, laws: tuple[ReportedLaw, ...], tolerance: float = PRINT_TOLERANCE
+) -> HistogramEvidence:
     """The values that the report was made from: the run, or the pool of different runs, with the report's means.
 
     Tried in this order: the last run (the report was written with it), earlier runs from the newest, all different runs

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from lark import Lark, Token, Tree
 
-from sim.files import at, read_text
+from sim.files import file_error, read_text
 from sim.lab.formats.foreign.grammar import finite, parse_text, tokens, trees
 
 GRAMMAR = r"""
@@ -53,15 +53,15 @@ _NL: /(?:[ \t\r]*\n)+[ \t]*/
 CELL = re.compile(r"\([^()|]*\)(?:;\([^()|]*\))*")
 """A cell of the observation table. Rows are one word to the grammar: a table of some hundred locations has a million
 cells, and the parser would take minutes for what `split` does."""
-WANTED = (
+EXPECTED_TEXT = (
     "a report has sections like --OBSERVABLE EVENTS--, --LEARNED DISTRIBUTIONS-- with lines D_0(1.5), "
     "--FINAL OBSERVATION TABLE--, --PERFORMANCE DATA--, or lines Location 2: mu=23.5, sigma=1.2, flow=linear(alpha=0.1)"
 )
-UNOBSERVED = "(ε,ε)"
+UNOBSERVED_EVENT = "(ε,ε)"
 EMPTY_WORD = "ε"
 
 
-EFFECT = "EFFECT"
+EFFECT_PREFIX = "EFFECT"
 """How the lines begin, in the section of performance data, that name a model's effects: no other place holds them."""
 
 
@@ -129,14 +129,16 @@ def read_report(path: Path) -> Report:
 
 def parse_report(text: str, file: str | Path = "report") -> Report:
     """As `read_report`, from the text itself; `file` is the name for messages."""
-    tree = parse_text(_parser(), text + "\n", file, WANTED)
+    tree = parse_text(_parser(), text + "\n", file, EXPECTED_TEXT)
     if not tree.children:
-        raise at(file, None, f"the report is empty; {WANTED}")
+        raise file_error(file, None, f"the report is empty; {EXPECTED_TEXT}")
     sections: dict[str, Tree[Token]] = {}
     for child in tree.children:
         if isinstance(child, Tree) and child.data in ("labels", "events", "laws", "table", "performance"):
             if child.data in sections:
-                raise at(file, child.meta.line, f"the section {child.data!r} stands here a second time; keep one")
+                raise file_error(
+                    file, child.meta.line, f"the section {child.data!r} stands here a second time; keep one"
+                )
             sections[str(child.data)] = child
     laws = []
     for law in trees(sections.get("laws"), "law"):
@@ -144,7 +146,7 @@ def parse_report(text: str, file: str | Path = "report") -> Report:
         mean = finite(numbers[0], file, f"the mean of {name}")
         variance = finite(numbers[1], file, f"the variance of {name}") if len(numbers) > 1 else None
         if variance is not None and variance < 0:
-            raise at(file, name.line, f"the variance of {name} is {variance}; it cannot be negative")
+            raise file_error(file, name.line, f"the variance of {name} is {variance}; it cannot be negative")
         laws.append((ReportedLaw(str(name), mean, variance), law.meta.line))
     locations = []
     for line in trees(tree, "location"):
@@ -154,7 +156,7 @@ def parse_report(text: str, file: str | Path = "report") -> Report:
         seen: set[str] = set()
         for part, row in named:
             if part.name in seen:
-                raise at(file, row, f"{part.name} stands here a second time; keep one of them")
+                raise file_error(file, row, f"{part.name} stands here a second time; keep one of them")
             seen.add(part.name)
     limits = next((_items(line, file)[0] for line in trees(tree, "limits")), {})
     return Report(
@@ -188,10 +190,12 @@ def _table(tree: Tree[Token] | None, file: str | Path) -> Table | None:
             word, *cells = (cell.strip() for cell in row.split("|"))
             if len(cells) != len(suffixes):
                 reason = f"the row of {word} has {len(cells)} cells; the table has {len(suffixes)} columns"
-                raise at(file, row.line, reason)
+                raise file_error(file, row.line, reason)
             wrong = next((cell for cell in cells if not CELL.fullmatch(cell)), None)
             if wrong is not None:
-                raise at(file, row.line, f"the row of {word} has the cell {wrong[:40]!r}; write one like (f_1,D_0)")
+                raise file_error(
+                    file, row.line, f"the row of {word} has the cell {wrong[:40]!r}; write one like (f_1,D_0)"
+                )
             rows.append(ReportRow(word, tuple(cells)))
         parts.append(tuple(rows))
     return Table(suffixes, *parts)
@@ -207,7 +211,7 @@ def _items(
         key, value = (child for child in item.children if isinstance(child, Token))
         arguments = trees(item, "arguments")
         if key in values or key in calls:
-            raise at(file, key.line, f"{key} is given twice on this line; keep one of them")
+            raise file_error(file, key.line, f"{key} is given twice on this line; keep one of them")
         if arguments or key in ("flow", "law"):
             inner = _items(arguments[0], file)[0] if arguments else {}
             calls[str(key)] = (

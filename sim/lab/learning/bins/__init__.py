@@ -2,10 +2,10 @@
 
 from typing import TYPE_CHECKING
 
-from sim.doors import opened_at_use
+from sim.doors import lazy_getattr
 
 if TYPE_CHECKING:
     from sim.lab.learning.bins.candidates import CANDIDATES
     from sim.lab.learning.bins.learn import Learned, learn_bins
 else:
-    __getattr__ = opened_at_use(__name__)
+    __getattr__ = lazy_getattr(__name__)

@@ -18,7 +18,7 @@ from sim.lab.learning import (
     drift_noise,
     first_switch,
     loads,
-    name_of,
+    location_name,
     nearest,
     next_stay,
     steps,
@@ -27,9 +27,9 @@ from sim.lab.learning import (
 from sim.lab.learning.bins.candidates import Basis, process_groups
 from sim.sha import SHA, Alphabet, Array, Distribution, Flow, Location
 
-LEAST_DOUBT = 5.0
+MIN_BORROWED_SIGMA_DEGC = 5.0
 """degC added (in quadrature) to the sigma of a target that is borrowed, at least."""
-HARDLY = 20.0
+MAX_TARGET_SIGMA_DEGC = 20.0
 """degC: a location whose target is not known better than this (half the prior's spread) counts as not seen."""
 
 
@@ -56,15 +56,16 @@ class LocationFit:
     gain_errors: Mapping[str, float]
 
 
-def well_seen(sha: SHA, shape: FitShape, fit: FreeRunFit, base: Basis) -> Basis:
-    """`base` with only those seen locations whose target the data tell to within HARDLY (the best one at least)."""
+def well_known_locations(sha: SHA, shape: FitShape, fit: FreeRunFit, base: Basis) -> Basis:
+    """`base` with only those seen locations whose target the data tell to within MAX_TARGET_SIGMA_DEGC (the best one at
+    least)."""
     error = {
         location.name: float(fit.errors_at_rates[shape.target[place]])
         for place, location in enumerate(sha.locations)
         if location.name in base.seen
     }
     best = min(error, key=lambda name: error[name])
-    return replace(base, seen=tuple(name for name in base.seen if name == best or error[name] < HARDLY))
+    return replace(base, seen=tuple(name for name in base.seen if name == best or error[name] < MAX_TARGET_SIGMA_DEGC))
 
 
 def learned_sha(
@@ -102,7 +103,7 @@ def learned_sha(
         laws[location.name] = law
         seen[location.name] = replace(location, flow=replace(location.flow, params=params), distribution=law)
     # What was never seen is as far off as locations differ from one another, besides what the lender does not know.
-    doubt = max(float(np.std([law.params["mu"] for law in laws.values()])), LEAST_DOUBT)
+    doubt = max(float(np.std([law.params["mu"] for law in laws.values()])), MIN_BORROWED_SIGMA_DEGC)
     known = contexts(base.alphabet)
     coldest = float(np.nanmin(runs.reading))
     locations: list[Location] = []
@@ -112,11 +113,11 @@ def learned_sha(
         elif None in known[title]:
             locations.append(Location(title, Flow("constant", {"noise": drift}), entry="none"))
         else:
-            lender = lender_of(title, base)
+            lender = find_lender(title, base)
             mu, sigma = laws[lender].params["mu"], laws[lender].params["sigma"]
             flow, sigma = seen[lender].flow, float(np.hypot(2.0 * sigma, doubt))
             if _at_rest(known[title], base.alphabet) and not _at_rest(known[lender], base.alphabet):
-                sigma = max(0.25 * abs(mu - coldest), sigma, LEAST_DOUBT)
+                sigma = max(0.25 * abs(mu - coldest), sigma, MIN_BORROWED_SIGMA_DEGC)
                 # Nothing that drives the heat of a running machine drives that of one which stands.
                 mu, flow = coldest, replace(flow, kind="exponential", inputs=())
             locations.append(Location(title, flow, Distribution("normal", {"mu": mu, "sigma": sigma})))
@@ -130,17 +131,17 @@ def _at_rest(context: Context, alphabet: Alphabet) -> bool:
     return switch is not None and context[alphabet.channels.index(switch)] == 0
 
 
-def lender_of(name: str, base: Basis) -> str:
+def find_lender(name: str, base: Basis) -> str:
     """The seen location whose parameters an unseen one borrows."""
     known = contexts(base.alphabet)
-    return name_of(nearest(known[name], [known[each] for each in base.seen], base.alphabet), base.alphabet)
+    return location_name(nearest(known[name], [known[each] for each in base.seen], base.alphabet), base.alphabet)
 
 
-def source_of(name: str, base: Basis) -> str:
+def parameter_source(name: str, base: Basis) -> str:
     """`fitted`, `borrowed from X` or `unknown`."""
     if name in base.seen:
         return "fitted"
-    return "unknown" if None in contexts(base.alphabet)[name] else f"borrowed from {lender_of(name, base)}"
+    return "unknown" if None in contexts(base.alphabet)[name] else f"borrowed from {find_lender(name, base)}"
 
 
 def location_fits(sha: SHA, shape: FitShape, fit: FreeRunFit, runs: FreeRuns, base: Basis) -> tuple[LocationFit, ...]:
@@ -157,7 +158,7 @@ def location_fits(sha: SHA, shape: FitShape, fit: FreeRunFit, runs: FreeRuns, ba
         table.append(
             LocationFit(
                 name=location.name,
-                source=source_of(location.name, base),
+                source=parameter_source(location.name, base),
                 readings=int(np.isfinite(runs.reading[rows]).sum()),
                 seconds=float(runs.dt[rows].sum()),
                 stays=int(np.unique(runs.stay[rows]).size),

@@ -7,28 +7,28 @@ from typing import Literal
 import numpy as np
 
 from sim.lab.learning import (
-    LEAST_SHARE,
+    MIN_READING_SHARE,
     FitShape,
     FreeRuns,
     Indices,
     LearningError,
     ParameterNames,
     Prior,
+    build_shape,
     contexts,
     labels,
     level_signals,
     product_sha,
     reference,
-    shape_of,
 )
 from sim.sha import SHA, Alphabet, Flow, Input, Location, Mask, Switch
 
 Sharing = Literal["shared", "switch", "location"]
-LEAST_SWING = 0.05
+MIN_SWING_SHARE = 0.05
 """A location is driven by an input that scatters there by this share of its scatter over all locations."""
-MOST_OWN = 24
+MAX_OWN_LOCATIONS = 24
 """Locations up to which each may have a rate or a gain of its own: the search grows with their cube."""
-SPREAD = 40.0
+TARGET_SPREAD_DEGC = 40.0
 """Spread of the priors of targets, in degC."""
 
 
@@ -83,7 +83,7 @@ def modelled_places(runs: FreeRuns, alphabet: Alphabet) -> Mask:
     count = readings_by_place(runs, len(contexts(alphabet)))
     known = np.array([None not in context for context in contexts(alphabet).values()])
     nothing = np.array([all(value is None for value in context) for context in contexts(alphabet).values()])
-    return np.asarray((known | (count >= LEAST_SHARE * count.sum())) & ~nothing)
+    return np.asarray((known | (count >= MIN_READING_SHARE * count.sum())) & ~nothing)
 
 
 def readings_by_place(runs: FreeRuns, places: int) -> Indices:
@@ -92,7 +92,7 @@ def readings_by_place(runs: FreeRuns, places: int) -> Indices:
     return np.bincount(runs.place[ending], minlength=places)
 
 
-def basis_of(runs: FreeRuns, alphabet: Alphabet) -> Basis:
+def build_basis(runs: FreeRuns, alphabet: Alphabet) -> Basis:
     """What the runs say about locations and inputs; the prior's centre is the median temperature."""
     names = list(contexts(alphabet))
     signals = level_signals(alphabet)
@@ -102,13 +102,13 @@ def basis_of(runs: FreeRuns, alphabet: Alphabet) -> Basis:
         names[place]: tuple(
             signal
             for number, signal in enumerate(signals)
-            if _scatter(runs, number, runs.place == place) > LEAST_SWING * swing[signal] > 0
+            if _scatter(runs, number, runs.place == place) > MIN_SWING_SHARE * swing[signal] > 0
         )
         for place in seen
     }
     reading = runs.reading[np.isfinite(runs.reading)]
-    gains = {signal: SPREAD / value for signal, value in swing.items() if value > 0}
-    prior = Prior((float(np.median(reading)), SPREAD), gains)
+    gains = {signal: TARGET_SPREAD_DEGC / value for signal, value in swing.items() if value > 0}
+    prior = Prior((float(np.median(reading)), TARGET_SPREAD_DEGC), gains)
     return Basis(alphabet, tuple(names[place] for place in seen), signals, moving, prior)
 
 
@@ -137,7 +137,7 @@ def build(candidate: BinsCandidate, base: Basis) -> tuple[SHA, FitShape, Paramet
     sha = product_sha(base.alphabet, locations, "bins")
     rates = {name: _group(name, candidate.rates, base.alphabet) for name in base.seen}
     gains = {name: _group(name, candidate.gains, base.alphabet) for name in base.seen}
-    return sha, *shape_of(sha, base.seen, base.signals, base.prior, rates=rates, gains=gains)
+    return sha, *build_shape(sha, base.seen, base.signals, base.prior, rates=rates, gains=gains)
 
 
 def _group(name: str, sharing: Sharing, alphabet: Alphabet) -> str:
@@ -161,10 +161,10 @@ def process_groups(alphabet: Alphabet) -> Indices:
 def distinct(candidates: Sequence[BinsCandidate], base: Basis) -> list[BinsCandidate]:
     """The candidates that differ on these data: with one location, or no moving input, several are the same.
 
-    Over more than MOST_OWN locations none has a rate or a gain of its own for each of them. Raises LearningError when
-    that leaves no candidate.
+    Over more than MAX_OWN_LOCATIONS locations none has a rate or a gain of its own for each of them. Raises
+    LearningError when that leaves no candidate.
     """
-    many = len(base.seen) > MOST_OWN
+    many = len(base.seen) > MAX_OWN_LOCATIONS
     kept: dict[tuple[object, ...], BinsCandidate] = {}
     for candidate in candidates:
         if many and "location" in (candidate.rates, candidate.gains if candidate.flow == "driven" else ""):
@@ -175,6 +175,7 @@ def distinct(candidates: Sequence[BinsCandidate], base: Basis) -> list[BinsCandi
     if not kept:
         raise LearningError(
             f"the traces stay in {len(base.seen)} locations, and a rate or gain of its own for each is only fitted for "
-            f"up to {MOST_OWN}; let them share one, take wider bins, or learn with method lsha, which merges locations"
+            f"up to {MAX_OWN_LOCATIONS}; let them share one, take wider bins, or learn with method lsha, which merges "
+            "locations"
         )
     return list(kept.values())

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sim.lab.learning import (
-    LEAST_READINGS,
+    MIN_TRAINING_READINGS,
     Coverage,
     FreeRunFit,
     FreeRuns,
@@ -38,30 +38,37 @@ from sim.lab.learning import (
     learn_plain,
     level_signals,
     machine_spread,
-    machines_of,
-    memories_told,
-    sampled,
+    observable_memories,
+    sample_runs,
     splits,
+    trace_machines,
     training_errors,
     with_events,
     with_range,
 )
-from sim.lab.learning.bins.assemble import LocationFit, learned_sha, location_fits, source_of, stay_values, well_seen
+from sim.lab.learning.bins.assemble import (
+    LocationFit,
+    learned_sha,
+    location_fits,
+    parameter_source,
+    stay_values,
+    well_known_locations,
+)
 from sim.lab.learning.bins.candidates import (
     CANDIDATES,
     Basis,
     BinsCandidate,
-    basis_of,
     build,
+    build_basis,
     distinct,
     modelled_places,
     process_groups,
 )
-from sim.sha import Alphabet, Array, Model, Provenance, Trace, check_alphabet, content_hash, unit_of
+from sim.sha import Alphabet, Array, Model, Provenance, Trace, check_alphabet, content_hash, signal_unit
 
 CHOICE_BUDGET, FIT_BUDGET, PART_BUDGET = 3_000, 40_000, 6_000
 """Knots to which the runs are sampled for cross-validation, for the last fit and for the fits of the calibration."""
-CYCLE = 3600.0
+MIN_RUN_S = 3600.0
 """Seconds that a free run lasts at least before the next start-up begins a new one."""
 
 Progress = Callable[[str, float], None]
@@ -139,7 +146,7 @@ def learn_bins(
     runs, base = _ground(ordered, alphabet, temperature)
     scores, chosen, begin = _select(runs, base, candidates, report)
     report("fitting the chosen candidate", 0.6)
-    fitted = _fit(
+    fitted = _fit_candidate(
         name,
         ordered,
         runs=runs,
@@ -148,7 +155,7 @@ def learn_bins(
         begin=begin,
         temperature=temperature,
         budget=FIT_BUDGET,
-        memories=memories_told(ordered, temperature),
+        memories=observable_memories(ordered, temperature),
     )
     del runs  # of a week at 1 Hz an eighth of what a retraining may take; the parts make their own
     report("calibrating the bands", 0.75)
@@ -196,7 +203,7 @@ def learn_bins(
             "rates": chosen.rates,
             "gains": chosen.gains,
             "loss": "huber",
-            "cycle_s": CYCLE,
+            "cycle_s": MIN_RUN_S,
             "copies_left_out": len(encoded_traces) - len(ordered),
             "borrowed": "; ".join(borrowed),
         },
@@ -223,17 +230,17 @@ def _ground(traces: Sequence[Trace], alphabet: Alphabet, temperature: str) -> tu
     switch = first_switch(alphabet)
     rising = switch.rising if switch else None
     # Twice, because which locations the data can teach is seen only in the runs; the others then cut them.
-    everywhere = free_runs(traces, sha, temperature, signals=signals, rising=rising, cycle=CYCLE)
+    everywhere = free_runs(traces, sha, temperature, signals=signals, rising=rising, cycle=MIN_RUN_S)
     modelled = modelled_places(everywhere, alphabet)
     del everywhere
-    runs = free_runs(traces, sha, temperature, signals=signals, modelled=modelled, rising=rising, cycle=CYCLE)
+    runs = free_runs(traces, sha, temperature, signals=signals, modelled=modelled, rising=rising, cycle=MIN_RUN_S)
     count = int(np.isfinite(runs.reading).sum())
-    if count < LEAST_READINGS or not runs.dt.sum() > 0:
+    if count < MIN_TRAINING_READINGS or not runs.dt.sum() > 0:
         raise LearningError(
             f"only {count} readings of {temperature!r} fall into known locations, over {runs.dt.sum():.0f} s; "
-            f"a model needs at least {LEAST_READINGS}, at different times"
+            f"a model needs at least {MIN_TRAINING_READINGS}, at different times"
         )
-    return runs, basis_of(runs, alphabet)
+    return runs, build_basis(runs, alphabet)
 
 
 Scores = list[tuple[BinsCandidate, HeldOutErrors | None, int, tuple[float, float]]]
@@ -244,7 +251,7 @@ def _select(
 ) -> tuple[Scores, BinsCandidate, Array]:
     """(every candidate's figures, the chosen one, its rates): the held-out likelihood decides."""
     # All candidates on the same knots and the same folds: their likelihoods differ by what they are, not by the draw.
-    few = sampled(runs, CHOICE_BUDGET)
+    few = sample_runs(runs, CHOICE_BUDGET)
     cut = folds(few)
     judged = judged_part(cut) if cut is not None else None
     rivals = distinct(candidates, base)
@@ -266,7 +273,7 @@ def _select(
     return scores, scores[best][0], rates[best]
 
 
-def _fit(
+def _fit_candidate(
     name: str,
     traces: Sequence[Trace],
     *,
@@ -280,13 +287,13 @@ def _fit(
     spread: MachineSpread | None = None,
 ) -> _FittedCandidate:
     sha, shape, _ = build(candidate, base)
-    few = sampled(runs, budget)
+    few = sample_runs(runs, budget)
     # Means first, then the noise about them; a location whose target came out too vague counts as not seen after all.
     fit = fit_free_run(few, shape, begin=begin)
     noise = fit_noise(few, shape, fit, process_groups(base.alphabet), whole=runs, memories=memories)
-    measured = well_seen(sha, shape, fit, base)
+    measured = well_known_locations(sha, shape, fit, base)
     if spread is None:
-        machines = machines_of(traces, temperature)
+        machines = trace_machines(traces, temperature)
         spread = machine_spread(few, shape, fit, noise=noise, groups=process_groups(base.alphabet), machines=machines)
     learned = learned_sha(name, sha, shape=shape, fit=fit, noise=noise, spread=spread, runs=few, base=measured)
     model = Model(
@@ -297,9 +304,9 @@ def _fit(
         sensor_memory=noise.sensor_memory,
         initial=initial_law(traces, temperature),
         borrowed=frozenset(
-            each.name for each in learned.locations if source_of(each.name, measured).startswith("borrowed")
+            each.name for each in learned.locations if parameter_source(each.name, measured).startswith("borrowed")
         ),
-        unit=unit_of(traces, temperature),
+        unit=signal_unit(traces, temperature),
     )
     return _FittedCandidate(
         model=replace(model, semi_markov=fit_stays(model, traces)),
@@ -334,7 +341,7 @@ def _held_out_forecasts(
             runs, base = _ground(part.known, alphabet, temperature)
         except LearningError:
             continue
-        model = _fit(
+        model = _fit_candidate(
             "part",
             part.known,
             runs=runs,

@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from sim.doors import opened_at_use
+from sim.doors import lazy_getattr
 
 if TYPE_CHECKING:
     from sim.lab.learning.lsha.hypothesis import ObservationTable, TableRow, TraceAcceptance
@@ -10,4 +10,4 @@ if TYPE_CHECKING:
     from sim.lab.learning.lsha.report import report_document, report_text
     from sim.lab.learning.lsha.settings import FLOW_KINDS, LshaSettings
 else:
-    __getattr__ = opened_at_use(__name__)
+    __getattr__ = lazy_getattr(__name__)

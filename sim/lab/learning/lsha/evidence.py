@@ -24,9 +24,9 @@ MEDIAN_CHI_SQUARE = 0.454936
 LEAST_TWICE, LEAST_COMPANY = 8, 0.02
 """Segments beyond the first of their classes from which these tell the scatter, and the share of all that are not alone
 from which they tell whether more of a word explains anything."""
-WORTH = 0.05
+MIN_WORD_SHARE = 0.05
 """The share of what the last move leaves unexplained that more of the word has to explain."""
-CERTAIN = 1e6
+KNOWN_VARIANCE_DOF = 1e6
 """Degrees of freedom that stand for a known variance."""
 
 
@@ -59,29 +59,29 @@ class PooledEvidence:
         """The same, the common scatter being as uncertain as that of `n_min` segments: this set's may be another."""
         return replace(self, freedom=min(self.freedom, self.n_min - 1.0))
 
-    def joined(self, other: "PooledEvidence") -> "PooledEvidence":
+    def merge(self, other: "PooledEvidence") -> "PooledEvidence":
         """The evidence of both sets, each segment counted once."""
         a, b = self.sums, other.sums
         sums = (a[0] + b[0], a[1] + b[1], a[2] + b[2], a[3] + b[3], a[4] + b[4], a[5] + b[5], a[6] + b[6])
-        return evidence_of(sums, self.n_min)
+        return pool_sums(sums, self.n_min)
 
-    def without(self, part: "PooledEvidence") -> "PooledEvidence":
+    def subtract(self, part: "PooledEvidence") -> "PooledEvidence":
         """The evidence of the segments that are not in `part` of this set."""
         a, b = self.sums, part.sums
         sums = (a[0] - b[0], a[1] - b[1], a[2] - b[2], a[3] - b[3], a[4] - b[4], a[5] - b[5], a[6] - b[6])
-        return evidence_of(sums, self.n_min)
+        return pool_sums(sums, self.n_min)
 
 
-def evidence_of(sums: Sums, n_min: int) -> PooledEvidence:
+def pool_sums(sums: Sums, n_min: int) -> PooledEvidence:
     """The evidence of a set of segments with these sums."""
     count, weight, total, square, square_total, square_square, error = sums
     if not count:
-        return PooledEvidence(sums, n_min, nan, inf, CERTAIN)
+        return PooledEvidence(sums, n_min, nan, inf, KNOWN_VARIANCE_DOF)
     mean = total / weight
     # Kish's effective size: as many segments of equal weight would say as much.
     effective = weight * weight / square
     if count < n_min:
-        return PooledEvidence(sums, n_min, mean, 1.0 / weight, CERTAIN)
+        return PooledEvidence(sums, n_min, mean, 1.0 / weight, KNOWN_VARIANCE_DOF)
     # sum w^2 (m - mean)^2 multiplied out, so that it follows from sums that can be added up. The measurement errors are
     # its floor: a few segments that agree by chance do not know their mean better than they were measured.
     sandwich = square_square - 2.0 * mean * square_total + mean * mean * square
@@ -107,7 +107,7 @@ def same_distribution(first: PooledEvidence, second: PooledEvidence, delta: floa
     difference = second.mean - first.mean
     beyond = abs(difference) - delta
     if beyond <= 0.0:
-        return WelchTest(0.0, CERTAIN, 1.0, difference)
+        return WelchTest(0.0, KNOWN_VARIANCE_DOF, 1.0, difference)
     whole = first.variance + second.variance
     statistic = beyond / sqrt(whole)
     freedom = whole * whole / (first.variance**2 / first.freedom + second.variance**2 / second.freedom)
@@ -131,7 +131,7 @@ class SegmentSample:
     spread: float
     longer: float
 
-    def pooled(self, of_state: Indices, size: int, n_min: int, use: Mask | None = None) -> list[PooledEvidence]:
+    def pool_classes(self, of_state: Indices, size: int, n_min: int, use: Mask | None = None) -> list[PooledEvidence]:
         """The evidence of each of `size` classes; `of_state` gives the class of each state, `use` (N,) leaves out."""
         rows = np.ones(self.value.size, dtype=bool) if use is None else use
         place, w, m, v = (
@@ -143,10 +143,10 @@ class SegmentSample:
         w2 = w * w
         columns = (np.ones_like(w), w, w * m, w2, w2 * m, w2 * m * m, w2 * v)
         sums = np.stack([np.bincount(place, column, size) for column in columns], axis=1)
-        return [evidence_of((*row,), n_min) for row in sums.tolist()]
+        return [pool_sums((*row,), n_min) for row in sums.tolist()]
 
 
-def sample_of(segments: TraceSegments, alike: Sequence[Indices]) -> SegmentSample:
+def weigh_segments(segments: TraceSegments, alike: Sequence[Indices]) -> SegmentSample:
     """The segments with weights: the scatter is the one that makes the residuals about their classes' means typical.
 
     `alike` (each (S,)) puts states together that are believed to resemble each other, the finest first and those of the
@@ -166,7 +166,7 @@ def sample_of(segments: TraceSegments, alike: Sequence[Indices]) -> SegmentSampl
         if company.sum() - np.unique(place[company]).size < LEAST_TWICE or both.sum() < LEAST_TWICE:
             continue
         explained = 1.0 - (huber_scale(error[both]) / huber_scale(rest[both])) ** 2
-        if explained > max(best, WORTH):
+        if explained > max(best, MIN_WORD_SHARE):
             best, scatter = explained, _scatter(value, variance, place)
         if company.mean() >= LEAST_COMPANY:
             longer = max(longer, explained)
@@ -217,7 +217,7 @@ def _alone(value: Array, weight: Array, place: Indices) -> Array:
     return np.where(count[place] >= 2, value - mean, np.nan)
 
 
-def between(sample: SegmentSample, rows: Sequence[bool] | Mask) -> tuple[float, float, float]:
+def segment_scatter(sample: SegmentSample, rows: Sequence[bool] | Mask) -> tuple[float, float, float]:
     """(mean, its standard error, scatter between segments apart from measurement error) of the chosen segments.
 
     The scatter is the moment estimate of DerSimonian & Laird (1986) with the sample's weights, drawn towards the

@@ -1,6 +1,6 @@
 """The physical parameters over a learned structure: flows of single locations, targets and rates, stays, bands.
 
-The structure is given. `plan_of` asks the model-identification query of each location, `fitted_model` fits everything
+The structure is given. `plan_fit` asks the model-identification query of each location, `fitted_model` fits everything
 together (levels of a `resample` automaton, or one joint free-run fit), `bands` fits the parameters again without parts
 of the readings, to see how far its forecasts of those parts are off.
 """
@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from sim.lab.learning import (
-    RATES,
+    RATE_PARAMETERS,
     FitShape,
     FreeRuns,
     HeldOutForecasts,
@@ -30,22 +30,22 @@ from sim.lab.learning import (
     learn_plain,
     machine_spread,
     next_stay,
-    sampled,
+    sample_runs,
     splits,
     with_parameters,
     with_range,
 )
-from sim.lab.learning.lsha.evidence import between, sample_of
-from sim.lab.learning.lsha.flow_hypotheses import BUDGET, Flowing, flow_of, flow_shape, flows_of, positions
+from sim.lab.learning.lsha.evidence import segment_scatter, weigh_segments
+from sim.lab.learning.lsha.flow_hypotheses import MAX_KNOTS, Flowing, choose_flows, flow_shape, make_flow, positions
 from sim.lab.learning.lsha.hypothesis import HypothesisAutomaton
 from sim.lab.learning.lsha.identify import Identified, identify
-from sim.lab.learning.lsha.segments import levels, stays_after
+from sim.lab.learning.lsha.segments import find_next_stays, levels
 from sim.lab.learning.lsha.settings import LshaSettings
 from sim.lab.learning.lsha.structures import Structure
-from sim.lab.learning.lsha.teacher import Teacher, placed
+from sim.lab.learning.lsha.teacher import Teacher, renumber_places
 from sim.lab.learning.lsha.transients import TransientLaw
-from sim.lab.learning.lsha.words import described
-from sim.sha import FIXED, SHA, Distribution, Entry, Flow, Input, Location, Model, Trace, unit_of
+from sim.lab.learning.lsha.words import describe_class
+from sim.sha import FIXED_PARAMETER, SHA, Distribution, Entry, Flow, Input, Location, Model, Trace, signal_unit
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,17 +112,17 @@ def fit_levels(
     Where the location's stays show a `transient` X begins off its level, and settles.
     """
     size = len(hypothesis.names)
-    runs, amplitude, doubt = placed(teacher.runs, hypothesis.place), np.zeros(size), np.zeros(size)
+    runs, amplitude, doubt = renumber_places(teacher.runs, hypothesis.place), np.zeros(size), np.zeros(size)
     if transient is not None:
         amplitude, doubt = transient.estimates(runs, size)
-        runs = transient.settled(runs, amplitude)
+        runs = transient.remove_transients(runs, amplitude)
     # The words' own places again: what is alike is known of them.
     runs = replace(runs, place=teacher.runs.place)
-    sample = sample_of(levels(runs, teacher.group), teacher.alike)
+    sample = weigh_segments(levels(runs, teacher.group), teacher.alike)
     sensor, drift = _inside(runs)
     unknown = drift_noise(teacher.runs)
     place = hypothesis.place[sample.segments.place]
-    _, after = stays_after(teacher.runs)
+    _, after = find_next_stays(teacher.runs)
     reading = np.bincount(hypothesis.place[after[np.isfinite(teacher.runs.reading)]], minlength=len(hypothesis.names))
     locations, values, table = [], {}, []
     for number, title in enumerate(hypothesis.names):
@@ -131,14 +131,14 @@ def fit_levels(
             locations.append(Location(title, Flow("constant", {"noise": unknown}), entry="none"))
             law = (np.nan, np.nan, np.nan)
         else:
-            mean, error, scatter = between(sample, of_location)
+            mean, error, scatter = segment_scatter(sample, of_location)
             # The law is that of X on entry: the level, and what it is off there.
             off = float(amplitude[number])
             law = (mean + off, float(np.hypot(error, doubt[number])), scatter)
             distribution = Distribution("normal", {"mu": law[0], "sigma": float(np.hypot(law[1], law[2]))})
             flow = Flow("constant", {"noise": drift})
             if transient is not None and off:
-                flow = Flow("transient", {"tau": transient.tau, FIXED: -off, "noise": drift})
+                flow = Flow("transient", {"tau": transient.tau, FIXED_PARAMETER: -off, "noise": drift})
             locations.append(Location(title, flow, distribution, "resample"))
             values[title] = tuple((sample.segments.value[of_location] + off).tolist())
         table.append(
@@ -159,7 +159,7 @@ def fit_levels(
 def _inside(runs: FreeRuns) -> tuple[float, float]:
     """(sensor's sigma, random walk in degC/sqrt(s)) inside segments, by the variogram: from the shortest lag to the
     longest one in each segment."""
-    stay, _ = stays_after(runs)
+    stay, _ = find_next_stays(runs)
     known = np.flatnonzero(np.isfinite(runs.reading))
     same = stay[known[1:]] == stay[known[:-1]]
     near = np.column_stack([known[:-1], known[1:]])[same]
@@ -204,11 +204,11 @@ def fit_motion(
     place = hypothesis.place
     where = positions(teacher, place, size)
     shape, rated = flow_shape(flowing.hypothesis, teacher, where, modelled, kinds)
-    whole = placed(teacher.runs, place)
-    runs = sampled(whole, budget)
+    whole = renumber_places(teacher.runs, place)
+    runs = sample_runs(whole, budget)
     # The coarse structure's rates are a good start; with flows of their own in single locations there are rates that
     # it did not have, and the coarse scan has to find them.
-    begin = flowing.rates_of(rated) if all(kind == flowing.hypothesis.kind for kind in kinds) else None
+    begin = flowing.group_rates(rated) if all(kind == flowing.hypothesis.kind for kind in kinds) else None
     fit = fit_free_run(runs, shape, begin=begin)
     order = sorted(set(where))
     groups = np.array([order.index(each) for each in where], dtype=np.intp)
@@ -278,7 +278,7 @@ def _bare(
             for place, (signal, centre) in enumerate(zip(teacher.signals, teacher.centre.tolist(), strict=True))
             if shape.gain[number, place] >= 0
         )
-        locations.append(Location(title, flow_of(shape.kinds[number], teacher.prior.tau, inputs)))
+        locations.append(Location(title, make_flow(shape.kinds[number], teacher.prior.tau, inputs)))
     return _sha(name, locations, hypothesis)
 
 
@@ -311,7 +311,7 @@ def _row(
         mu_error=error,
         sigma=float(np.hypot(error, scatter)),
         scatter=scatter,
-        rate=location.flow.params.get(RATES[kind], float("nan")) if kind in RATES else float("nan"),
+        rate=location.flow.params.get(RATE_PARAMETERS[kind], float("nan")) if kind in RATE_PARAMETERS else float("nan"),
     )
 
 
@@ -330,7 +330,7 @@ class FitPlan:
     identified: tuple[Identified, ...]
 
 
-def plan_of(
+def plan_fit(
     name: str,
     temperature: str,
     *,
@@ -344,7 +344,7 @@ def plan_of(
     size, kind = structure.partition.size, flowing.hypothesis.kind
     keys = structure.classes.keys
     words = tuple(
-        tuple(dict.fromkeys(described(keys[row], teacher.alphabet) for row in rows)) for rows in hypothesis.members
+        tuple(dict.fromkeys(describe_class(keys[row], teacher.alphabet) for row in rows)) for rows in hypothesis.members
     )
     plan = FitPlan(
         name=name,
@@ -358,15 +358,15 @@ def plan_of(
     )
     if flowing.fit is None:
         return plan  # under `resample` there is nothing to ask: a level is a level
-    motion, alternatives = flows_of(flowing, teacher)
-    runs = placed(teacher.runs, hypothesis.place)
+    motion, alternatives = choose_flows(flowing, teacher)
+    runs = renumber_places(teacher.runs, hypothesis.place)
     answers = identify(
         runs, size, default=kind, motion=motion, alternatives=alternatives, alpha=settings.alpha, n_min=settings.n_min
     )
-    return _confirmed(plan, answers, teacher)
+    return _confirm_flows(plan, answers, teacher)
 
 
-def _confirmed(plan: FitPlan, answers: tuple[Identified, ...], teacher: Teacher) -> FitPlan:
+def _confirm_flows(plan: FitPlan, answers: tuple[Identified, ...], teacher: Teacher) -> FitPlan:
     """Flows of single locations are only taken if the held-out free runs do not get worse by them."""
     kinds = list(plan.kinds)
     for answer in answers:
@@ -374,7 +374,7 @@ def _confirmed(plan: FitPlan, answers: tuple[Identified, ...], teacher: Teacher)
     mixed = replace(plan, kinds=tuple(kinds), identified=answers)
     if mixed.kinds == plan.kinds:
         return mixed
-    few = sampled(placed(teacher.runs, plan.hypothesis.place), BUDGET)
+    few = sample_runs(renumber_places(teacher.runs, plan.hypothesis.place), MAX_KNOTS)
     cut = folds(few)
     judged = judged_part(cut) if cut is not None else None
     scores = []
@@ -402,7 +402,7 @@ def fitted_model(
         sensor_sigma=fitted.sensor,
         sensor_memory=fitted.sensor_memory,
         initial=initial_law(traces, plan.temperature),
-        unit=unit_of(traces, plan.temperature),
+        unit=signal_unit(traces, plan.temperature),
     )
     return fitted, replace(model, semi_markov=fit_stays(model, traces))
 
@@ -431,7 +431,7 @@ def fit(plan: FitPlan, teacher: Teacher, budget: int) -> FittedHypothesis:
     )
 
 
-LEAST_KNOTS = 10
+MIN_KNOTS = 10
 
 
 def bands(
@@ -459,7 +459,7 @@ def bands(
         # The same parts as those of `splits`, in knots: all but the traces held out, or the time before the cut, where
         # a run that goes on beyond it ends.
         known = runs.time < np.asarray(part.since)[rank] if part.held is None else ~np.isin(rank, list(part.held))
-        if np.isfinite(runs.reading[known]).sum() >= LEAST_KNOTS:
-            model = fitted(replace(teacher, runs=runs.where(known), group=teacher.group[known]))
+        if np.isfinite(runs.reading[known]).sum() >= MIN_KNOTS:
+            model = fitted(replace(teacher, runs=runs.select(known), group=teacher.group[known]))
             forecasts.add(model, part.ahead, part.since, rng, origins=origins)
     return forecasts

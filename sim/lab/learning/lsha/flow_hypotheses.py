@@ -15,6 +15,7 @@ from sim.lab.learning import (
     Indices,
     LearningError,
     LinearFit,
+    build_shape,
     choose,
     cross_validate,
     distance,
@@ -22,34 +23,33 @@ from sim.lab.learning import (
     folds,
     labels,
     predict,
-    sampled,
-    shape_of,
+    sample_runs,
     steps,
 )
-from sim.lab.learning.lsha.evidence import WORTH, SegmentSample, sample_of
+from sim.lab.learning.lsha.evidence import MIN_WORD_SHARE, SegmentSample, weigh_segments
 from sim.lab.learning.lsha.identify import rate_alone
 from sim.lab.learning.lsha.merging import Partition, TooManyQueriesError, learn_partition
-from sim.lab.learning.lsha.segments import Motion, levels, parameters, stays_after
-from sim.lab.learning.lsha.teacher import Teacher, placed
+from sim.lab.learning.lsha.segments import Motion, find_next_stays, levels, parameters
+from sim.lab.learning.lsha.teacher import Teacher, renumber_places
 from sim.lab.learning.lsha.transients import TransientLaw, transient_law
-from sim.lab.learning.lsha.words import Classes, WordHistory, classes_of
+from sim.lab.learning.lsha.words import Classes, WordHistory, build_classes
 from sim.sha import SHA, Array, Entry, Flow, Input, Location, Mask, Switch
 
-COARSE = 12
+MAX_COARSE_CONTEXTS = 12
 """Contexts that the flow hypotheses are compared on; the others count as the nearest of these."""
-ROUNDS = 2
+REWEIGHTING_ROUNDS = 2
 """Rounds of reweighting while rates are compared."""
-DELTA = 0.05
+COARSE_MERGE_TOLERANCE = 0.05
 """Merge tolerance of the structures on which flows are compared."""
 FEW_TRACES, FEW_EVENTS = 20, 1_000
 """Traces and events up to which each trace is held out by itself."""
-BUDGET = 3_000
+MAX_KNOTS = 3_000
 """Knots to which the runs are sampled for the comparison."""
 FIRST_QUERIES, QUERIES_PER_WORD = 5_000, 5
 """Queries after which the memory `word` is given up: so many, and for each word more of them. A structure that explains
 the words needs little more than one a word; where there is none, each word is compared with a location for each chance.
 """
-ALWAYS = 1_500
+MAX_WORD_EVENTS = 1_500
 """Events up to which the memory `word` is always tried; with more, more of a word than its last move has to explain
 something."""
 
@@ -121,7 +121,7 @@ class Flowing:
     sample: SegmentSample
     transient: TransientLaw | None = None
 
-    def rates_of(self, groups: Sequence[str]) -> Array:
+    def group_rates(self, groups: Sequence[str]) -> Array:
         """(r,) the rates of the given groups; one that the coarse structure did not have gets the geometric mean."""
         usual = float(np.exp(np.mean(np.log(list(self.rates.values()))))) if self.rates else 1.0
         return np.array([self.rates.get(group, usual) for group in groups])
@@ -131,11 +131,11 @@ def choose_flow(teacher: Teacher, kind: str | None, alpha: float, n_min: int) ->
     """The hypothesis of greatest held-out likelihood (one-standard-error rule), of `kind` if one is given.
 
     Each hypothesis gets the structure that suits it: words merged with the memory `direction` or `word`, whichever is
-    better, and the tolerance DELTA.
+    better, and the tolerance COARSE_MERGE_TOLERANCE.
     Raises LearningError when the data cannot show a flow of that kind.
     """
     groups, names = coarse(teacher)
-    few = sampled(teacher.runs, BUDGET)
+    few = sample_runs(teacher.runs, MAX_KNOTS)
     cut = folds(few)
     # Only what the data can tell from a simpler hypothesis: inputs that move, two positions of the switch.
     moving = bool(teacher.prior.gain)
@@ -150,18 +150,18 @@ def choose_flow(teacher: Teacher, kind: str | None, alpha: float, n_min: int) ->
             f"the flow {kind!r} needs a level signal of the alphabet that moves, and there is none; "
             "choose another default flow"
         )
-    candidates = [flowing(rival, teacher, groups, names, few, alpha=alpha, n_min=n_min) for rival in rivals]
+    candidates = [fit_hypothesis(rival, teacher, groups, names, few, alpha=alpha, n_min=n_min) for rival in rivals]
     if kind is None:
         # Without an amplitude it is the constant flow itself, and not a rival.
         candidates = [each for each in candidates if each.hypothesis.kind != "transient" or each.transient is not None]
-    direction, word = classes_of(teacher.words, "direction"), classes_of(teacher.words, "word")
+    direction, word = build_classes(teacher.words, "direction"), build_classes(teacher.words, "word")
     scored: list[tuple[HeldOutErrors | None, int]] = []
     for candidate in candidates:
         # Each is judged by the memory that suits it best, or a flow would be refused for a structure's sake.
-        over = [_over(candidate, teacher, classes=direction, cut=cut, alpha=alpha, n_min=n_min)]
+        over = [_judge_candidate(candidate, teacher, classes=direction, cut=cut, alpha=alpha, n_min=n_min)]
         if not why_not_word_by_word(teacher, candidate.sample):
             with suppress(TooManyQueriesError):
-                over.append(_over(candidate, teacher, classes=word, cut=cut, alpha=alpha, n_min=n_min))
+                over.append(_judge_candidate(candidate, teacher, classes=word, cut=cut, alpha=alpha, n_min=n_min))
         scored.append(max(over, key=lambda pair: pair[0].score if pair[0] is not None else 0.0))
     sizes = [size for _, size in scored]
     known = [held for held, _ in scored if held is not None]
@@ -170,13 +170,15 @@ def choose_flow(teacher: Teacher, kind: str | None, alpha: float, n_min: int) ->
     return candidates[best], tuple(replace(each, chosen=number == best) for number, each in enumerate(table))
 
 
-def flowing_over(hypothesis: FlowHypothesis, teacher: Teacher, alpha: float, n_min: int) -> Flowing:
+def transfer_hypothesis(hypothesis: FlowHypothesis, teacher: Teacher, alpha: float, n_min: int) -> Flowing:
     """The hypothesis over other traces than those that chose it."""
     groups, names = coarse(teacher)
-    return flowing(hypothesis, teacher, groups, names, sampled(teacher.runs, BUDGET), alpha=alpha, n_min=n_min)
+    return fit_hypothesis(
+        hypothesis, teacher, groups, names, sample_runs(teacher.runs, MAX_KNOTS), alpha=alpha, n_min=n_min
+    )
 
 
-def flowing(
+def fit_hypothesis(
     hypothesis: FlowHypothesis,
     teacher: Teacher,
     groups: Indices,
@@ -191,19 +193,19 @@ def flowing(
         law, runs = None, teacher.runs
         if hypothesis.kind == "transient":
             # What follows a rise is another transient than what follows a fall.
-            classes = classes_of(teacher.words, "direction")
-            known = placed(runs, classes.of_state)
+            classes = build_classes(teacher.words, "direction")
+            known = renumber_places(runs, classes.of_state)
             law = transient_law(known, len(classes), alpha, n_min)
             amplitude = np.zeros(len(classes)) if law is None else law.amplitudes(known, len(classes))
             law = law if amplitude.any() else None
-            runs = runs if law is None else law.settled(known, amplitude)
+            runs = runs if law is None else law.remove_transients(known, amplitude)
         return Flowing(
             hypothesis=hypothesis,
             groups=groups,
             shape=None,
             fit=None,
             rates={},
-            sample=sample_of(levels(replace(runs, place=teacher.runs.place), teacher.group), teacher.alike),
+            sample=weigh_segments(levels(replace(runs, place=teacher.runs.place), teacher.group), teacher.alike),
             transient=law,
         )
     # One more location stands for all states without a law: runs begin where one of those ends.
@@ -211,10 +213,10 @@ def flowing(
     shape, rated = flow_shape(hypothesis, teacher, where, [True] * len(names) + [False])
     if hypothesis.alone:
         rates = np.full(shape.rate_centre.size, rate_alone(teacher.runs, hypothesis.kind))
-        fit = fit_at_rates(placed(few, groups), shape, rates)
+        fit = fit_at_rates(renumber_places(few, groups), shape, rates)
     else:
-        rates, fit = _rates(placed(few, groups), shape)
-    motion = _motion(placed(teacher.runs, groups), shape, fit, rates)
+        rates, fit = _rates(renumber_places(few, groups), shape)
+    motion = _motion(renumber_places(teacher.runs, groups), shape, fit, rates)
     unit = float(np.median(shape.spread[np.unique(shape.target[shape.target >= 0])]))
     segments = parameters(teacher.runs, teacher.group, motion, unit**2)
     by_group = dict(zip(rated, rates.tolist(), strict=True))
@@ -224,7 +226,7 @@ def flowing(
         shape=shape,
         fit=fit,
         rates=by_group,
-        sample=sample_of(segments, teacher.alike),
+        sample=weigh_segments(segments, teacher.alike),
     )
 
 
@@ -235,7 +237,7 @@ def _rates(runs: FreeRuns, shape: FitShape) -> tuple[Array, LinearFit]:
     if not logs.size:
         return np.empty(0), best
     # Losses are compared at the scale of the first fit: each at its own would call all fits nearly equal.
-    best = fit_at_rates(runs, shape, np.exp(logs), ROUNDS, scale)
+    best = fit_at_rates(runs, shape, np.exp(logs), REWEIGHTING_ROUNDS, scale)
     shifts = [shift * shape.rate_spread for shift in (-1.0, 1.0, 2.0, 3.0, 4.0)]
     for trial in [logs + shift for shift in shifts]:
         logs, best = _better(runs, shape, trial=trial, logs=logs, best=best, scale=scale)
@@ -252,11 +254,11 @@ def _better(
     runs: FreeRuns, shape: FitShape, *, trial: Array, logs: Array, best: LinearFit, scale: float
 ) -> tuple[Array, LinearFit]:
     """The trial if its loss is less, else what was best before."""
-    fit = fit_at_rates(runs, shape, np.exp(trial), ROUNDS, scale)
+    fit = fit_at_rates(runs, shape, np.exp(trial), REWEIGHTING_ROUNDS, scale)
     return (trial, fit) if fit.loss < best.loss else (logs, best)
 
 
-def _over(
+def _judge_candidate(
     candidate: Flowing, teacher: Teacher, *, classes: Classes, cut: FreeRuns | None, alpha: float, n_min: int
 ) -> tuple[HeldOutErrors | None, int]:
     """(held-out errors over the structure by these classes, number of parameters).
@@ -266,45 +268,45 @@ def _over(
     Otherwise it is learned once, from so many events that one fold hardly changes it.
     """
     hypothesis, sample = candidate.hypothesis, candidate.sample
-    delta = DELTA * sample.spread
-    partition = merged(classes, sample, teacher, delta=delta, alpha=alpha, n_min=n_min)
+    delta = COARSE_MERGE_TOLERANCE * sample.spread
+    partition = merge_classes(classes, sample, teacher, delta=delta, alpha=alpha, n_min=n_min)
     place = partition.location[classes.of_state]
     size = partition.laws
     if candidate.shape is not None:
         shape, rated = flow_shape(hypothesis, teacher, positions(teacher, place, partition.size), partition.modelled)
         size += int((shape.gain >= 0).any()) * shape.gain.shape[1] + shape.rate_centre.size
     if candidate.transient is not None:
-        amplitude = candidate.transient.amplitudes(placed(teacher.runs, place), partition.size)
+        amplitude = candidate.transient.amplitudes(renumber_places(teacher.runs, place), partition.size)
         size += 1 + int(np.count_nonzero(amplitude))
     if cut is None:
         return None, size
     traces = np.unique(cut.trace)
-    anew = classes.memory == "word" or teacher.words.events <= ALWAYS
+    anew = classes.memory == "word" or teacher.words.events <= MAX_WORD_EVENTS
     if not (anew and traces.size >= FOLDS and np.array_equal(teacher.group, teacher.runs.trace)):
         if candidate.shape is None:
-            return hold_out_levels(placed(cut, place), candidate.transient), size
-        return cross_validate(placed(cut, place), shape, candidate.rates_of(rated), fixed=True), size
+            return hold_out_levels(renumber_places(cut, place), candidate.transient), size
+        return cross_validate(renumber_places(cut, place), shape, candidate.group_rates(rated), fixed=True), size
     parts = held_out_parts(teacher, traces.size, FOLDS)
     fold, part = (np.searchsorted(traces, each) % parts for each in (cut.trace, sample.segments.group))
     error, kept = np.empty(len(cut)), np.isfinite(cut.reading)
     for held in range(parts):
-        fewer = merged(classes, sample, teacher, delta=delta, alpha=alpha, n_min=n_min, use=part != held)
+        fewer = merge_classes(classes, sample, teacher, delta=delta, alpha=alpha, n_min=n_min, use=part != held)
         place, in_fold = fewer.location[classes.of_state], fold == held
-        runs = placed(cut, place)
+        runs = renumber_places(cut, place)
         if candidate.shape is None:
             error[in_fold] = _level_errors(runs, in_fold, candidate.transient)
             continue
         # Targets are those of the other runs; rates stay, as one fold hardly changes what all runs share.
         shape, rated = flow_shape(hypothesis, teacher, positions(teacher, place, fewer.size), fewer.modelled)
-        rates = candidate.rates_of(rated)
-        fit = fit_at_rates(runs.where(~in_fold), shape, rates)
-        error[in_fold] = runs.reading[in_fold] - predict(runs.where(in_fold), shape, fit.linear, rates, fit.sigma)
+        rates = candidate.group_rates(rated)
+        fit = fit_at_rates(runs.select(~in_fold), shape, rates)
+        error[in_fold] = runs.reading[in_fold] - predict(runs.select(in_fold), shape, fit.linear, rates, fit.sigma)
     return HeldOutErrors(error[kept], np.unique(cut.run[kept], return_inverse=True)[1]), size
 
 
 def why_not_word_by_word(teacher: Teacher, sample: SegmentSample) -> str:
     """Why the memory `word` is not worth its cost, in words; empty if it is tried."""
-    if teacher.words.events <= ALWAYS or sample.longer >= WORTH:
+    if teacher.words.events <= MAX_WORD_EVENTS or sample.longer >= MIN_WORD_SHARE:
         return ""
     return f"not tried: more of a word than its last move explains {sample.longer:.1%} of what that leaves"
 
@@ -317,7 +319,7 @@ def held_out_parts(teacher: Teacher, groups: int, least: int) -> int:
     return max(groups, least) if groups <= FEW_TRACES and teacher.words.events <= FEW_EVENTS else least
 
 
-def merged(
+def merge_classes(
     classes: Classes,
     sample: SegmentSample,
     teacher: Teacher,
@@ -334,7 +336,7 @@ def merged(
     """
     modelled = np.zeros(len(classes), dtype=bool)
     modelled[classes.of_state[teacher.modelled]] = True
-    evidence = sample.pooled(classes.of_state, len(classes), n_min, use)
+    evidence = sample.pool_classes(classes.of_state, len(classes), n_min, use)
     limited = classes.memory == "word" and not patient
     most = FIRST_QUERIES + QUERIES_PER_WORD * len(classes) if limited else inf
     return learn_partition(classes, evidence, modelled, delta=delta, alpha=alpha, n_min=n_min, most=most)
@@ -368,7 +370,7 @@ def coarse(teacher: Teacher) -> tuple[Indices, tuple[WordHistory, ...]]:
             total[key] = total.get(key, 0.0) + spent
     # Those in which most time is spent: the flow is judged where there is most to be seen of it.
     first = list(total)
-    kept = sorted(first, key=lambda key: (-total[key], first.index(key)))[:COARSE]
+    kept = sorted(first, key=lambda key: (-total[key], first.index(key)))[:MAX_COARSE_CONTEXTS]
     nearest = {
         key: min(kept, key=lambda other: distance(key.context, other.context, teacher.alphabet)) for key in total
     }
@@ -411,7 +413,7 @@ def flow_shape(
     each = list(kinds) or [hypothesis.kind] * len(positions)
     names = [str(number) for number in range(len(positions))]
     locations = [
-        Location(name, flow_of(kind, teacher.prior.tau, inputs if kind == "driven" else ()))
+        Location(name, make_flow(kind, teacher.prior.tau, inputs if kind == "driven" else ()))
         for name, kind in zip(names, each, strict=True)
     ]
     sha = SHA("flows", tuple(locations), (), names[0])
@@ -420,11 +422,13 @@ def flow_shape(
         for name, position, kind in zip(names, positions, each, strict=True)
     }
     fitted = [name for name, own in zip(names, free, strict=True) if own]
-    shape, known = shape_of(sha, fitted, teacher.signals, teacher.prior, rates=rates, gains=dict.fromkeys(names, "all"))
+    shape, known = build_shape(
+        sha, fitted, teacher.signals, teacher.prior, rates=rates, gains=dict.fromkeys(names, "all")
+    )
     return shape, known.rates
 
 
-def flow_of(kind: str, tau: float, inputs: tuple[Input, ...] = ()) -> Flow:
+def make_flow(kind: str, tau: float, inputs: tuple[Input, ...] = ()) -> Flow:
     """A flow of that kind without noise; a driven one without inputs is exponential."""
     relaxing = {"k": 1.0 / tau}
     known = {"exponential": relaxing, "driven": relaxing, "logarithmic": {"t0": tau}, "transient": {"tau": tau}}
@@ -450,9 +454,9 @@ def hold_out_levels(runs: FreeRuns, transient: TransientLaw | None = None) -> He
 
 def _level_errors(runs: FreeRuns, held: Mask, transient: TransientLaw | None) -> Array:
     """(m,) the readings of `held` (n,), less the mean of the others' in the same place (of all others without any)."""
-    _, place = stays_after(runs)
+    _, place = find_next_stays(runs)
     if transient is not None:
-        runs = transient.settled(runs, transient.amplitudes(runs.where(~held), int(place.max()) + 1))
+        runs = transient.remove_transients(runs, transient.amplitudes(runs.select(~held), int(place.max()) + 1))
     rest = ~held & np.isfinite(runs.reading)
     count = np.bincount(place[rest], minlength=int(place.max()) + 1)
     total = np.bincount(place[rest], runs.reading[rest], minlength=count.size)
@@ -472,7 +476,7 @@ def _motion(runs: FreeRuns, shape: FitShape, fit: LinearFit, rates: Array) -> Mo
     return Motion(decay, pull, offset)
 
 
-def flows_of(flowing: Flowing, teacher: Teacher) -> tuple[Motion, dict[str, Flow]]:
+def choose_flows(flowing: Flowing, teacher: Teacher) -> tuple[Motion, dict[str, Flow]]:
     """(the motion under the chosen flow, the other flows that a location may have instead).
 
     The rate of an alternative comes from the median length of the segments: it is only asked whether its shape fits.
@@ -480,9 +484,11 @@ def flows_of(flowing: Flowing, teacher: Teacher) -> tuple[Motion, dict[str, Flow
     if flowing.shape is None or flowing.fit is None:
         raise ValueError("a resampled level has no motion")
     order = tuple(flowing.rates)
-    motion = _motion(placed(teacher.runs, flowing.groups), flowing.shape, flowing.fit, flowing.rates_of(order))
+    motion = _motion(
+        renumber_places(teacher.runs, flowing.groups), flowing.shape, flowing.fit, flowing.group_rates(order)
+    )
     seconds = np.bincount(teacher.runs.stay, teacher.runs.dt)
     typical = max(float(np.median(seconds[seconds > 0])), 1e-3)
     kinds = ("constant", "linear", "logarithmic", "exponential")
     own = "exponential" if flowing.hypothesis.kind == "driven" else flowing.hypothesis.kind
-    return motion, {kind: flow_of(kind, typical) for kind in kinds if kind != own}
+    return motion, {kind: make_flow(kind, typical) for kind in kinds if kind != own}

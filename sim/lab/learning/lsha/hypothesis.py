@@ -15,7 +15,7 @@ import numpy as np
 from sim.lab.learning import Indices
 from sim.lab.learning.lsha.structures import Structure
 from sim.lab.learning.lsha.teacher import Teacher
-from sim.lab.learning.lsha.words import Word, WordHistory, apart, coordinates, described, remembered
+from sim.lab.learning.lsha.words import Word, WordHistory, class_distances, coordinates, describe_class, limit_history
 from sim.sha import UNKNOWN, Edge, Trace, alphabet_symbols
 
 
@@ -44,7 +44,7 @@ class HypothesisAutomaton:
         )
 
 
-def hypothesis_of(teacher: Teacher, structure: Structure, *, complete: bool) -> HypothesisAutomaton:
+def build_hypothesis(teacher: Teacher, structure: Structure, *, complete: bool) -> HypothesisAutomaton:
     """The automaton of a structure; with `complete` every location has an edge for every symbol."""
     classes, location = structure.classes, structure.partition.location
     place = location[classes.of_state]
@@ -61,7 +61,7 @@ def hypothesis_of(teacher: Teacher, structure: Structure, *, complete: bool) -> 
     typical = [classes.keys[max(rows, key=lambda row: (seconds[row], -row))] for rows in members]
     taken: Counter[str] = Counter()
     names = []
-    for name in (described(key, teacher.alphabet) for key in typical):
+    for name in (describe_class(key, teacher.alphabet) for key in typical):
         taken[name] += 1
         names.append(name if taken[name] == 1 else f"{name} #{taken[name]}")
     default = _defaults(teacher, structure, typical, observed) if complete else {}
@@ -86,9 +86,9 @@ def _defaults(
         if (number, symbol) not in observed
     ]
     table, memory = teacher.words.meaning, classes.memory
-    wanted = [remembered(table.after(typical[number], symbol), memory) for number, symbol in missing]
+    wanted = [limit_history(table.extend_history(typical[number], symbol), memory) for number, symbol in missing]
     different = tuple(dict.fromkeys(wanted))
-    away = apart(coordinates(different), classes.coordinates, table)
+    away = class_distances(coordinates(different), classes.coordinates, table)
     # Where nothing is known is no guess, and what is seen is better than what is near.
     away[:, 0] = np.inf
     seen = {key: number for number, key in enumerate(classes.keys)}

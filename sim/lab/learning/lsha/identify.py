@@ -12,13 +12,13 @@ from math import sqrt
 import numpy as np
 import scipy
 
-from sim.lab.learning import RATES, FreeRuns, Indices
+from sim.lab.learning import RATE_PARAMETERS, FreeRuns, Indices
 from sim.lab.learning.lsha.segments import Motion, stay_fits
 from sim.sha import Array, Flow, coefficients
 
 TAUS, ROUGH = (1.0, 1e5), 16
 """Time constants (s) between which a rate is looked for, and half the number of the first ones tried."""
-LEAST_READINGS = 4
+MIN_READINGS = 4
 """Readings of a segment that can tell flows apart: two unknowns, and two more."""
 
 
@@ -54,15 +54,15 @@ def identify(
     own, count, place = _log_squares(runs, motion)
     rivals = {kind: _log_squares(runs, _uniform(runs, flow))[0] for kind, flow in sorted(alternatives.items())}
     locations = [
-        number for number in range(size) if np.count_nonzero((place == number) & (count >= LEAST_READINGS)) >= n_min
+        number for number in range(size) if np.count_nonzero((place == number) & (count >= MIN_READINGS)) >= n_min
     ]
     queries = max(len(locations) * len(rivals), 1)
     answers = []
     for number in locations:
-        rows = (place == number) & (count >= LEAST_READINGS)
+        rows = (place == number) & (count >= MIN_READINGS)
         # A segment's log-likelihood with a noise of its own is -count/2 times the log of its mean squared residual.
         p, gain, kind = min(
-            _compared(0.5 * count[rows] * (own[rows] - logs[rows]), kind) for kind, logs in rivals.items()
+            _compare_gains(0.5 * count[rows] * (own[rows] - logs[rows]), kind) for kind, logs in rivals.items()
         )
         # Bonferroni over all locations and rivals: the default is only given up where chance hardly explains it.
         kept = p >= alpha / queries
@@ -92,7 +92,7 @@ def rate_alone(runs: FreeRuns, kind: str) -> float:
     while True:
         losses: list[float] = []
         for tau in taus:
-            motion = _uniform(runs, Flow(kind, {RATES[kind]: _rate(kind, tau), "noise": 0.0}))
+            motion = _uniform(runs, Flow(kind, {RATE_PARAMETERS[kind]: _rate(kind, tau), "noise": 0.0}))
             logs, count, _ = _log_squares(runs, motion)
             losses.append(float(0.5 * count @ logs))
         best = int(np.argmin(losses))
@@ -103,10 +103,10 @@ def rate_alone(runs: FreeRuns, kind: str) -> float:
 
 
 def _rate(kind: str, tau: float) -> float:
-    return 1.0 / tau if RATES[kind] == "k" else tau
+    return 1.0 / tau if RATE_PARAMETERS[kind] == "k" else tau
 
 
-def _compared(gain: Array, kind: str) -> tuple[float, float, str]:
+def _compare_gains(gain: Array, kind: str) -> tuple[float, float, str]:
     """(one-sided p, minus the mean gain, kind) of paired gains in log-likelihood, each clipped to 10."""
     clipped = np.clip(gain, -10.0, 10.0)
     mean, error = float(clipped.mean()), float(clipped.std(ddof=1)) / sqrt(clipped.size)
@@ -124,5 +124,5 @@ def _log_squares(runs: FreeRuns, motion: Motion) -> tuple[Array, Array, Indices]
     """(log of the mean squared residual, readings, place) of every stay; squares below 1e-9 of all are that."""
     _, _, squares, count, begin = stay_fits(runs, motion)
     mean = squares / np.maximum(count, 1.0)
-    usual = float(np.median(mean[count >= LEAST_READINGS])) if np.any(count >= LEAST_READINGS) else 1.0
+    usual = float(np.median(mean[count >= MIN_READINGS])) if np.any(count >= MIN_READINGS) else 1.0
     return np.log(np.maximum(mean, 1e-3 * usual + 1e-12)), count, runs.place[begin]

@@ -24,33 +24,33 @@ from sim.lab.learning import (
     MachineSpread,
     check_data,
     in_order,
-    memories_told,
+    observable_memories,
     with_events,
     with_range,
 )
-from sim.lab.learning.lsha.fitting import LshaLocationFit, bands, fit, fitted_model, plan_of
-from sim.lab.learning.lsha.flow_hypotheses import Contender, choose_flow, flowing_over
+from sim.lab.learning.lsha.fitting import LshaLocationFit, bands, fit, fitted_model, plan_fit
+from sim.lab.learning.lsha.flow_hypotheses import Contender, choose_flow, transfer_hypothesis
 from sim.lab.learning.lsha.hypothesis import (
     HypothesisAutomaton,
     ObservationTable,
     TraceAcceptance,
     acceptance,
-    hypothesis_of,
+    build_hypothesis,
     observation_table,
 )
 from sim.lab.learning.lsha.identify import Identified
 from sim.lab.learning.lsha.merging import Decision
 from sim.lab.learning.lsha.settings import LshaSettings
 from sim.lab.learning.lsha.structures import Structure, choose_structure
-from sim.lab.learning.lsha.teacher import CYCLE, Teacher, beginnings, teacher_of
-from sim.lab.learning.lsha.words import Word, described, spelled
+from sim.lab.learning.lsha.teacher import MIN_RUN_S, Teacher, beginnings, make_teacher
+from sim.lab.learning.lsha.words import Word, class_word, describe_class
 from sim.sha import Alphabet, Model, Provenance, Trace, check_alphabet, content_hash
 
 BUDGET, PART_BUDGET = 20_000, 5_000
 """Knots to which the runs are sampled for the last fit, and for the fits of the bands."""
-FLOW_EVENTS = 2_000
+MAX_FLOW_EVENTS = 2_000
 """Events of the sample of traces on which the flow hypotheses are compared."""
-ORIGINS = 60
+FORECAST_COUNT = 60
 """Forecasts by which the bands of each part are judged."""
 
 Progress = Callable[[str, float], None]
@@ -142,16 +142,16 @@ def learn_lsha(
 
     # The teacher: every word of the traces, and the segments that were measured after each.
     report_progress("words and segments", 0.0)
-    teacher = teacher_of(ordered, alphabet, temperature, n_min=chosen.n_min, split=chosen.split)
+    teacher = make_teacher(ordered, alphabet, temperature, n_min=chosen.n_min, split=chosen.split)
 
     # Membership queries: which flow the segments follow, and each segment's parameter under it. The flow is a matter of
     # all segments alike, so a sample tells it; what follows from it is learned from everything.
     report_progress("model-identification queries", 0.1)
-    if teacher.words.events > FLOW_EVENTS:
-        sample = beginnings(ordered, FLOW_EVENTS, chosen.split)
-        few = teacher_of(sample, alphabet, temperature, n_min=chosen.n_min, split=chosen.split)
+    if teacher.words.events > MAX_FLOW_EVENTS:
+        sample = beginnings(ordered, MAX_FLOW_EVENTS, chosen.split)
+        few = make_teacher(sample, alphabet, temperature, n_min=chosen.n_min, split=chosen.split)
         best, flows = choose_flow(few, chosen.default_flow, chosen.alpha, chosen.n_min)
-        flowing = flowing_over(best.hypothesis, teacher, chosen.alpha, chosen.n_min)
+        flowing = transfer_hypothesis(best.hypothesis, teacher, chosen.alpha, chosen.n_min)
     else:
         sample = ordered
         flowing, flows = choose_flow(teacher, chosen.default_flow, chosen.alpha, chosen.n_min)
@@ -165,9 +165,9 @@ def learn_lsha(
     structure, structures = choose_structure(teacher, flowing.sample, chosen)
 
     # The hypothesis, first its locations and edges, then their flows and laws.
-    hypothesis = hypothesis_of(teacher, structure, complete=chosen.complete)
+    hypothesis = build_hypothesis(teacher, structure, complete=chosen.complete)
     report_progress(f"fitting {structure.partition.laws} locations", 0.6)
-    plan = plan_of(
+    plan = plan_fit(
         name,
         temperature,
         teacher=teacher,
@@ -176,7 +176,7 @@ def learn_lsha(
         hypothesis=hypothesis,
         settings=chosen,
     )
-    plan = replace(plan, memories=memories_told(ordered, temperature))
+    plan = replace(plan, memories=observable_memories(ordered, temperature))
     fitted, model = fitted_model(plan, teacher, ordered, BUDGET)
 
     # The equivalence query. Only observed edges count: default edges would accept anything.
@@ -184,7 +184,7 @@ def learn_lsha(
     if accepted.failure:
         raise LearningError(f"the learned automaton does not accept {accepted.failure}; this is a defect, report it")
 
-    def refitted(part: Teacher) -> Model:
+    def refit_part(part: Teacher) -> Model:
         """The whole model with the parameters of a part of the readings, and as random as the whole one."""
         fewer = fit(replace(plan, memories=fitted.memories), part, PART_BUDGET)
         kept = (*of_feature(fewer.sha, "disturbance"), *of_feature(model.sha, "machine offset"))
@@ -192,7 +192,7 @@ def learn_lsha(
         return replace(model, sha=sha, sensor_sigma=fewer.sensor, sensor_memory=fewer.sensor_memory)
 
     report_progress("calibrating the bands", 0.8)
-    forecasts = bands(teacher, ordered, temperature=temperature, fitted=refitted, seed=seed, origins=ORIGINS)
+    forecasts = bands(teacher, ordered, temperature=temperature, fitted=refit_part, seed=seed, origins=FORECAST_COUNT)
     coverage = forecasts.coverage
     partition = structure.partition
     suffixes = [decision.suffix for decision in partition.decisions if decision.verdict == "new"]
@@ -242,7 +242,7 @@ def learn_lsha(
             "n_min": chosen.n_min,
             "split": chosen.split,
             "complete": chosen.complete,
-            "cycle_s": CYCLE,
+            "cycle_s": MIN_RUN_S,
             "copies_left_out": report.copies,
             "locations_with_a_law": sum(partition.modelled),
             "flow_events": report.flow_events,
@@ -270,8 +270,8 @@ def _rows(teacher: Teacher, structure: Structure, hypothesis: HypothesisAutomato
     place = structure.partition.location
     return {
         number: RowOfWords(
-            described(classes.keys[number], teacher.alphabet),
-            spelled(classes.keys[number], words),
+            describe_class(classes.keys[number], teacher.alphabet),
+            class_word(classes.keys[number], words),
             *words.first[first[number]],
             hypothesis.names[place[number]],
         )

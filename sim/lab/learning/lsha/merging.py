@@ -24,7 +24,7 @@ from sim.lab.learning.lsha.evidence import PooledEvidence, WelchTest, same_distr
 from sim.lab.learning.lsha.words import Classes
 from sim.sha import Mask
 
-TRIED = 6
+MAX_MERGE_TRIALS = 6
 """Locations with which a merge is tried, the best first, before a row becomes a location of its own."""
 
 Verdict = Literal["new", "merged", "default", "dissolved"]
@@ -54,7 +54,7 @@ Suffix = tuple["Suffix", str] | None
 its beginning with all that go on from it."""
 
 
-def _spelled(suffix: Suffix) -> tuple[str, ...]:
+def _spell_suffix(suffix: Suffix) -> tuple[str, ...]:
     symbols: list[str] = []
     while suffix is not None:
         suffix, symbol = suffix
@@ -176,7 +176,7 @@ class _Fold:
                 if query.p < certain:
                     return query
                 self.answers.append(query)
-            self.evidence[keep] = kept_evidence.joined(absorbed_evidence)
+            self.evidence[keep] = kept_evidence.merge(absorbed_evidence)
             # Consistency: where both sets have an edge on a symbol, determinism makes their targets one as well.
             kept, lost = self.edges.get(keep, state.edges[keep]), self.edges.get(absorbed, state.edges[absorbed])
             if shared := kept.keys() & lost.keys():
@@ -206,7 +206,7 @@ class _Fold:
             own = self.state.evidence[keep]
             if keep in self.state.known and own.count and whole.count - own.count >= self.state.n_min:
                 self.state.queries += 1
-                rest = whole.without(own)
+                rest = whole.subtract(own)
                 found.append(Query(same_distribution(own, rest, self.state.delta), None, (keep, keep)))
         return found
 
@@ -275,7 +275,7 @@ def learn_partition(
                         decisions.append(Decision(row=row, verdict="default", other=neighbour, evidence=0))
                         break
         state.placed[row] = True
-    decisions += _dissolved(state, level)
+    decisions += _dissolve_small(state, level)
     # Locations are numbered in the order of their first class, whatever number their set has.
     roots = [state.find(number) for number in range(size)]
     numbers: dict[int, int] = {}
@@ -307,7 +307,7 @@ def _decide(state: _PartitionState, row: int, classes: Classes, level: float) ->
     # Each merge is tried with all that it entails, on a copy: a suffix may tell apart what the row itself does not.
     refused: Query | None = None
     allowed: list[tuple[int, _Fold]] = []
-    for location in equal[:TRIED]:
+    for location in equal[:MAX_MERGE_TRIALS]:
         fold = _Fold(state)
         query = fold.join(root, location, level)
         p, against = fold.worst()
@@ -326,7 +326,7 @@ def _decide(state: _PartitionState, row: int, classes: Classes, level: float) ->
         return Decision(row=row, verdict=verdict, other=location, evidence=count, answer=answers[location])
     state.known[root] = None
     if refused is not None:
-        answer, rival, suffix = refused.answer, equal[0], _spelled(refused.suffix)
+        answer, rival, suffix = refused.answer, equal[0], _spell_suffix(refused.suffix)
         return Decision(row=row, verdict="new", other=root, evidence=count, answer=answer, rival=rival, suffix=suffix)
     nearest = max(answers, key=lambda location: answers[location].p, default=None)
     test = answers[nearest] if nearest is not None else None
@@ -343,17 +343,17 @@ def _default(state: _PartitionState, row: int, classes: Classes) -> int | None:
 
 
 def _neighbours(state: _PartitionState, row: int, classes: Classes) -> list[int]:
-    """The locations by how near the nearest words are that lead there, TRIED at most."""
+    """The locations by how near the nearest words are that lead there, MAX_MERGE_TRIALS at most."""
     near: dict[int, None] = {}
-    for other in classes.near(row):
+    for other in classes.nearest_classes(row):
         if state.placed[other]:
             near.setdefault(state.find(other))
-            if len(near) == TRIED:
+            if len(near) == MAX_MERGE_TRIALS:
                 break
     return [location for location in near if location in state.known]
 
 
-def _dissolved(state: _PartitionState, level: float) -> list[Decision]:
+def _dissolve_small(state: _PartitionState, level: float) -> list[Decision]:
     """Locations below `n_min` join the most likely location that neither their own segments nor the tests of the rest
     speak against, if there is one."""
     decisions: list[Decision] = []
@@ -370,7 +370,7 @@ def _dissolved(state: _PartitionState, level: float) -> list[Decision]:
             if other != location and state.evidence[other].count >= state.n_min
         }
         allowed = (other for other, answer in answers.items() if answer.p >= level)
-        for other in sorted(allowed, key=lambda n: (-answers[n].p, n))[:TRIED]:
+        for other in sorted(allowed, key=lambda n: (-answers[n].p, n))[:MAX_MERGE_TRIALS]:
             fold = _Fold(state)
             if fold.join(location, other) is not None:
                 continue

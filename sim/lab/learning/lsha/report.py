@@ -16,9 +16,9 @@ VERDICTS: Mapping[str, str] = {
     "default": "default hypothesis",
     "dissolved": "location dissolved",
 }
-LONGEST = 8
+MAX_WORD_SYMBOLS = 8
 """Symbols up to which a single word is spelled out."""
-MOST_ROWS = 400
+MAX_ROWS = 400
 """Rows of a table that the text shows; the JSON form has all."""
 
 
@@ -159,9 +159,9 @@ def _decision(decision: Decision, report: LshaReport) -> dict[str, object]:
     other = decision.rival if decision.verdict == "new" else decision.other
     answer = decision.answer
     return {
-        "words": _named(report.rows[decision.row]),
+        "words": _row_name(report.rows[decision.row]),
         "verdict": VERDICTS[decision.verdict],
-        "other": "" if other is None else _named(report.rows[other]),
+        "other": "" if other is None else _row_name(report.rows[other]),
         "location": report.rows[decision.row].location,
         "segments": decision.evidence,
         "difference": answer.difference if answer else None,
@@ -171,17 +171,21 @@ def _decision(decision: Decision, report: LshaReport) -> dict[str, object]:
     }
 
 
-def _named(row: RowOfWords) -> str:
+def _row_name(row: RowOfWords) -> str:
     """What a row is called: its context, and the word itself, the middle of a long one left out."""
     if row.word is None:
         return row.name
-    short = row.word if len(row.word) <= LONGEST else (*row.word[:2], f"… {len(row.word) - 5} more …", *row.word[-3:])
+    short = (
+        row.word
+        if len(row.word) <= MAX_WORD_SYMBOLS
+        else (*row.word[:2], f"… {len(row.word) - 5} more …", *row.word[-3:])
+    )
     return f"{row.name} = {_word(short)}"
 
 
 def _counterexample(decision: Decision, report: LshaReport) -> dict[str, object]:
     row = report.rows[decision.row]
-    return {"words": _named(row), "trace": row.trace, "events": row.events, "suffix": _word(decision.suffix)}
+    return {"words": _row_name(row), "trace": row.trace, "events": row.events, "suffix": _word(decision.suffix)}
 
 
 def _result_lines(report: LshaReport) -> Iterator[str]:
@@ -229,10 +233,10 @@ def _grid(columns: Sequence[str], rows: Sequence[Sequence[object]]) -> Iterator[
     """A Markdown table; a sign that would end a cell is escaped."""
     yield "| " + " | ".join(columns) + " |"
     yield "|" + " --- |" * len(columns)
-    for row in rows[:MOST_ROWS]:
+    for row in rows[:MAX_ROWS]:
         yield "| " + " | ".join(_cell(value) for value in row) + " |"
-    if len(rows) > MOST_ROWS:
-        yield f"| and {len(rows) - MOST_ROWS} more: see the JSON form |" + " |" * (len(columns) - 1)
+    if len(rows) > MAX_ROWS:
+        yield f"| and {len(rows) - MAX_ROWS} more: see the JSON form |" + " |" * (len(columns) - 1)
 
 
 def _cell(value: object) -> str:

@@ -14,7 +14,7 @@ from sim.engine import linear_recursion
 from sim.lab.learning import FreeRuns, Indices
 from sim.sha import Array
 
-LEAST_INFORMATION = 1e-9
+MIN_INFORMATION_SHARE = 1e-9
 """A segment tells m if x0 leaves this share of m's information."""
 
 
@@ -46,7 +46,7 @@ class Motion:
     offset: Array
 
 
-def stays_after(runs: FreeRuns) -> tuple[Indices, Indices]:
+def find_next_stays(runs: FreeRuns) -> tuple[Indices, Indices]:
     """(stay, place) of each knot after the events of its instant: those of the step that follows, where one does."""
     follows = np.append((runs.run[1:] == runs.run[:-1]), False)
     rows = np.arange(len(runs)) + follows
@@ -55,7 +55,7 @@ def stays_after(runs: FreeRuns) -> tuple[Indices, Indices]:
 
 def levels(runs: FreeRuns, group: Indices) -> TraceSegments:
     """The segments' mean readings: the parameter of `resample` entry under a constant flow."""
-    stay, place = stays_after(runs)
+    stay, place = find_next_stays(runs)
     known = np.isfinite(runs.reading)
     stay, place, reading = stay[known], place[known], runs.reading[known]
     _, first, inverse = np.unique(stay, return_index=True, return_inverse=True)
@@ -125,7 +125,7 @@ def stay_fits(runs: FreeRuns, motion: Motion) -> tuple[Array, Array, Array, Arra
     # The normal equations of all stays at once, the start eliminated; a stay that does not tell both divides by 0.
     with np.errstate(divide="ignore", invalid="ignore"):
         information = mm - sm**2 / ss
-        value = np.where(information > LEAST_INFORMATION * mm, (my - sm * sy / ss) / information, np.nan)
+        value = np.where(information > MIN_INFORMATION_SHARE * mm, (my - sm * sy / ss) / information, np.nan)
         squares = np.maximum(yy - sy**2 / ss - np.where(np.isnan(value), 0.0, information * value**2), 0.0)
     return value, information, squares, count, begin
 

@@ -10,13 +10,20 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sim.lab.learning import LEAST, HeldOutErrors, choose
+from sim.lab.learning import MIN_READINGS, HeldOutErrors, choose
 from sim.lab.learning.lsha.evidence import SegmentSample
-from sim.lab.learning.lsha.flow_hypotheses import DELTA, Contender, held_out_parts, merged, row, why_not_word_by_word
+from sim.lab.learning.lsha.flow_hypotheses import (
+    COARSE_MERGE_TOLERANCE,
+    Contender,
+    held_out_parts,
+    merge_classes,
+    row,
+    why_not_word_by_word,
+)
 from sim.lab.learning.lsha.merging import Partition, TooManyQueriesError
 from sim.lab.learning.lsha.settings import DELTAS, MEMORIES, LshaSettings, Memory
 from sim.lab.learning.lsha.teacher import Teacher
-from sim.lab.learning.lsha.words import Classes, classes_of
+from sim.lab.learning.lsha.words import Classes, build_classes
 from sim.sha import Mask
 
 Hypothesis = tuple[Memory, float]
@@ -36,12 +43,12 @@ def choose_structure(
 ) -> tuple[Structure, tuple[Contender, ...]]:
     """Memory first, then tolerance: each time the simplest structure that held-out segments do not tell from the best.
 
-    With too few data to hold any out: the memory `context` and the tolerance DELTA. What was not tried to the end is in
-    the table, with the reason.
+    With too few data to hold any out: the memory `context` and the tolerance COARSE_MERGE_TOLERANCE. What was not tried
+    to the end is in the table, with the reason.
     """
     memories = MEMORIES if settings.memory is None else (settings.memory,)
     deltas = DELTAS if settings.delta is None else (settings.delta,)
-    first = DELTA if settings.delta is None else settings.delta
+    first = COARSE_MERGE_TOLERANCE if settings.delta is None else settings.delta
     tried: dict[Hypothesis, _Tried] = {}
     given_up: dict[Hypothesis, str] = {}
 
@@ -49,7 +56,7 @@ def choose_structure(
         why = why_not_word_by_word(teacher, sample) if memory == "word" and settings.memory is None else ""
         if not why:
             try:
-                tried[memory, delta] = _tried(teacher, sample, settings, memory, delta)
+                tried[memory, delta] = _try_structure(teacher, sample, settings, memory, delta)
             except TooManyQueriesError:
                 why = "given up: single words do not fall into few locations"
         if why:
@@ -83,12 +90,14 @@ class _Tried:
     held: HeldOutErrors | None
 
 
-def _tried(teacher: Teacher, sample: SegmentSample, settings: LshaSettings, memory: Memory, delta: float) -> _Tried:
+def _try_structure(
+    teacher: Teacher, sample: SegmentSample, settings: LshaSettings, memory: Memory, delta: float
+) -> _Tried:
     """The structure learned from all segments, and again without each part of the traces, which then judges it."""
-    classes = classes_of(teacher.words, memory)
+    classes = build_classes(teacher.words, memory)
 
-    def learned(use: Mask | None = None) -> Partition:
-        return merged(
+    def learn_partition(use: Mask | None = None) -> Partition:
+        return merge_classes(
             classes,
             sample,
             teacher,
@@ -99,18 +108,18 @@ def _tried(teacher: Teacher, sample: SegmentSample, settings: LshaSettings, memo
             patient=settings.memory is not None,
         )
 
-    partition = learned()
+    partition = learn_partition()
     groups, order = np.unique(sample.segments.group, return_inverse=True)
-    if groups.size < 2 or sample.value.size < LEAST:
+    if groups.size < 2 or sample.value.size < MIN_READINGS:
         return _Tried(classes, partition, None)
     part = order % held_out_parts(teacher, groups.size, settings.split)
     classed = classes.of_state[sample.segments.place]
     error = np.empty(sample.value.size)
     for held in np.unique(part):
         use = part != held
-        fewer = learned(use)
+        fewer = learn_partition(use)
         # The mean of each location by the other parts, relative to the sample's centre; without evidence that of all.
-        pooled = sample.pooled(fewer.location[classes.of_state], fewer.size, 2, use)
+        pooled = sample.pool_classes(fewer.location[classes.of_state], fewer.size, 2, use)
         means = np.array([each.mean if each.count else 0.0 for each in pooled])
         error[~use] = sample.value[~use] - means[fewer.location[classed[~use]]]
     scale = np.sqrt(sample.scatter**2 + sample.segments.variance)

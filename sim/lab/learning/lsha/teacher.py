@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sim.lab.learning import (
-    LEAST_READINGS,
-    LEAST_SHARE,
+    MIN_READING_SHARE,
+    MIN_TRAINING_READINGS,
     FreeRuns,
     Indices,
     LearningError,
@@ -15,17 +15,17 @@ from sim.lab.learning import (
     first_switch,
     free_runs,
     level_signals,
-    machines_of,
     pieces,
+    trace_machines,
 )
-from sim.lab.learning.lsha.words import TraceWords, classes_of, words_of
+from sim.lab.learning.lsha.words import TraceWords, build_classes, build_words
 from sim.sha import Alphabet, Array, Mask, Trace
 
-CYCLE = 3600.0
+MIN_RUN_S = 3600.0
 """Seconds that a free run lasts at least before the next start-up begins a new one."""
-LAST = 4
+MAX_COMMON_MOVES = 4
 """Moves that words have in common at most for their segments to count as alike."""
-SPREAD = 40.0
+TARGET_SPREAD_DEGC = 40.0
 """Spread of the prior of targets, in degC, and what an input moves a target by over one standard deviation of it."""
 
 
@@ -56,13 +56,13 @@ class Teacher:
         return self.words.meaning.alphabet
 
 
-def teacher_of(traces: Sequence[Trace], alphabet: Alphabet, temperature: str, n_min: int, split: int) -> Teacher:
+def make_teacher(traces: Sequence[Trace], alphabet: Alphabet, temperature: str, n_min: int, split: int) -> Teacher:
     """The encoded traces as words and free runs. Raises LearningError when they leave nothing to fit."""
-    words = words_of(traces, alphabet, n_min)
+    words = build_words(traces, alphabet, n_min)
     signals, switch = level_signals(alphabet), first_switch(alphabet)
     rising = switch.rising if switch else None
 
-    def followed(modelled: Mask) -> FreeRuns:
+    def follow_traces(modelled: Mask) -> FreeRuns:
         return free_runs(
             traces,
             words.sha,
@@ -70,13 +70,13 @@ def teacher_of(traces: Sequence[Trace], alphabet: Alphabet, temperature: str, n_
             signals=signals,
             modelled=modelled,
             rising=rising,
-            cycle=CYCLE,
+            cycle=MIN_RUN_S,
             jumps=True,
         )
 
     contexts = [state.context for state in words.states]
     something = np.array([any(value is not None for value in context) for context in contexts])
-    runs = followed(something)
+    runs = follow_traces(something)
     # A law of their own: states in which every channel is known, and those of contexts that hold a tenth of the
     # readings all the same. It is seen only in the runs, so the runs are made anew where another state cuts them.
     readings = np.bincount(runs.place[np.isfinite(runs.reading) & ~runs.first], minlength=len(contexts))
@@ -84,20 +84,20 @@ def teacher_of(traces: Sequence[Trace], alphabet: Alphabet, temperature: str, n_
     for context, count in zip(contexts, readings.tolist(), strict=True):
         of_context[context] += count
     enough = np.array(
-        [None not in context or of_context[context] >= LEAST_SHARE * readings.sum() for context in contexts]
+        [None not in context or of_context[context] >= MIN_READING_SHARE * readings.sum() for context in contexts]
     )
     modelled = np.asarray(enough & something)
     if np.any(~modelled[np.unique(runs.place)]):
-        runs = followed(modelled)
+        runs = follow_traces(modelled)
     reading = runs.reading[np.isfinite(runs.reading)]
-    if reading.size < LEAST_READINGS or not runs.dt.sum() > 0:
+    if reading.size < MIN_TRAINING_READINGS or not runs.dt.sum() > 0:
         raise LearningError(
             f"only {reading.size} readings of {temperature!r} fall into known locations, over {runs.dt.sum():.0f} s; "
-            f"a model needs at least {LEAST_READINGS}, at different times"
+            f"a model needs at least {MIN_TRAINING_READINGS}, at different times"
         )
     centre, spread = _moments(runs)
-    gains = {signal: SPREAD / s for signal, s in zip(signals, spread.tolist(), strict=True) if s > 0}
-    prior = Prior((float(np.median(reading)), SPREAD), gains)
+    gains = {signal: TARGET_SPREAD_DEGC / s for signal, s in zip(signals, spread.tolist(), strict=True) if s > 0}
+    prior = Prior((float(np.median(reading)), TARGET_SPREAD_DEGC), gains)
     return Teacher(
         words=words,
         runs=runs,
@@ -107,8 +107,8 @@ def teacher_of(traces: Sequence[Trace], alphabet: Alphabet, temperature: str, n_
         signals=signals,
         centre=centre,
         prior=prior,
-        alike=_alike(words),
-        machines=machines_of(traces, temperature),
+        alike=_similar_states(words),
+        machines=trace_machines(traces, temperature),
     )
 
 
@@ -141,20 +141,21 @@ def _moments(runs: FreeRuns) -> tuple[Array, Array]:
     return mean, np.sqrt((weight * (values - mean) ** 2).sum(axis=0) / mass)
 
 
-def _alike(words: TraceWords) -> tuple[Indices, ...]:
-    """The finest states joined ever more: as they are, then by their last LAST moves, ..., by their last one."""
-    last = classes_of(words, "previous").of_state
+def _similar_states(words: TraceWords) -> tuple[Indices, ...]:
+    """The finest states joined ever more: as they are, then by their last MAX_COMMON_MOVES moves, ..., by their last
+    one."""
+    last = build_classes(words, "previous").of_state
     before = np.zeros(last.size, dtype=np.intp)
     for (source, _), (target, _) in words.edges.items():
         before[target] = source
     joined = [last]
-    for _ in range(LAST - 1):
+    for _ in range(MAX_COMMON_MOVES - 1):
         # The last k + 1 moves are those k of the word before, and the last one.
         pair = joined[-1][before] * last.size + last
         joined.append(np.unique(pair, return_inverse=True)[1])
     return (np.arange(last.size), *reversed(joined))
 
 
-def placed(runs: FreeRuns, place: Indices) -> FreeRuns:
+def renumber_places(runs: FreeRuns, place: Indices) -> FreeRuns:
     """The runs with their places renumbered: `place` (S,) is the new place of each."""
     return replace(runs, place=place[runs.place])

@@ -13,7 +13,7 @@ import numpy as np
 import scipy
 
 from sim.lab.learning import FreeRuns, Indices
-from sim.lab.learning.lsha.segments import stays_after
+from sim.lab.learning.lsha.segments import find_next_stays
 from sim.sha import Array
 
 COARSE, FINEST = 12, 1.03
@@ -35,7 +35,7 @@ class TransientLaw:
 
     def estimates(self, runs: FreeRuns, size: int) -> tuple[Array, Array]:
         """((L,) amplitudes, 0 where stays show none; (L,) their standard errors, 0 there too)."""
-        within = _within(runs, self.tau)
+        within = _within_stays(runs, self.tau)
         amplitude, product = _slopes(within, size)
         score = np.bincount(within.stay, within.fading * (within.reading - amplitude[within.place] * within.fading))
         shown = np.bincount(within.stay, within.fading**2) > 0.0
@@ -53,9 +53,9 @@ class TransientLaw:
         supported = asked & (p < self.alpha / max(int(asked.sum()), 1))
         return np.where(supported, amplitude, 0.0), np.where(supported, error, 0.0)
 
-    def settled(self, runs: FreeRuns, amplitude: Array) -> FreeRuns:
+    def remove_transients(self, runs: FreeRuns, amplitude: Array) -> FreeRuns:
         """The runs without their transients: `amplitude` (L,) by place."""
-        _, place = stays_after(runs)
+        _, place = find_next_stays(runs)
         return replace(runs, reading=runs.reading - amplitude[place] * np.exp(-_ages(runs) / self.tau))
 
 
@@ -66,7 +66,7 @@ def transient_law(runs: FreeRuns, size: int, alpha: float, n_min: int) -> Transi
     over: outside of that a transient is a single reading, or a drift.
     """
     known = np.flatnonzero(np.isfinite(runs.reading))
-    stay = stays_after(runs)[0][known]
+    stay = find_next_stays(runs)[0][known]
     gap = np.diff(runs.time[known])[(stay[1:] == stay[:-1]) & (np.diff(runs.time[known]) > 0)]
     if not gap.size:
         return None
@@ -76,7 +76,7 @@ def transient_law(runs: FreeRuns, size: int, alpha: float, n_min: int) -> Transi
     while True:
         losses = []
         for tau in taus:
-            within = _within(runs, tau)
+            within = _within_stays(runs, tau)
             losses.append(float(np.sum((within.reading - _slopes(within, size)[0][within.place] * within.fading) ** 2)))
         best = int(np.argmin(losses))
         low, high = taus[max(best - 1, 0)], taus[min(best + 1, taus.size - 1)]
@@ -95,9 +95,9 @@ class _Within:
     place: Indices
 
 
-def _within(runs: FreeRuns, tau: float) -> _Within:
+def _within_stays(runs: FreeRuns, tau: float) -> _Within:
     known = np.isfinite(runs.reading)
-    stay, place = stays_after(runs)
+    stay, place = find_next_stays(runs)
     _, stay = np.unique(stay[known], return_inverse=True)
     count = np.bincount(stay)
     reading, fading = (column[known] for column in (runs.reading, np.exp(-_ages(runs) / tau)))

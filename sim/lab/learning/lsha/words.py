@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from sim.lab.learning import SWITCH_STEPS, Context, Indices, LearningError, announcements, labels, name_of
+from sim.lab.learning import SWITCH_STEPS, Context, Indices, LearningError, announcements, labels, location_name
 from sim.lab.learning.lsha.settings import Memory
 from sim.sha import SHA, UNKNOWN, Alphabet, Array, Edge, Flow, Location, Switch, Trace
 
@@ -47,7 +47,7 @@ class Meaning:
     symbols: Mapping[str, tuple[int, int]]
     levels: tuple[bool, ...]
 
-    def after(self, history: WordHistory, symbol: str, node: int = -1, word: int = -1) -> WordHistory:
+    def extend_history(self, history: WordHistory, symbol: str, node: int = -1, word: int = -1) -> WordHistory:
         """What is remembered once `symbol` has happened."""
         channel, value = self.symbols[symbol]
         before = history.context[channel]
@@ -85,7 +85,7 @@ class TraceWords:
     first: tuple[tuple[str, int], ...]
     tree: tuple[tuple[int, str], ...]
 
-    def spelled(self, node: int) -> Word:
+    def node_word(self, node: int) -> Word:
         """The word of a node of the tree; 0 is the empty one."""
         word: list[str] = []
         while node > 0:
@@ -107,7 +107,7 @@ class TraceWords:
         return SHA("words", locations, tuple(edges), "0")
 
 
-def words_of(traces: Sequence[Trace], alphabet: Alphabet, n_min: int) -> TraceWords:
+def build_words(traces: Sequence[Trace], alphabet: Alphabet, n_min: int) -> TraceWords:
     """The finest automaton that follows the encoded traces: every word is a state.
 
     Words that `n_min` stretches begin with are rows of their own under every memory. Raises LearningError, naming trace
@@ -126,7 +126,7 @@ def words_of(traces: Sequence[Trace], alphabet: Alphabet, n_min: int) -> TraceWo
             node = nodes[node, symbol]
             # What is remembered follows from what was remembered before and the symbol alone, or the automaton would
             # not be deterministic: what goes on from a rare word is rare as well.
-            history = table.after(history, symbol, node if counts[node - 1] >= n_min else -1, node)
+            history = table.extend_history(history, symbol, node if counts[node - 1] >= n_min else -1, node)
             target = number.setdefault(history, len(number))
             if target == len(first):
                 first.append((name, offset + length))
@@ -212,19 +212,19 @@ class Classes:
     def __len__(self) -> int:
         return len(self.keys)
 
-    def near(self, row: int) -> list[int]:
+    def nearest_classes(self, row: int) -> list[int]:
         """All classes by how near they are to one of them; kept, since it is asked often."""
         if row not in self._near:
             where = self.coordinates
             here = Coordinates(where.context[row : row + 1], where.direction[row : row + 1])
-            self._near[row] = np.argsort(apart(here, where, self.meaning)[0], kind="stable").tolist()
+            self._near[row] = np.argsort(class_distances(here, where, self.meaning)[0], kind="stable").tolist()
         return self._near[row]
 
 
-def classes_of(words: TraceWords, memory: Memory) -> Classes:
+def build_classes(words: TraceWords, memory: Memory) -> Classes:
     """The states of the finest automaton joined where `memory` does not tell them apart; class 0 knows nothing."""
     number: dict[WordHistory, int] = {}
-    of_state = [number.setdefault(remembered(state, memory), len(number)) for state in words.states]
+    of_state = [number.setdefault(limit_history(state, memory), len(number)) for state in words.states]
     edges: list[dict[str, int]] = [{} for _ in number]
     for (source, symbol), (target, _) in words.edges.items():
         edges[of_state[source]][symbol] = of_state[target]
@@ -239,7 +239,7 @@ def classes_of(words: TraceWords, memory: Memory) -> Classes:
     )
 
 
-def apart(ones: Coordinates, others: Coordinates, table: Meaning) -> Array:
+def class_distances(ones: Coordinates, others: Coordinates, table: Meaning) -> Array:
     """(C, D) how far classes are from each other, as `structure.distance` counts, another direction like a switch."""
     total = np.zeros((ones.direction.size, others.direction.size))
     for channel, level in enumerate(table.levels):
@@ -252,7 +252,7 @@ def apart(ones: Coordinates, others: Coordinates, table: Meaning) -> Array:
     return np.asarray(total + np.where(turn == other_turn, 0.0, np.where(unknown, 1.0, SWITCH_STEPS)))
 
 
-def remembered(history: WordHistory, memory: Memory) -> WordHistory:
+def limit_history(history: WordHistory, memory: Memory) -> WordHistory:
     """A history with only what `memory` keeps; a word that is a state of its own keeps its number."""
     if memory == "word":
         return WordHistory(history.context, word=history.word)
@@ -264,15 +264,15 @@ def remembered(history: WordHistory, memory: Memory) -> WordHistory:
     )
 
 
-def spelled(key: WordHistory, words: TraceWords) -> Word | None:
+def class_word(key: WordHistory, words: TraceWords) -> Word | None:
     """The word that a class consists of; None for a class of many words."""
     node = max(key.node, key.word)
-    return words.spelled(node) if node > 0 else None
+    return words.node_word(node) if node > 0 else None
 
 
-def described(key: WordHistory, alphabet: Alphabet) -> str:
+def describe_class(key: WordHistory, alphabet: Alphabet) -> str:
     """A class in words: "ON/200-300", "ON/200-300 rising", "ON/200-300 after 100-200"."""
-    text = name_of(key.context, alphabet)
+    text = location_name(key.context, alphabet)
     if key.direction:
         text += " rising" if key.direction > 0 else " falling"
     if key.moved is not None:

@@ -1,4 +1,4 @@
 """Column maps drafted from files that nobody has described: `decanter trace map`."""
 
-from sim.lab.recordings.mapping.answers import BLANK, CHOICES, NONE, Answers, Undecided
-from sim.lab.recordings.mapping.draft import RUNNING, DraftedMap, draft_map
+from sim.lab.recordings.mapping.answers import BLANK_IS_GOOD, CHOICES, NO_COLUMN, Answers, Undecided
+from sim.lab.recordings.mapping.draft import RUNNING_SIGNAL, DraftedMap, draft_map

@@ -4,11 +4,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from sim.lab.recordings import TraceError, listed
+from sim.lab.recordings import TraceError, list_names
 
-NONE = "none"
+NO_COLUMN = "none"
 """The answer that a part is played by no column."""
-BLANK = "blank"
+BLANK_IS_GOOD = "blank"
 """The answer that a reading is good where its quality is not written."""
 CHOICES: Mapping[str, tuple[str, ...]] = {
     "dates": ("day", "month"),
@@ -25,9 +25,9 @@ class Answers:
     """What a person has decided; "" is left to what the file shows.
 
     `current` are the columns of what loads the machine; `dates` is the order of dates, day or month; `on` the words of
-    a switch or of states that mean running; `unit` are texts NAME=UNIT; `good` the words of good readings, or BLANK;
-    `machine` and `session` are columns; the others are the map's own keys. Raises TraceError for a word that is none of
-    CHOICES.
+    a switch or of states that mean running; `unit` are texts NAME=UNIT; `good` the words of good readings, or
+    BLANK_IS_GOOD; `machine` and `session` are columns; the others are the map's own keys. Raises TraceError for a word
+    that is none of CHOICES.
     """
 
     temperature: str = ""
@@ -49,7 +49,7 @@ class Answers:
         for name, choices in CHOICES.items():
             if (given := getattr(self, name)) and given not in choices:
                 option = f"--{name.replace('_', '-')}"
-                raise TraceError(f"{option} {given!r}: is no answer; give {listed(map(repr, choices))}")
+                raise TraceError(f"{option} {given!r}: is no answer; give {list_names(map(repr, choices))}")
 
     def with_answer(self, field: str, answer: str) -> "Answers":
         """The answers with one more, to the question of an Undecided."""
@@ -66,5 +66,5 @@ class Undecided(TraceError):
         options = " or ".join(f"--{field} {choice!r}" if " " in choice else f"--{field} {choice}" for choice in choices)
         self.guess = guess if guess in choices else ""
         hint = f" (most likely {self.guess!r}, which --yes takes)" if self.guess else ""
-        super().__init__(f"{where}: {question}: {listed(map(repr, choices))}{hint}; give {options}")
+        super().__init__(f"{where}: {question}: {list_names(map(repr, choices))}{hint}; give {options}")
         self.question, self.field, self.choices = question, field, tuple(choices)

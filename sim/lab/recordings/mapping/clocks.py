@@ -28,17 +28,17 @@ _TIMES = (
     "%H:%M:%S", "%H:%M:%S.%f", "%H:%M:%S,%f", "%H:%M:%S:%f", "%H:%M", "%H.%M.%S", "%H.%M",
     "%I:%M:%S %p", "%I:%M:%S.%f %p", "%I:%M %p",
 )  # fmt: skip
-_BETWEEN = (" ", "T", ", ", "  ", "_", " - ")
-_COUNTED = {
+_DATE_TIME_MARKS = (" ", "T", ", ", "  ", "_", " - ")
+_COUNT_UNITS = {
     "s": "seconds", "sec": "seconds", "seconds": "seconds", "ms": "milliseconds", "msec": "milliseconds",
     "milliseconds": "milliseconds", "us": "microseconds", "µs": "microseconds", "ns": "nanoseconds", "min": "minutes",
     "minutes": "minutes", "h": "hours", "hr": "hours", "hours": "hours", "d": "days", "days": "days",
 }  # fmt: skip
 """Units of elapsed time as headers write them."""
 _WORDS = re.compile(r"[^\W\d_]+")
-_COMPACT = "%Y%m%d%H%M%S"
+_COMPACT_FORMAT = "%Y%m%d%H%M%S"
 _ROUNDED = re.compile(r"\d[.,]\d+[eE]\+?\d\d$")
-_CHECKED = 400
+_MAX_CHECKED_CELLS = 400
 _LOOKED_AT, _MOST_FORMATS, _ENOUGH = 5, 4, 0.8
 _MARKS = re.compile(r"(?<!%)[-/.:, _]")
 _DATED = re.compile(r"(?:\d{1,4}[-/. ]|\d{8}\b|[A-Za-z]{3}[- ]\d|\d\d?:\d\d).*\d(?:[:.]\d\d|\d [AP]M$|\d$)")
@@ -57,7 +57,7 @@ class FoundClock:
     decimal: Literal["auto", ".", ","] = "auto"
 
     @property
-    def zoned(self) -> bool:
+    def has_zone(self) -> bool:
         """Whether the formats themselves name a zone, or count since 1970."""
         return any("%z" in each or (each in COUNTS and not COUNTS[each].local) for each in self.formats)
 
@@ -84,20 +84,22 @@ def _iso(cell: str) -> bool:
 
 
 @lru_cache(maxsize=1024)
-def formats_of(cell: str) -> tuple[tuple[Order, str], ...]:
+def time_formats(cell: str) -> tuple[tuple[Order, str], ...]:
     """The formats of date and time that read one cell, with their order; none for a number or any other text."""
-    found = _formats_of(cell)
+    found = _match_formats(cell)
     # Words of other languages, zones in words, the hour 24: reading knows them too.
-    return found or (_formats_of(plain_time(cell).replace(" 24:", " 00:")) if 8 <= len(cell) <= _LONGEST else ())
+    return found or (
+        _match_formats(plain_time(cell).replace(" 24:", " 00:")) if 8 <= len(cell) <= _MAX_TIME_CHARS else ()
+    )
 
 
-_LONGEST = 90
+_MAX_TIME_CHARS = 90
 """Characters of a time: JavaScript spells out the name of the zone."""
 
 
-def _formats_of(cell: str) -> tuple[tuple[Order, str], ...]:
-    if len(cell) == 14 and cell.isdigit() and _fits(cell, _COMPACT):
-        return (("year", _COMPACT),)
+def _match_formats(cell: str) -> tuple[tuple[Order, str], ...]:
+    if len(cell) == 14 and cell.isdigit() and _fits(cell, _COMPACT_FORMAT):
+        return (("year", _COMPACT_FORMAT),)
     if len(cell) >= 15 and cell[:8].isdigit() and cell[8] == "T" and _fits(cell.rstrip("Z")[:15], "%Y%m%dT%H%M%S"):
         rest = cell[15:]
         suffix = "%z" if rest in ("Z",) or _ZONE.fullmatch(rest) else ""
@@ -109,7 +111,7 @@ def _formats_of(cell: str) -> tuple[tuple[Order, str], ...]:
     zone = _ZONE.search(cell)
     bare, suffix = (cell[: zone.start()], "%z" if zone[0][0] != " " else " %z") if zone else (cell, "")
     found: list[tuple[Order, str]] = []
-    for between in _BETWEEN:
+    for between in _DATE_TIME_MARKS:
         # From the right: a month's name may be followed by the same mark as the date.
         for at in (place for place in range(len(bare)) if bare.startswith(between, place)):
             day, time = bare[:at], bare[at + len(between) :]
@@ -135,7 +137,7 @@ def _formats_of(cell: str) -> tuple[tuple[Order, str], ...]:
 
 def is_time(cell: str) -> bool:
     """Whether a cell is a date with a time of day."""
-    return bool(formats_of(cell))
+    return bool(time_formats(cell))
 
 
 def pure_date(cell: str) -> tuple[tuple[Order, str], ...]:
@@ -150,20 +152,20 @@ def pure_time(cell: str) -> tuple[str, ...]:
     return tuple(format_ for format_ in _TIMES if ":" in cell and _fits(cell, format_))
 
 
-def clocks_of(place: int, cells: Sequence[str], date: tuple[int, Sequence[str]] | None = None) -> list[FoundClock]:
+def find_clocks(place: int, cells: Sequence[str], date: tuple[int, Sequence[str]] | None = None) -> list[FoundClock]:
     """The ways to read a column of times (after a column of dates): one for each order of day and month that fits."""
     if date is not None:
         cells = [f"{day} {time}" for day, time in zip(date[1], cells, strict=True)]
-    sample = list(cells[:_CHECKED])
+    sample = list(cells[:_MAX_CHECKED_CELLS])
     filled = sum(map(bool, sample))
     clocks: list[FoundClock] = []
-    for order in dict.fromkeys(order for cell in sample[:_LOOKED_AT] for order, _ in formats_of(cell)):
+    for order in dict.fromkeys(order for cell in sample[:_LOOKED_AT] for order, _ in time_formats(cell)):
         formats, times = tuple[str, ...](), np.full(len(sample), np.nan)
         # A format for the first cell, another for the first that it does not read: fractions of seconds come and go.
         while len(formats) < _MOST_FORMATS:
             unread = (cell for cell, time in zip(sample, times.tolist(), strict=True) if cell and time != time)
             own = (
-                format_ for cell in islice(unread, _LOOKED_AT) for each, format_ in formats_of(cell) if each == order
+                format_ for cell in islice(unread, _LOOKED_AT) for each, format_ in time_formats(cell) if each == order
             )
             further = next(own, None)
             if further is None or further in formats:
@@ -185,7 +187,7 @@ def daily_clock(place: int, cells: Sequence[str]) -> list[FoundClock]:
     return [FoundClock(place, formats, "year", unroll_midnight(times))] if enough else []
 
 
-def is_rounded(cell: str) -> bool:
+def looks_rounded_count(cell: str) -> bool:
     """Whether a cell is a count that a spreadsheet has rounded: 1.71032E+12 is the same for a quarter of an hour."""
     return _ROUNDED.match(cell) is not None
 
@@ -200,21 +202,21 @@ def counted_clock(place: int, values: Array, header: str, *, named: bool) -> Fou
         return None
     steps = np.diff(finite)
     in_order = bool(np.all(steps >= 0) or np.all(steps <= 0))
-    if not in_order and not (named and float((steps < 0).mean()) <= _MOST_FALLS):
+    if not in_order and not (named and float((steps < 0).mean()) <= _MAX_FALL_SHARE):
         return None
     if dated := dated_format(finite, named=named):
         return FoundClock(place, (dated,), "year", COUNTS[dated].seconds(values))
-    if not named or not (in_order or _begins_anew(finite)):
+    if not named or not (in_order or _restarts_evenly(finite)):
         return None
     # The last word that is a unit: Time (ms), elapsed_min, t [h]; without one, seconds.
-    units = [_COUNTED[word] for word in _WORDS.findall(header.casefold()) if word in _COUNTED]
+    units = [_COUNT_UNITS[word] for word in _WORDS.findall(header.casefold()) if word in _COUNT_UNITS]
     format_ = units[-1] if units else "seconds"
     times = COUNTS[format_].seconds(values)
     # So large an elapsed time is a count from a beginning that is not known.
     return None if since_1970(float(np.nanmin(times))) else FoundClock(place, (format_,), "year", times)
 
 
-def _begins_anew(counts: Array) -> bool:
+def _restarts_evenly(counts: Array) -> bool:
     """Whether elapsed times rise evenly and fall to their beginning only, as sessions one after another do."""
     steps = np.diff(counts)
     rises, after = steps[steps > 0], counts[1:][steps < 0]
@@ -222,14 +224,14 @@ def _begins_anew(counts: Array) -> bool:
         return False
     usual = float(np.median(rises))
     even = float((np.abs(rises - usual) <= 0.5 * usual).mean())
-    at_beginning = float((after <= counts.min() + _BEGINNING * np.ptp(counts)).mean())
+    at_beginning = float((after <= counts.min() + _SESSION_START_SHARE * np.ptp(counts)).mean())
     # Stored on change they rise unevenly; then the falls must be few.
-    return (even >= _ENOUGH or after.size <= _FEW_FALLS * steps.size) and at_beginning >= _ENOUGH
+    return (even >= _ENOUGH or after.size <= _MIN_FALL_SHARE * steps.size) and at_beginning >= _ENOUGH
 
 
-_BEGINNING = 0.2
+_SESSION_START_SHARE = 0.2
 """Of the range of elapsed times, in which a session may begin."""
-_FEW_FALLS = 0.02
+_MIN_FALL_SHARE = 0.02
 """Share of steps that go back where a session begins; readings go back as often as forward."""
-_MOST_FALLS = 0.5
+_MAX_FALL_SHARE = 0.5
 """Share of steps that may go back in a column that is named like a time: of two machines in turn it is every other."""

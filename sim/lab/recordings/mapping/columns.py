@@ -8,14 +8,14 @@ from typing import Literal
 
 import numpy as np
 
-from sim.lab.recordings import KEPT, SWITCH_WORDS, booleans, codes_in, conversion, measured, numbers
-from sim.lab.recordings.mapping.words import named_state, unit_of
+from sim.lab.recordings import CONVERTED_UNITS, SWITCH_WORDS, booleans, conversion, find_codes, numbers, parse_quantity
+from sim.lab.recordings.mapping.words import named_state, split_unit
 from sim.sha import Array
 
 Kind = Literal["number", "switch", "states", "text", "empty"]
-_MOST_STATES = 12
+_MAX_STATES = 12
 """Words of a column that says states; more are names or notes."""
-_ENOUGH = 0.8
+_MIN_NUMBER_SHARE = 0.8
 """Share of the filled cells that must be numbers: exports write words where they have no value."""
 _NO_VALUE = frozenset({"", "null", "none", "nan", "n/a", "na", "-", "--", "no data", "bad", "bad input", "undefined"})
 _OPPOSITES = {word: value for pair in SWITCH_WORDS for words, value in zip(pair, (1, 0), strict=True) for word in words}
@@ -31,9 +31,9 @@ _OFF = frozenset({
 class FoundColumn:
     """A signal's column: the `header` it is read from, the signal's `name`, its `kind` and sample `values` in `unit`.
 
-    A cell is made a value by `scale` and `offset`, but in a column that is `measured` each cell says its own unit;
-    `bad` are the numbers in it that mean no reading. `words` are those of a switch (on, off) that are not known anyway;
-    `states` are the few words of `cells` of which nobody has said yet which mean on.
+    A cell is made a value by `scale` and `offset`, but in a column that is `parse_quantity` each cell says its own
+    unit; `bad` are the numbers in it that mean no reading. `words` are those of a switch (on, off) that are not known
+    anyway; `states` are the few words of `cells` of which nobody has said yet which mean on.
     """
 
     header: str
@@ -58,7 +58,7 @@ class FoundColumn:
         return finite.size > 0 and bool(np.ptp(finite) > 0)
 
 
-def decimal_of(columns: Sequence[Sequence[str]], separator: str) -> Literal["auto", ".", ","]:
+def find_decimal(columns: Sequence[Sequence[str]], separator: str) -> Literal["auto", ".", ","]:
     """The decimal mark of a file; "auto" where nothing shows it."""
     cells = [cell for column in columns for cell in column]
     comma = _numbers_among([cell for cell in cells if "," in cell], ",") if separator != "," else 0
@@ -73,14 +73,14 @@ def _numbers_among(cells: Sequence[str], decimal: Literal[".", ","]) -> int:
     """How many cells are numbers under a decimal mark, alone or with a unit."""
     values = numbers(cells, decimal)[0]
     others = [cells[index] for index in np.flatnonzero(np.isnan(values)).tolist()]
-    return int(np.isfinite(values).sum()) + sum(bool(np.isfinite(measured(cell, decimal)[0])) for cell in others)
+    return int(np.isfinite(values).sum()) + sum(bool(np.isfinite(parse_quantity(cell, decimal)[0])) for cell in others)
 
 
-def column_of(
+def describe_column(
     header: str, title: str, unit: str, cells: Sequence[str], decimal: Literal["auto", ".", ","]
 ) -> FoundColumn:
     """What a column (or one signal of a long file) holds. `unit` is the one that a row of units gives, or ""."""
-    bare, own_unit = unit_of(title)
+    bare, own_unit = split_unit(title)
     name = signal_name(bare)
     unit = unit or own_unit
     filled = [cell for cell in cells if cell.casefold() not in _NO_VALUE]
@@ -91,23 +91,19 @@ def column_of(
     if len(distinct) <= 2 and not wrong.any() and not (unit and unit != "degC"):
         return FoundColumn(header, name, "", "switch", as_switch, cells=tuple(cells))
     values, _ = numbers(cells, decimal)
-    said = Counter() if np.isfinite(values).sum() >= _ENOUGH * len(filled) else _units(filled, decimal)
+    said = Counter() if np.isfinite(values).sum() >= _MIN_NUMBER_SHARE * len(filled) else _units(filled, decimal)
     if said:
         unit = said.most_common(1)[0][0]
-        unit = KEPT.get(unit, unit)
+        unit = CONVERTED_UNITS.get(unit, unit)
         values, _ = numbers(cells, decimal, unit)
-    if np.isfinite(values).sum() >= _ENOUGH * len(filled):
-        if (
-            len(distinct) <= _MOST_STATES
-            and named_state(title)
-            and all(word.lstrip("-").isdigit() for word in distinct)
-        ):
+    if np.isfinite(values).sum() >= _MIN_NUMBER_SHARE * len(filled):
+        if len(distinct) <= _MAX_STATES and named_state(title) and all(word.lstrip("-").isdigit() for word in distinct):
             return FoundColumn(header, name, "", "states", values, states=tuple(distinct), cells=tuple(cells))
-        codes = tuple(codes_in(values))
+        codes = tuple(find_codes(values))
         values = np.where(np.isin(values, codes), np.nan, values)
         if said:
             return FoundColumn(header, name, unit, "number", values, measured=True, bad=codes)
-        kept = KEPT.get(unit, unit)
+        kept = CONVERTED_UNITS.get(unit, unit)
         scale, offset = conversion(unit, kept)
         return FoundColumn(header, name, kept, "number", values * scale + offset, scale=scale, offset=offset, bad=codes)
     if len(distinct) == 2 and all(len(word) <= 24 for word in distinct):
@@ -115,15 +111,15 @@ def column_of(
         if on:
             as_words = booleans(cells, (on,), (off,))[0]
             return FoundColumn(header, name, "", "switch", as_words, words=((on,), (off,)), cells=tuple(cells))
-    if 2 <= len(distinct) <= _MOST_STATES and all(len(word) <= 24 for word in distinct):
+    if 2 <= len(distinct) <= _MAX_STATES and all(len(word) <= 24 for word in distinct):
         return FoundColumn(header, name, "", "states", values, states=tuple(distinct), cells=tuple(cells))
     return FoundColumn(header, name, "", "text", values)
 
 
 def _units(cells: Sequence[str], decimal: Literal["auto", ".", ","]) -> Counter[str]:
     """The units that cells say themselves, if nearly all do."""
-    said = Counter(unit for cell in cells if (unit := measured(cell, decimal)[1]))
-    return said if said.total() >= _ENOUGH * len(cells) else Counter()
+    said = Counter(unit for cell in cells if (unit := parse_quantity(cell, decimal)[1]))
+    return said if said.total() >= _MIN_NUMBER_SHARE * len(cells) else Counter()
 
 
 def _opposites(first: str, second: str) -> tuple[str, str]:

@@ -9,31 +9,31 @@ import numpy as np
 
 from drivers.errors import did_you_mean
 from sim.lab.recordings import (
-    KEPT,
+    CONVERTED_UNITS,
     RUN_WORDS,
     ClockColumns,
     TraceError,
     booleans,
     conversion,
     known_unit,
-    listed,
+    list_names,
     numbers,
     read_clock,
     since_1970,
     unroll_midnight,
 )
-from sim.lab.recordings.mapping.answers import NONE, Answers, Undecided
+from sim.lab.recordings.mapping.answers import NO_COLUMN, Answers, Undecided
 from sim.lab.recordings.mapping.clocks import (
     FoundClock,
-    clocks_of,
     counted_clock,
     daily_clock,
-    is_rounded,
+    find_clocks,
     is_time,
+    looks_rounded_count,
     pure_date,
     pure_time,
 )
-from sim.lab.recordings.mapping.columns import FoundColumn, decimal_of, dwells, has_levels, is_slow
+from sim.lab.recordings.mapping.columns import FoundColumn, dwells, find_decimal, has_levels, is_slow
 from sim.lab.recordings.mapping.table import FoundTable
 from sim.lab.recordings.mapping.words import (
     current_score,
@@ -42,18 +42,18 @@ from sim.lab.recordings.mapping.words import (
     named_standstill,
     named_time,
     running_score,
+    split_unit,
     temperature_score,
-    unit_of,
 )
 from sim.sha import Array, Mask
 
-_REST_IN_KELVIN = (240.0, 330.0)
+_KELVIN_REST_RANGE = (240.0, 330.0)
 """Where a temperature that nobody calls kelvin rests if it is; no bearing rests at 240 degC."""
-_HOTTEST_REST = 150.0
+_MAX_REST_DEGC = 150.0
 """degC above which no bearing stands still."""
 COLDEST, HOTTEST = -80.0, 300.0
 """degC that no bearing reaches: its grease burns before, and no plant stands in such a cold."""
-_IDLE = 0.05
+_IDLE_CURRENT_SHARE = 0.05
 """Of its most, a current below which no motor turns anything."""
 _ALONGSIDE = 0.98
 """The share of rows in which the switch of a machine agrees with whether its load is drawn; an auxiliary's does not."""
@@ -76,7 +76,7 @@ class Parts:
     """What loads the machine besides `current`, by a person's word."""
 
 
-def clock_of(table: FoundTable, answers: Answers) -> FoundClock:
+def choose_clock(table: FoundTable, answers: Answers) -> FoundClock:
     """The column of times. Raises Undecided where two fit or the day and month may be either, TraceError for none."""
     by_place: dict[int, list[FoundClock]] = {}
     for place, header in enumerate(table.header):
@@ -87,22 +87,22 @@ def clock_of(table: FoundTable, answers: Answers) -> FoundClock:
         filled = [cell for cell in cells if cell]
         if not filled:
             continue
-        if named_time(header) and is_rounded(filled[0]) and len(set(filled)) < len(filled) / 2:
+        if named_time(header) and looks_rounded_count(filled[0]) and len(set(filled)) < len(filled) / 2:
             raise TraceError(
                 f"{table.path}: the times in {header!r} were rounded by a spreadsheet ({filled[0]}): the "
                 f"seconds are lost; "
                 "export the file again, with that column as text"
             )
         if is_time(filled[0]):
-            by_place[place] = clocks_of(place, cells)
+            by_place[place] = find_clocks(place, cells)
         elif pure_time(filled[0]):
             dated = [
                 at for at in range(len(table.header)) if at != place and pure_date(next(iter(table.column(at)), ""))
             ]
             dates = (dated[0], table.column(dated[0])) if dated else None
-            by_place[place] = clocks_of(place, cells, dates) if dates else daily_clock(place, cells)
+            by_place[place] = find_clocks(place, cells, dates) if dates else daily_clock(place, cells)
         else:
-            decimal = decimal_of([cells], table.separator)
+            decimal = find_decimal([cells], table.separator)
             counted = counted_clock(
                 place, numbers(cells, decimal)[0], header, named=named_time(header) or bool(answers.time)
             )
@@ -127,7 +127,7 @@ def clock_of(table: FoundTable, answers: Answers) -> FoundClock:
     if len(same) < len(rivals) and not answers.time:
         raise Undecided(table.path, "columns that may be the clock", "time", [table.header[place] for place in rivals])
     _check_one_column(table, found[rivals[0]][0])
-    chosen = next((place for place in same if found[place][0].zoned or "Z" in table.column(place)[0]), rivals[0])
+    chosen = next((place for place in same if found[place][0].has_zone or "Z" in table.column(place)[0]), rivals[0])
     return _one_order(table, found[chosen], answers)
 
 
@@ -166,7 +166,7 @@ def _check_one_column(table: FoundTable, clock: FoundClock) -> None:
     parts = [name for name in table.header if _PARTS_OF_TIME.fullmatch(name.strip())]
     if len(parts) > 1 and table.header[clock.place] in parts:
         raise TraceError(
-            f"{table.path}: its clock stands in columns of their own, {listed(parts)}: no column alone is a "
+            f"{table.path}: its clock stands in columns of their own, {list_names(parts)}: no column alone is a "
             f"clock; write "
             "the column map by hand, with clock.time_of_day = { hour, minute, second }, as "
             "config/traces/femto.toml does"
@@ -181,7 +181,7 @@ def _no_clock(table: FoundTable, answers: Answers) -> str:
     parts = [name for name in table.header if _PARTS_OF_DATE.fullmatch(name.strip())]
     if len(parts) > 1 and not answers.time:
         return (
-            f"{table.path}: its clock stands in columns of their own, {listed(parts)}: no column alone is a clock; "
+            f"{table.path}: its clock stands in columns of their own, {list_names(parts)}: no column alone is a clock; "
             "join them to one, such as 2024-03-13 09:58:00"
         )
     wanted = answers.time or next(filter(named_time, table.header), "")
@@ -189,22 +189,23 @@ def _no_clock(table: FoundTable, answers: Answers) -> str:
         remedy = did_you_mean(wanted, table.header) if wanted else ""
         return (
             f"{table.path}: no column{f' {wanted!r}' if wanted else ''} holds times; its columns are "
-            f"{listed(table.header)}; "
+            f"{list_names(table.header)}; "
             f"{remedy or 'give --time COLUMN, or a file with times'}"
         )
     shown = next(filter(None, table.column(table.header.index(wanted))), "")
     why = (
         "it was rounded by a spreadsheet, and the seconds are lost; export it again as text"
-        if is_rounded(shown)
+        if looks_rounded_count(shown)
         else "no form that is known reads it, or it does not rise; give --time COLUMN for another column"
     )
     return (
-        f"{table.path}: no column holds times; its columns are {listed(table.header)}; in {wanted!r} stands {shown!r}: "
+        f"{table.path}: no column holds times; its columns are {list_names(table.header)}; in {wanted!r} stands "
+        f"{shown!r}: "
         f"{why}"
     )
 
 
-def seconds_of(table: FoundTable, clock: FoundClock) -> tuple[Array, Mask]:
+def sample_seconds(table: FoundTable, clock: FoundClock) -> tuple[Array, Mask]:
     """The times of the sample's rows as the clock reads them (NaN: none), and which of them are local."""
     columns = ClockColumns(column="t", date="d" if clock.date is not None else (), formats=clock.formats)
     cells = [table.column(clock.place), *([] if clock.date is None else [table.column(clock.date)])]
@@ -218,7 +219,7 @@ def _one_order(table: FoundTable, clocks: Sequence[FoundClock], answers: Answers
     if wanted or len(clocks) == 1:
         return (wanted or list(clocks))[0]
     # All rows of the sample: the first ones may all be of one day, and a later one of the 13th.
-    whole = {clock.order: seconds_of(table, clock)[0] for clock in clocks}
+    whole = {clock.order: sample_seconds(table, clock)[0] for clock in clocks}
     read = {order: int(np.isfinite(times).sum()) for order, times in whole.items()}
     clocks = [clock for clock in clocks if read[clock.order] == max(read.values())]
     if len(clocks) == 1:
@@ -231,7 +232,7 @@ def _one_order(table: FoundTable, clocks: Sequence[FoundClock], answers: Answers
     if len(in_order) == 1 or len(smooth) == 1:
         return (in_order if len(in_order) == 1 else smooth)[0]
     orders = {clock.order: clock for clock in clocks}
-    numbers_ = decimal_of([table.column(place) for place in range(len(table.header))], table.separator)
+    numbers_ = find_decimal([table.column(place) for place in range(len(table.header))], table.separator)
     if "day" in orders and (numbers_ == "," or table.separator == ";" or day_first(" ".join(table.header))):
         return orders["day"]
     if "month" in orders and any("%p" in format_ for format_ in orders["month"].formats):
@@ -242,17 +243,19 @@ def _one_order(table: FoundTable, clocks: Sequence[FoundClock], answers: Answers
     )
 
 
-def parts_of(where: object, columns: Sequence[FoundColumn], answers: Answers) -> Parts:
+def choose_parts(where: object, columns: Sequence[FoundColumn], answers: Answers) -> Parts:
     """Temperature, load and switch.
 
     Raises Undecided where two fit, or only movement speaks; TraceError for no number.
     """
     counted = [column for column in columns if column.kind == "number"]
     if not counted:
-        raise TraceError(f"{where}: none of its columns holds numbers; they are {listed(c.header for c in columns)}")
+        raise TraceError(
+            f"{where}: none of its columns holds numbers; they are {list_names(c.header for c in columns)}"
+        )
     reasons: dict[str, str] = {}
     moving = [column for column in counted if column.moves] or counted
-    temperature = _named(where, "temperature", answers.temperature, counted, reasons) or _best(
+    temperature = _answered_column(where, "temperature", answers.temperature, counted, reasons) or _best(
         where, "temperature", moving, lambda column: temperature_score(column.name, column.unit), reasons
     )
     if temperature is None:
@@ -270,7 +273,7 @@ def parts_of(where: object, columns: Sequence[FoundColumn], answers: Answers) ->
         temperature, reasons["temperature"] = slow[0], "the only column of numbers"
     others = [column for column in counted if column is not temperature]
     load = _load(where, others, columns, answers, reasons)
-    more = [_named(where, "current", name, others, reasons) for name in answers.current[1:]]
+    more = [_answered_column(where, "current", name, others, reasons) for name in answers.current[1:]]
     running, standstill = _switch(where, columns, load, answers, reasons)
     return Parts(temperature, load, running, standstill, reasons, tuple(each for each in more if each is not None))
 
@@ -283,10 +286,10 @@ def _load(
     reasons: dict[str, str],
 ) -> FoundColumn | None:
     """What loads the machine: its current, else power, speed or torque by name; by movement only if a person says."""
-    if NONE in answers.current:
+    if NO_COLUMN in answers.current:
         return None
     moving = [column for column in others if column.moves]
-    found = _named(where, "current", next(iter(answers.current), ""), others, reasons) or _best(
+    found = _answered_column(where, "current", next(iter(answers.current), ""), others, reasons) or _best(
         where, "current", moving, lambda column: current_score(column.name, column.unit), reasons
     )
     if found is not None:
@@ -305,7 +308,7 @@ def _load(
         "from it, as what "
         "loads a machine does",
         "current",
-        [*(column.header for column in levels), NONE],
+        [*(column.header for column in levels), NO_COLUMN],
         guess=levels[0].header if len(levels) == 1 else "",
     )
 
@@ -318,10 +321,10 @@ def _switch(
     reasons: dict[str, str],
 ) -> tuple[FoundColumn | None, FoundColumn | None]:
     """(the switch of running, the one of standstill), one of them at most."""
-    if answers.running == NONE:
+    if answers.running == NO_COLUMN:
         return None, None
     switches = [column for column in columns if column.kind == "switch"]
-    running = _named(where, "running", answers.running, switches, reasons)
+    running = _answered_column(where, "running", answers.running, switches, reasons)
     said = [column for column in switches if answers.on and column.words and set(column.words[0]) <= set(answers.on)]
     if running is None and said:
         running, reasons["running"] = said[0], "as --on says"
@@ -350,7 +353,7 @@ def _switch(
             where,
             "no column is named like one that says whether the machine runs, and these have two states",
             "running",
-            [*(column.header for column in candidates), NONE],
+            [*(column.header for column in candidates), NO_COLUMN],
             guess=candidates[0].header if len(candidates) == 1 else "",
         )
     return None, None
@@ -369,7 +372,7 @@ def _of_load(switches: Sequence[FoundColumn], load: FoundColumn | None) -> Found
         if load is None or switch.values.shape != load.values.shape:
             continue
         both = np.isfinite(switch.values) & np.isfinite(load.values)
-        drawn = np.abs(load.values[both]) > _IDLE * np.abs(load.values[both]).max(initial=0.0)
+        drawn = np.abs(load.values[both]) > _IDLE_CURRENT_SHARE * np.abs(load.values[both]).max(initial=0.0)
         on = switch.values[both] == 1
         if drawn.any() and not drawn.all() and np.mean(on == drawn) >= _ALONGSIDE:
             along.append(switch)
@@ -383,7 +386,7 @@ def _check_load(where: object, running: FoundColumn, load: FoundColumn | None, a
     both = np.isfinite(running.values) & np.isfinite(load.values)
     on, off = load.values[both & (running.values == 1)], load.values[both & (running.values == 0)]
     most = float(np.abs(load.values[both]).max(initial=0.0))
-    if on.size < 5 or off.size < 5 or not np.median(np.abs(on)) < _IDLE * most < np.median(np.abs(off)):
+    if on.size < 5 or off.size < 5 or not np.median(np.abs(on)) < _IDLE_CURRENT_SHARE * most < np.median(np.abs(off)):
         return
     cells = sorted({cell for cell in running.cells if cell})
     raise Undecided(
@@ -413,7 +416,7 @@ def with_units(where: object, columns: Sequence[FoundColumn], answers: Answers) 
 
 
 def _in_unit(column: FoundColumn, unit: str) -> FoundColumn:
-    kept = KEPT.get(unit, unit)
+    kept = CONVERTED_UNITS.get(unit, unit)
     raw: Array = (column.values - column.offset) / column.scale
     scale, offset = conversion(unit, kept)
     return replace(column, unit=kept, values=raw * scale + offset, scale=scale, offset=offset)
@@ -431,16 +434,16 @@ def check_temperature(
         return
     low, high = float(finite.min()), float(finite.max())
     whole = bool(np.all(finite % 1 == 0))
-    kelvin = _REST_IN_KELVIN[0] < low < _REST_IN_KELVIN[1]
+    kelvin = _KELVIN_REST_RANGE[0] < low < _KELVIN_REST_RANGE[1]
     # Whole numbers that no bearing reaches are tenths, whatever unit the header names.
-    tenths = whole and (low > _HOTTEST_REST or high > HOTTEST)
-    if (low > _HOTTEST_REST and not temperature.unit) or tenths:
+    tenths = whole and (low > _MAX_REST_DEGC or high > HOTTEST)
+    if (low > _MAX_REST_DEGC and not temperature.unit) or tenths:
         likely = "K" if kelvin and not whole else "0.1 degC" if whole else ""
         choices = [*(["K"] if kelvin else []), *(["0.1 degC"] if whole else []), "degC"]
         raise Undecided(
             where,
             f"{header!r} goes from {low:g} to {high:g}{'' if temperature.unit else ' and says no unit'}: no bearing "
-            f"{f'rests at {low:g}' if low > _HOTTEST_REST else f'reaches {high:g}'} degC; in "
+            f"{f'rests at {low:g}' if low > _MAX_REST_DEGC else f'reaches {high:g}'} degC; in "
             f"{' or '.join({'K': 'kelvin'}.get(unit, unit) for unit in choices[:-1]) or 'another unit'} it may",
             "unit",
             [f"{header}={unit}" for unit in choices],
@@ -465,20 +468,24 @@ def check_temperature(
                 )
 
 
-def _named(
+def _answered_column(
     where: object, part: str, wanted: str, columns: Sequence[FoundColumn], reasons: dict[str, str]
 ) -> FoundColumn | None:
     """The column that an answer names. Raises TraceError for one that is not there or cannot play the part."""
     if not wanted:
         return None
     # With its unit or without, whole names before those.
-    for name_of in (lambda column: column.header, lambda column: column.name, lambda column: unit_of(column.header)[0]):
+    for name_of in (
+        lambda column: column.header,
+        lambda column: column.name,
+        lambda column: split_unit(column.header)[0],
+    ):
         fitting = [column for column in columns if name_of(column).casefold() == wanted.casefold()]
         if len(fitting) == 1:
             reasons[part] = f"as --{part} says"
             return fitting[0]
     headers = [column.header for column in columns]
-    remedy = did_you_mean(wanted, headers) or f"those that can be it are {listed(map(repr, headers)) or 'none'}"
+    remedy = did_you_mean(wanted, headers) or f"those that can be it are {list_names(map(repr, headers)) or 'none'}"
     raise TraceError(f"{where}: --{part} {wanted}: no column of that name can be it; {remedy}")
 
 
@@ -525,14 +532,14 @@ def with_words(
         dwelling = [column for column in columns if column.kind == "states" and dwells([c for c in column.cells if c])]
         # Nothing else says whether the machine runs.
         states = [] if loads else dwelling
-    of_machine = named or ([] if known or answers.running == NONE else states)
+    of_machine = named or ([] if known or answers.running == NO_COLUMN else states)
     if len(of_machine) > 1:
         if not answers.running:
             raise Undecided(
                 where,
                 "columns whose words may say whether the machine runs",
                 "running",
-                [*(c.header for c in of_machine), NONE],
+                [*(c.header for c in of_machine), NO_COLUMN],
             )
         of_machine = of_machine[:1]
     if answers.on and not of_machine:
@@ -543,7 +550,7 @@ def with_words(
         if column in of_machine and (column.states or answers.on):
             on = [word for word in answers.on if word in cells]
             if not on:
-                likely = _warming(column, columns, times)
+                likely = _warming_state(column, columns, times)
                 raise Undecided(
                     where,
                     f"words of {column.header!r} that may mean running"
@@ -563,7 +570,7 @@ def _loads(column: FoundColumn) -> bool:
     return column.moves and bool(current_score(column.name, column.unit) or load_score(column.name, column.unit))
 
 
-def _warming(states: FoundColumn, columns: Sequence[FoundColumn], times: Sequence[Array]) -> str:
+def _warming_state(states: FoundColumn, columns: Sequence[FoundColumn], times: Sequence[Array]) -> str:
     """The word in which the temperature rises fastest; "" where no temperature is named or none rises."""
     named = [
         (column, own)

@@ -9,35 +9,35 @@ from pathlib import Path
 import numpy as np
 
 from sim.lab.recordings import (
-    UNNAMED,
+    UNNAMED_COLUMN,
     LoadReport,
     TraceError,
-    codes_in,
     csv_files,
+    find_codes,
     known_unit,
-    listed,
+    list_names,
     load_traces,
     parse_map,
-    round_to,
+    round_value,
     zone_problem,
 )
 from sim.lab.recordings.mapping.answers import Answers
 from sim.lab.recordings.mapping.clocks import FoundClock
-from sim.lab.recordings.mapping.columns import FoundColumn, column_of, decimal_of
+from sim.lab.recordings.mapping.columns import FoundColumn, describe_column, find_decimal
 from sim.lab.recordings.mapping.decide import (
     COLDEST,
     HOTTEST,
     Parts,
     check_temperature,
-    clock_of,
-    parts_of,
-    seconds_of,
+    choose_clock,
+    choose_parts,
+    sample_seconds,
     with_units,
     with_words,
 )
 from sim.lab.recordings.mapping.folder import one_table
-from sim.lab.recordings.mapping.quality import FoundQuality, quality_of
-from sim.lab.recordings.mapping.rows import Rows, Stored, apart, rows_of, stored_of
+from sim.lab.recordings.mapping.quality import FoundQuality, find_quality
+from sim.lab.recordings.mapping.rows import Rows, Stored, describe_rows, find_storage, separate_times
 from sim.lab.recordings.mapping.table import FoundTable, find_table, with_rows
 from sim.lab.recordings.mapping.words import (
     current_score,
@@ -49,11 +49,11 @@ from sim.lab.recordings.mapping.words import (
 )
 from sim.sha import Alphabet, Array, Bins, Trace
 
-RUNNING = "Running"
+RUNNING_SIGNAL = "Running"
 """The name of the switch that is derived where no column says whether the machine runs."""
 _RARE = 0.05
 """Share of the readings that may lie beyond what a bearing reaches: more of them are of something hotter."""
-_SHOWN = 30
+_MAX_UNUSED_COLUMNS = 30
 """Columns that are named in a comment because they say nothing usable."""
 
 
@@ -106,7 +106,8 @@ class _Found:
 def draft_map(path: Path, answers: Answers, names: Mapping[str, str] | None = None) -> DraftedMap:
     """The column map that reads a file. Raises Undecided where a person must choose, TraceError where there is none.
 
-    `names` are the signals' names by their headers, that of a derived switch by RUNNING; others are made of the header.
+    `names` are the signals' names by their headers, that of a derived switch by RUNNING_SIGNAL; others are made of the
+    header.
     """
     names = names or {}
     if answers.timezone and (problem := zone_problem(answers.timezone)):
@@ -115,26 +116,28 @@ def draft_map(path: Path, answers: Answers, names: Mapping[str, str] | None = No
         table, clock = one_table(path, csv_files(path.iterdir(), ""), answers)
     else:
         table = find_table(path)
-        clock = clock_of(table, answers)
-    times, local = seconds_of(table, clock)
+        clock = choose_clock(table, answers)
+    times, local = sample_seconds(table, clock)
     # Rows without a time are refused when the map reads them: they decide nothing here either.
     timed = np.isfinite(times)
     table, times, local = with_rows(table, timed.tolist()), times[timed], local[timed]
     long = _long_form(table, clock)
     series = [""] * times.size if long is None else [f"{row[long.name]}\n{_object(row, long)}" for row in table.rows]
-    rows = rows_of(table, clock, times, local, series=series, answers=answers)
+    rows = describe_rows(table, clock, times, local, series=series, answers=answers)
     taken = {clock.place, clock.date, rows.machine, rows.session}
     if long is None:
-        quality = quality_of(table, taken, answers)
+        quality = find_quality(table, taken, answers)
     else:
-        quality = quality_of(table, taken | {long.name, long.value, long.unit}, answers, value=long.value)
-    columns, own, decimal = _columns(table, clock, long, taken | set(quality.places), apart(table, rows, times))
+        quality = find_quality(table, taken | {long.name, long.value, long.unit}, answers, value=long.value)
+    columns, own, decimal = _columns(
+        table, clock, long, taken | set(quality.places), separate_times(table, rows, times)
+    )
     columns = [replace(column, name=names.get(column.header, column.name)) for column in columns]
-    columns = with_units(path, with_words(path, _named_apart(columns), own, answers), answers)
-    parts = parts_of(path, columns, answers)
+    columns = with_units(path, with_words(path, _number_equal_names(columns), own, answers), answers)
+    parts = choose_parts(path, columns, answers)
     check_temperature(path, columns, parts.temperature, answers)
-    stored = stored_of(table, columns, own, parts.temperature, answers)
-    derived = names.get(RUNNING, RUNNING)
+    stored = find_storage(table, columns, own, parts.temperature, answers)
+    derived = names.get(RUNNING_SIGNAL, RUNNING_SIGNAL)
     found = _Found(
         table=table,
         clock=clock,
@@ -148,11 +151,11 @@ def draft_map(path: Path, answers: Answers, names: Mapping[str, str] | None = No
         derived=derived,
     )
     # The current's levels, the usual step and the codes are those of all rows, which the map itself reads.
-    traces, report = _loaded(path, _text(found))
+    traces, report = _load_draft(path, _text(found))
     coded = [_with_codes(column, traces, slow=column.name == parts.temperature.name) for column in columns]
     if any(now is not before for now, before in zip(coded, columns, strict=True)):
         found = replace(found, columns=coded)
-        traces, report = _loaded(path, _text(found))
+        traces, report = _load_draft(path, _text(found))
     text = _text(found, report.alphabet)
     parse_map(text, str(path))
     said = report.sentences() if report.refused or report.errors else list(report.warnings)
@@ -169,7 +172,7 @@ def draft_map(path: Path, answers: Answers, names: Mapping[str, str] | None = No
     )
 
 
-def _loaded(path: Path, text: str) -> tuple[list[Trace], LoadReport]:
+def _load_draft(path: Path, text: str) -> tuple[list[Trace], LoadReport]:
     return load_traces(path, parse_map(text, str(path)))
 
 
@@ -200,7 +203,10 @@ def _conclusions(found: _Found) -> list[str]:
             )
     unused = [column.header for column in found.columns if column.kind not in ("number", "switch")]
     if unused:
-        said.append(f"columns that are not used, as they hold neither numbers nor a switch: {listed(unused, _SHOWN)}")
+        said.append(
+            "columns that are not used, as they hold neither numbers nor a switch: "
+            f"{list_names(unused, _MAX_UNUSED_COLUMNS)}"
+        )
     return said
 
 
@@ -209,11 +215,13 @@ def _columns(
 ) -> tuple[list[FoundColumn], list[Array], str]:
     """What each column, or each signal of a long file, holds, and the times of its cells; the file's decimal mark."""
     if long is None:
-        places = [p for p in range(len(table.header)) if p not in taken and table.header[p] not in ("", UNNAMED)]
-        decimal = decimal_of([table.column(place) for place in places], table.separator)
-        found = [column_of(table.header[p], table.titles[p], table.units[p], table.column(p), decimal) for p in places]
+        places = [p for p in range(len(table.header)) if p not in taken and table.header[p] not in ("", UNNAMED_COLUMN)]
+        decimal = find_decimal([table.column(place) for place in places], table.separator)
+        found = [
+            describe_column(table.header[p], table.titles[p], table.units[p], table.column(p), decimal) for p in places
+        ]
         return found, [times] * len(found), decimal
-    decimal = decimal_of([table.column(long.value)], table.separator)
+    decimal = find_decimal([table.column(long.value)], table.separator)
     cells: dict[str, list[str]] = {}
     own: dict[str, list[float]] = {}
     units: dict[str, str] = {}
@@ -227,7 +235,7 @@ def _columns(
                     f"{table.path}: readings of {row[long.name]!r} are in {units[row[long.name]] or 'no unit'} and in "
                     f"{row[long.unit]}: a signal has one unit; export it in one"
                 )
-    found = [column_of(name, name, units.get(name, ""), each, decimal) for name, each in cells.items() if name]
+    found = [describe_column(name, name, units.get(name, ""), each, decimal) for name, each in cells.items() if name]
     return found, [np.array(each) for name, each in own.items() if name], decimal
 
 
@@ -241,7 +249,7 @@ def _with_codes(column: FoundColumn, traces: Sequence[Trace], *, slow: bool) -> 
         column = replace(column, beyond=beyond) if beyond <= _RARE * every else column
     if (column.scale, column.offset) != (1.0, 0.0):
         return column
-    codes = {code for own in read for code in codes_in(own, slow=slow)}
+    codes = {code for own in read for code in find_codes(own, slow=slow)}
     if codes <= set(column.bad):
         return column
     return replace(column, bad=(*column.bad, *sorted(codes - set(column.bad))))
@@ -276,7 +284,7 @@ def _plain_number(word: str) -> bool:
     return not word or word.replace(",", "").replace(".", "").lstrip("+-").isdigit()
 
 
-def _named_apart(columns: Sequence[FoundColumn]) -> list[FoundColumn]:
+def _number_equal_names(columns: Sequence[FoundColumn]) -> list[FoundColumn]:
     """The columns with a name each: equal ones are numbered."""
     taken: set[str] = set()
     apart: list[FoundColumn] = []
@@ -292,7 +300,7 @@ def _named_apart(columns: Sequence[FoundColumn]) -> list[FoundColumn]:
 
 def _text(found: _Found, alphabet: Alphabet | None = None) -> str:
     """The map in TOML, with the thresholds and gap of an alphabet, else left to the readings."""
-    quoted = _quoted
+    quoted = _quote_text
     table, clock, long, parts = found.table, found.clock, found.long, found.parts
     temperature, rows, stored = parts.temperature, found.rows, found.stored
     decimal = found.decimal if clock.decimal in ("auto", found.decimal) or found.decimal != "auto" else clock.decimal
@@ -327,7 +335,7 @@ def _text(found: _Found, alphabet: Alphabet | None = None) -> str:
         lines.append(f"value = {quoted(table.header[long.value])}")
         if long.object is not None:
             lines += [f"object = {quoted(table.header[long.object])}", f"objects = {_quoted_list(long.objects)}"]
-    zoned = clock.zoned or any("Z" in cell or "+" in cell for cell in table.column(clock.place)[:1])
+    zoned = clock.has_zone or any("Z" in cell or "+" in cell for cell in table.column(clock.place)[:1])
     lines += ["", "[clock]", f"column = {quoted(table.header[clock.place])}"]
     if clock.date is not None:
         lines.append(f"date = {quoted(table.header[clock.date])}")
@@ -341,8 +349,8 @@ def _text(found: _Found, alphabet: Alphabet | None = None) -> str:
             lines.append(_signal(column, parts, stored))
     unused = [column.header for column in found.columns if column.kind not in ("number", "switch")]
     if unused:
-        lines.append(f"# neither numbers nor switches: {listed(map(_one_line, unused), _SHOWN)}")
-    lines += _derived(parts, found.derived)
+        lines.append(f"# neither numbers nor switches: {list_names(map(_one_line, unused), _MAX_UNUSED_COLUMNS)}")
+    lines += _derived_signal(parts, found.derived)
     lines += ["", "[effects]    # for `decanter diagnose`"]
     role = _role(parts.current)
     lines += [f"{role} = {quoted(parts.current.name)}"] if role and parts.current is not None else []
@@ -361,7 +369,7 @@ def _role(load: FoundColumn | None) -> str:
 
 
 def _signal(column: FoundColumn, parts: Parts, stored: Stored) -> str:
-    keys = [f"column = {_quoted(column.header)}"]
+    keys = [f"column = {_quote_text(column.header)}"]
     if column.kind == "switch":
         keys.append("boolean = true")
         if column.words is not None:
@@ -371,7 +379,7 @@ def _signal(column: FoundColumn, parts: Parts, stored: Stored) -> str:
         keys += [f"scale = {column.scale!r}"] if column.scale != 1.0 else []
         keys += [f"offset = {column.offset!r}"] if column.offset else []
         unit = column.unit or ("degC" if column is parts.temperature else "")
-        keys += [f"unit = {_quoted(unit)}"] if unit else []
+        keys += [f"unit = {_quote_text(unit)}"] if unit else []
         keys += [f"low = {COLDEST:g}", f"high = {HOTTEST:g}"] if column.beyond else []
         keys += [f"bad = [{', '.join(map(_exact, column.bad))}]"] if column.bad else []
     if stored.on_change and stored.own.get(column.header, stored.silence) != stored.silence:
@@ -380,7 +388,7 @@ def _signal(column: FoundColumn, parts: Parts, stored: Stored) -> str:
     finite = column.values[np.isfinite(column.values)]
     if column.kind == "number" and finite.size:
         comment = f"    # {finite.min():g} to {finite.max():g}" + (", constant" if np.ptp(finite) == 0 else "")
-    return f"{_quoted(column.name)} = {{ {', '.join(keys)} }}{comment}"
+    return f"{_quote_text(column.name)} = {{ {', '.join(keys)} }}{comment}"
 
 
 def _exact(number: float) -> str:
@@ -388,7 +396,7 @@ def _exact(number: float) -> str:
     return short if float(short := f"{number:g}") == number else repr(number)
 
 
-def _derived(parts: Parts, name: str) -> list[str]:
+def _derived_signal(parts: Parts, name: str) -> list[str]:
     """The signal that says whether the machine runs, where no column does."""
     if parts.running is not None:
         return []
@@ -396,22 +404,23 @@ def _derived(parts: Parts, name: str) -> list[str]:
         return [
             "",
             "[derived]",
-            f"{_quoted(name)} = {{ signal = {_quoted(parts.standstill.name)}, below = 0.5 }}    # "
+            f"{_quote_text(name)} = {{ signal = {_quote_text(parts.standstill.name)}, below = 0.5 }}    # "
             f"{parts.reasons['running']}",
         ]
     head = ["", "[derived]    # no column says whether the machine runs"]
     if parts.current is None:
         return [
             *head,
-            f"{_quoted(name)} = {{ constant = 1.0 }}    # nor does anything that loads it: it counts as running "
+            f"{_quote_text(name)} = {{ constant = 1.0 }}    # nor does anything that loads it: it counts as running "
             f"throughout",
         ]
     finite = parts.current.values[np.isfinite(parts.current.values)]
     highest = float(np.quantile(finite, 0.99)) if finite.size else 1.0
-    above = round_to(highest / 10, highest / 50)
+    above = round_value(highest / 10, highest / 50)
     return [
         *head,
-        f"{_quoted(name)} = {{ signal = {_quoted(parts.current.name)}, above = {above:g} }}    # a tenth of its most",
+        f"{_quote_text(name)} = {{ signal = {_quote_text(parts.current.name)}, above = {above:g} }}    # a tenth of "
+        "its most",
     ]
 
 
@@ -426,7 +435,8 @@ def _alphabet(found: _Found, alphabet: Alphabet | None) -> list[str]:
     change = ", on_change = false" if polled else ""
     why = parts.reasons.get("running", "derived")
     lines.append(
-        f'    {{ kind = "switch", signal = {_quoted(name)}, rising = "W_ON", falling = "W_OFF"{change} }},    # {why}'
+        f'    {{ kind = "switch", signal = {_quote_text(name)}, rising = "W_ON", falling = "W_OFF"{change} }},    # '
+        f"{why}"
     )
     for current in (each for each in (parts.current, *parts.others) if each is not None):
         channels = () if alphabet is None else alphabet.channels
@@ -438,7 +448,7 @@ def _alphabet(found: _Found, alphabet: Alphabet | None) -> list[str]:
         else:
             how = 'thresholds = "auto"'
             why = f"{parts.reasons['current']}; this file shows one level only: those of the traces will decide"
-        lines.append(f'    {{ kind = "bins", signal = {_quoted(current.name)}, {how} }},    # {why}')
+        lines.append(f'    {{ kind = "bins", signal = {_quote_text(current.name)}, {how} }},    # {why}')
     return [*lines, "]"]
 
 
@@ -446,10 +456,10 @@ def _one_line(text: str) -> str:
     return " ".join("".join(mark if mark.isprintable() else " " for mark in text).split())
 
 
-def _quoted(text: str) -> str:
+def _quote_text(text: str) -> str:
     # JSON's strings are TOML's, but for DEL, which no header has that is printable.
     return json.dumps(text, ensure_ascii=False)
 
 
 def _quoted_list(texts: Sequence[str]) -> str:
-    return f"[{', '.join(map(_quoted, texts))}]"
+    return f"[{', '.join(map(_quote_text, texts))}]"

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from sim.lab.recordings import TraceError, folded, listed, stem_of
+from sim.lab.recordings import TraceError, fold_name, list_names, recording_name
 from sim.lab.recordings.mapping.answers import Answers
 from sim.lab.recordings.mapping.clocks import FoundClock
-from sim.lab.recordings.mapping.decide import clock_of, seconds_of
+from sim.lab.recordings.mapping.decide import choose_clock, sample_seconds
 from sim.lab.recordings.mapping.quality import is_quality
 from sim.lab.recordings.mapping.table import FoundTable, find_table
 
@@ -19,21 +19,24 @@ from sim.lab.recordings.mapping.table import FoundTable, find_table
 def one_table(folder: Path, files: Sequence[Path], answers: Answers) -> tuple[FoundTable, FoundClock]:
     """The rows of all files in the order of their times, under the names of all of them, and their common clock.
 
-    Raises TraceError where the clocks differ in name or form, or there is no file; as `find_table` and `clock_of` do.
+    Raises TraceError where the clocks differ in name or form, or there is no file; as `find_table` and `choose_clock`
+    do.
     """
     if not files:
         raise TraceError(
             f"{folder}: there is no CSV file in it; give a file, or a folder of the parts of one recording"
         )
-    endings = sorted({file.name.removeprefix(stem_of(file)) for file in files})
+    endings = sorted({file.name.removeprefix(recording_name(file)) for file in files})
     if len(endings) > 1:
-        raise TraceError(f"{folder}: its files end in {listed(endings)}; give a folder in which all are of one kind")
+        raise TraceError(
+            f"{folder}: its files end in {list_names(endings)}; give a folder in which all are of one kind"
+        )
     (ending,) = endings
     tables = [find_table(file) for file in files]
-    clocks = [clock_of(table, answers) for table in tables]
+    clocks = [choose_clock(table, answers) for table in tables]
     first, clock = tables[0], clocks[0]
     for table, other in zip(tables[1:], clocks[1:], strict=True):
-        same = folded(table.header[other.place]) == folded(first.header[clock.place])
+        same = fold_name(table.header[other.place]) == fold_name(first.header[clock.place])
         if not same or set(other.formats) != set(clock.formats) or table.separator != first.separator:
             raise TraceError(
                 f"{table.path}: its clock is {table.header[other.place]!r} in the form {other.formats[0]!r}, "
@@ -44,7 +47,7 @@ def one_table(folder: Path, files: Sequence[Path], answers: Answers) -> tuple[Fo
             )
     # A name that files share is a column of one recording; where one row of numbers only is under it, of one tag each,
     # if their times are not those of days one after another.
-    seen = Counter(folded(name) for table in tables for name in set(table.header))
+    seen = Counter(fold_name(name) for table in tables for name in set(table.header))
     owned = [
         [place for place, name in enumerate(table.header) if name and place not in (own.place, own.date)]
         for table, own in zip(tables, clocks, strict=True)
@@ -53,7 +56,7 @@ def one_table(folder: Path, files: Sequence[Path], answers: Answers) -> tuple[Fo
         sum(not is_quality(table, place) for place in own) <= 1 for table, own in zip(tables, owned, strict=True)
     )
     # One tag a file come row by row in turn; parts one after another, as the clock that is set back goes in each.
-    times = [seconds_of(table, own)[0] for table, own in zip(tables, clocks, strict=True)]
+    times = [sample_seconds(table, own)[0] for table, own in zip(tables, clocks, strict=True)]
     order = np.argsort(list(map(np.nanmin, times)), kind="stable").tolist()
     single &= any(np.nanmin(times[after]) < np.nanmax(times[before]) for before, after in pairwise(order))
     clock_name, date = first.header[clock.place], None if clock.date is None else first.header[clock.date]
@@ -64,11 +67,11 @@ def one_table(folder: Path, files: Sequence[Path], answers: Answers) -> tuple[Fo
     for number, (table, own) in enumerate(zip(tables, clocks, strict=True)):
         keys: list[str] = []
         for place, name in enumerate(table.header):
-            shared = single and len(tables) > 1 and seen[folded(name)] > 1 and place not in (own.place, own.date)
-            key = f"{stem_of(table.path)}/{name}" if shared else name
-            key = next((known for known in names if folded(known) == folded(key)), key)
+            shared = single and len(tables) > 1 and seen[fold_name(name)] > 1 and place not in (own.place, own.date)
+            key = f"{recording_name(table.path)}/{name}" if shared else name
+            key = next((known for known in names if fold_name(known) == fold_name(key)), key)
             names += [key] if key not in names else []
-            titles.setdefault(key, stem_of(table.path) if shared else table.titles[place])
+            titles.setdefault(key, recording_name(table.path) if shared else table.titles[place])
             units.setdefault(key, table.units[place])
             keys.append(key)
         for row, time in zip(table.rows, times[number].tolist(), strict=True):

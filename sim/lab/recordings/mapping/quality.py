@@ -5,8 +5,8 @@ from collections import Counter
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
-from sim.lab.recordings import TraceError, listed
-from sim.lab.recordings.mapping.answers import BLANK, NONE, Answers, Undecided
+from sim.lab.recordings import TraceError, list_names
+from sim.lab.recordings.mapping.answers import BLANK_IS_GOOD, NO_COLUMN, Answers, Undecided
 from sim.lab.recordings.mapping.table import FoundTable
 
 _NAMED = re.compile(
@@ -30,7 +30,7 @@ _BAD = re.compile(
 _STATUS = re.compile(r"status$", re.IGNORECASE)
 _TOLD = re.compile(r"\{?(?:good|ok|bad|uncertain|gut|schlecht|unsicher|valid|invalid|stale)\b.*", re.IGNORECASE)
 """Words of a status that is a quality, and not that of a machine."""
-_MOST_WORDS = 30
+_MAX_QUALITY_WORDS = 30
 """Words that a quality may have: more are notes or readings."""
 
 
@@ -43,7 +43,7 @@ class FoundQuality:
     said: str = ""
 
 
-def quality_of(
+def find_quality(
     table: FoundTable, taken: Collection[int | None], answers: Answers, *, value: int | None = None
 ) -> FoundQuality:
     """What the table says of its readings' quality; `value` is the place of the readings in a file with one a row.
@@ -51,16 +51,16 @@ def quality_of(
     Raises Undecided where no word of it is known, where most readings have none, and where it stands in rows without
     readings; TraceError for a word of good readings that none of its columns has.
     """
-    if answers.good == (NONE,):
+    if answers.good == (NO_COLUMN,):
         return FoundQuality()
     words = {
         place: Counter(filter(None, table.column(place)))
         for place in range(len(table.header))
         if place not in taken and is_quality(table, place)
     }
-    named = [place for place, own in words.items() if 0 < len(own) <= _MOST_WORDS]
+    named = [place for place, own in words.items() if 0 < len(own) <= _MAX_QUALITY_WORDS]
     readings = [p for p in range(len(table.header)) if p not in taken and p not in named] if value is None else [value]
-    beside = {place: _beside(table, place, named, readings) for place in named}
+    beside = {place: _neighbour_cells(table, place, named, readings) for place in named}
     # One that stands in rows of its own, as in a file beside, says nothing of the others.
     places = tuple(place for place in named if any(beside[place]))
     apart = [table.header[place] for place in named if place not in places]
@@ -73,12 +73,16 @@ def quality_of(
             f"{apart[0]!r} stands in rows without readings, so that it says of none how good it is; export it beside "
             "the readings that it is of, or read them all as good",
             "good",
-            [NONE],
+            [NO_COLUMN],
         )
-    wanted = {word.casefold() for word in answers.good if word != BLANK}
+    wanted = {word.casefold() for word in answers.good if word != BLANK_IS_GOOD}
     every = sum((words[place] for place in places), Counter[str]())
     if answers.good and (not places or (wanted and not wanted & {word.casefold() for word in every})):
-        of = f"the words of {table.header[places[0]]!r} are {listed(every)}" if places else "no column says a quality"
+        of = (
+            f"the words of {table.header[places[0]]!r} are {list_names(every)}"
+            if places
+            else "no column says a quality"
+        )
         raise TraceError(
             f"{table.path}: {answers.good[0]!r} was given as a word of good readings, and {of}; give one that stands "
             "there, or leave it out"
@@ -92,18 +96,18 @@ def quality_of(
     mostly_blank = 2 * cells[""] > cells.total()
     if not answers.good and (not good or mostly_blank):
         first, (common, _) = table.header[places[0]], every.most_common(1)[0]
-        likely = (BLANK if not good else "") if mostly_blank else "" if _BAD.fullmatch(common) else common
+        likely = (BLANK_IS_GOOD if not good else "") if mostly_blank else "" if _BAD.fullmatch(common) else common
         blank = f" (it is blank beside {cells['']} of {cells.total()} readings)" if cells[""] else ""
-        choices = [*every, *([BLANK] if cells[""] else []), NONE]
+        choices = [*every, *([BLANK_IS_GOOD] if cells[""] else []), NO_COLUMN]
         raise Undecided(
             table.path, f"words of {first!r} that may mean a good reading{blank}", "good", choices, guess=likely
         )
-    good += [""] if BLANK in answers.good else []
+    good += [""] if BLANK_IS_GOOD in answers.good else []
     bad = Counter({word: count for word, count in cells.items() if word not in good})
     others = ", ".join(f"{count} x {word!r}" if word else f"{count} x blank" for word, count in bad.most_common(8))
     said = f"{bad.total()} readings are not of a good quality ({others}): the map's quality refuses them" if bad else ""
     if apart:
-        said += f"{'; ' if said else ''}{listed(map(repr, apart))} stand in rows without readings and are not used"
+        said += f"{'; ' if said else ''}{list_names(map(repr, apart))} stand in rows without readings and are not used"
     return FoundQuality(places, tuple(good), said)
 
 
@@ -122,7 +126,7 @@ def _is_of_all(table: FoundTable, place: int) -> bool:
     return bool(table.parts and value) and not any(other in own.casefold() for other in others)
 
 
-def _beside(table: FoundTable, place: int, named: Sequence[int], readings: Sequence[int]) -> list[str]:
+def _neighbour_cells(table: FoundTable, place: int, named: Sequence[int], readings: Sequence[int]) -> list[str]:
     """The cells of a quality in the rows that have one of the readings that it is of: those since the quality before.
 
     The last one is of those after it as well.

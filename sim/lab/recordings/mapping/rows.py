@@ -7,53 +7,53 @@ from itertools import pairwise, product
 
 import numpy as np
 
-from sim.lab.recordings import TraceError, listed, longest_rising, numbers, to_utc
+from sim.lab.recordings import TraceError, list_names, longest_rising_rows, numbers, to_utc
 from sim.lab.recordings.mapping.answers import Answers, Undecided
 from sim.lab.recordings.mapping.clocks import FoundClock
 from sim.lab.recordings.mapping.columns import FoundColumn
 from sim.lab.recordings.mapping.table import FoundTable
 from sim.lab.recordings.mapping.words import named_machine, named_session, surely_machine
-from sim.sha import SOON, Array, Mask
+from sim.sha import EARLY_SHARE, Array, Mask
 
 _ZONES = (
     "Europe/Rome", "Europe/London", "Europe/Athens", "America/New_York", "America/Chicago", "America/Denver",
     "America/Los_Angeles", "America/Sao_Paulo", "Australia/Sydney",
 )  # fmt: skip
 """One zone for each hour at which summer time ends somewhere with plants; those beside it keep the same rule."""
-_FEW = 0.01
+_MAX_HICCUP_SHARE = 0.01
 """Share of rows that may be merged or refused without a question: a recorder's hiccups are fewer."""
-_MOST_OWNERS = 500
+_MAX_OWNERS = 500
 """Machines or sessions of one export: more words in a column are readings."""
-_LEFT = 0.02
+_MAX_REMAINING_SHARE = 0.02
 """Of the doubled or falling times so many may be left within one machine, as of a recorder's hiccup."""
-_FAR = 1e12
+_OWNER_GAP_S = 1e12
 """s between machines or sessions whose times are looked at together: no recording lasts so long."""
-_LEAST_STEPS = 3
+_MIN_STEPS = 3
 """Steps between a column's readings below which they show no habit."""
-_LONG_STEPS = 3.0
+_LONG_STEP_RATIO = 3.0
 """Of the shortest usual steps: a longer one is silence, where a lost row or two makes two or three."""
-_SILENT = 0.1
+_MIN_SILENT_SHARE = 0.1
 """Share of the time in silence, at least, in a recording that is stored on change: what is seldom is a lost row."""
-_REPEATED = 0.05
+_MAX_REPEAT_SHARE = 0.05
 """Share of values that are those before them; a recorder of each row repeats what stands still, and noise a few."""
-_UNEVEN = 0.05
+_MAX_UNEVEN_SHARE = 0.05
 """Share of steps that differ from the usual one by half of it; nights without a recorder are few."""
-_SPARSE = 0.7
+_MAX_SPARSE_SHARE = 0.7
 """Share of the rows in which a column of a polled table has a cell, but for faults."""
-_APART = 0.2
+_SMALL_MOVE_QUANTILE_RATIO = 0.2
 """The smallest moves beside the usual one: of noise a tenth, beyond a deadband nearly as large."""
-_FEW_SOON = 0.05
+_MIN_SOON_SHARE = 0.05
 """Share of steps, at least, that come sooner, or there is one usual step and no longest silence."""
 _HALF_DAY = 43200.0
-_MARGIN = 1.5
+_SILENCE_MARGIN = 1.5
 """Of the longest silence that is seen: another export of the same recorder has a somewhat longer one."""
-_WIDE_MARGIN = 3.0
+_WIDE_SILENCE_MARGIN = 3.0
 """The same where no longest time of the recorder shows: how long a load stays as it is has no limit, but a habit."""
-_FINEST = 10.0
+_MIN_HELD_STEP_S = 10.0
 """s between held values at least: of the shortest horizon of a forecast, a minute, a sixth."""
-_MOST_HELD = 1_000_000
+_MAX_HELD_ROWS = 1_000_000
 """Rows that held values may make of the sample: more take longer to learn from than they teach."""
-_OUTAGE = 6.0
+_OUTAGE_RATIO = 6.0
 """A silence so many times the next shorter one is an outage, not a value that held."""
 
 
@@ -69,7 +69,7 @@ class Rows:
     said: tuple[str, ...]
 
 
-def rows_of(
+def describe_rows(
     table: FoundTable, clock: FoundClock, times: Array, local: Mask, *, series: Sequence[str], answers: Answers
 ) -> Rows:
     """What the sample's rows are. `series` says which signal a row is of, "" for all (a wide table).
@@ -96,9 +96,9 @@ def rows_of(
             )
     if timezone and local.any():
         times = to_utc(times, local, timezone)
-    clock_back = _back(table, times, inside, answers)
+    clock_back = _backward_text(table, times, inside, answers)
     if clock_back == "split":
-        inside = inside + _MOST_OWNERS * np.cumsum(np.concatenate(([False], np.diff(times) < 0)))
+        inside = inside + _MAX_OWNERS * np.cumsum(np.concatenate(([False], np.diff(times) < 0)))
     duplicates = _duplicates(table, clock, times, inside, answers)
     if duplicates == "spread" and not answers.duplicates:
         said.append("its clock is coarser than its rows: those of one time are spread evenly up to the next")
@@ -112,10 +112,10 @@ def rows_of(
     )
 
 
-def apart(table: FoundTable, rows: Rows, times: Array) -> Array:
+def separate_times(table: FoundTable, rows: Rows, times: Array) -> Array:
     """The times with those of each machine and session far from those of others: no step leads from one to another."""
     places = [place for place in (rows.machine, rows.session) if place is not None]
-    return times + _FAR * _codes([tuple(row[place] for place in places) for row in table.rows])
+    return times + _OWNER_GAP_S * _codes([tuple(row[place] for place in places) for row in table.rows])
 
 
 def _codes(names: Sequence[object]) -> Array:
@@ -155,19 +155,21 @@ def _owners(
     }
     codes = {place: _codes(cells) for place, cells in few.items()}
 
-    def left(places: Sequence[int]) -> int:
+    def count_rest(places: Sequence[int]) -> int:
         return _trouble(
             times, _codes(list(zip(inside.tolist(), *(codes[place].tolist() for place in places), strict=True)))
         )
 
     chosen: tuple[int, ...] = ()
-    if before > _LEFT * times.size or (before and _falls(times, inside)):
-        singles = [place for place in few if left([place]) <= _LEFT * before]
+    if before > _MAX_REMAINING_SHARE * times.size or (before and _falls(times, inside)):
+        singles = [place for place in few if count_rest([place]) <= _MAX_REMAINING_SHARE * before]
         # In autumn each machine's clock goes back once, too, for each of its signals.
         nights = {
             place: len(set(few[place])) * len(np.unique(inside)) for place in few if surely_machine(header[place])
         }
-        singles += [place for place, most in nights.items() if place not in singles and left([place]) <= most < before]
+        singles += [
+            place for place, most in nights.items() if place not in singles and count_rest([place]) <= most < before
+        ]
         named = [place for place in singles if named_machine(header[place]) or named_session(header[place])]
         if singles:
             chosen = (min(named or singles, key=lambda place: (len(set(few[place])), place)),)
@@ -177,14 +179,14 @@ def _owners(
                 for pair in product(few, repeat=2)
                 if named_machine(header[pair[0]]) and named_session(header[pair[1]]) and pair[0] != pair[1]
             ]
-            chosen = next((pair for pair in pairs if left(pair) <= _LEFT * before), ())
+            chosen = next((pair for pair in pairs if count_rest(pair) <= _MAX_REMAINING_SHARE * before), ())
     else:
         # Machines one after another: nothing is doubled, and yet they are several.
         chosen = tuple(place for place in few if surely_machine(header[place]))[:1]
     if not chosen:
         return None, None, []
     said = [
-        f"column {header[place]!r} says whose rows are ({listed(map(repr, dict.fromkeys(few[place])), 4)}): each "
+        f"column {header[place]!r} says whose rows are ({list_names(map(repr, dict.fromkeys(few[place])), 4)}): each "
         + (
             f"has the same times as others ({before} times are doubled or fall without it)"
             if before
@@ -211,7 +213,7 @@ def _place(table: FoundTable, field: str, wanted: str) -> int | None:
 def _says_whose(cells: Sequence[str], name: str) -> bool:
     """Whether a column may say whose rows are: few words or whole numbers, in every row, several rows each."""
     distinct = set(cells)
-    if not 2 <= len(distinct) <= min(_MOST_OWNERS, len(cells) / 3) or "" in distinct:
+    if not 2 <= len(distinct) <= min(_MAX_OWNERS, len(cells) / 3) or "" in distinct:
         return False
     values = numbers(sorted(distinct))[0]
     return bool(np.isnan(values).any()) or (bool(np.all(values % 1 == 0)) and (len(distinct) > 2 or bool(name)))
@@ -231,23 +233,23 @@ def _zone(times: Array, local: Mask, inside: Array) -> str:
     return ""
 
 
-def _back(table: FoundTable, times: Array, inside: Array, answers: Answers) -> str:
+def _backward_text(table: FoundTable, times: Array, inside: Array, answers: Answers) -> str:
     falls = _falls(times, inside)
     if answers.clock_back or not falls:
         return answers.clock_back or "refuse"
-    lost = sum(int((~longest_rising(times[inside == code])).sum()) for code in np.unique(inside))
-    if lost <= _FEW * times.size:
+    lost = sum(int((~longest_rising_rows(times[inside == code])).sum()) for code in np.unique(inside))
+    if lost <= _MAX_HICCUP_SHARE * times.size:
         return "refuse"
     steps = _steps(times, inside)
     usual = float(np.median(steps))
     # Over noon and midnight: twelve hours less the step that was made.
-    if falls and np.all(np.abs(steps[steps < 0] + _HALF_DAY) <= _LONG_STEPS * abs(usual)):
+    if falls and np.all(np.abs(steps[steps < 0] + _HALF_DAY) <= _LONG_STEP_RATIO * abs(usual)):
         raise TraceError(
             f"{table.path}: the clock goes back by twelve hours {falls} times: its hours are those of half a day, and "
             "nothing says which half; export it with 24 hours, or with AM and PM"
         )
     # A ring is written over from its beginning on: what follows the fall ends where the file begins.
-    ring = falls == 1 and 0 < float(times[0] - times[-1]) <= _LONG_STEPS * usual
+    ring = falls == 1 and 0 < float(times[0] - times[-1]) <= _LONG_STEP_RATIO * usual
     anew = falls < times.size / 10 and usual > 0 and not ring
     at = int(np.flatnonzero(np.diff(times) < 0)[0]) + 1
     raise Undecided(
@@ -273,10 +275,10 @@ def _duplicates(table: FoundTable, clock: FoundClock, times: Array, inside: Arra
     unequal = sum(
         any(a and b and a != b for a, b in zip(rows[first], rows[second], strict=True)) for first, second in pairs
     )
-    if unequal <= _FEW * times.size:
+    if unequal <= _MAX_HICCUP_SHARE * times.size:
         return "agree"
     lost = _lost_part(times)
-    if inside.max(initial=0) == 0 and lost and (count := _rows_a_time(times)) > 1 and _goes_on(rows, count):
+    if inside.max(initial=0) == 0 and lost and (count := _rows_a_time(times)) > 1 and _is_continuous(rows, count):
         return "spread"
     raise Undecided(
         table.path,
@@ -303,7 +305,7 @@ def _rows_a_time(times: Array) -> int:
     return int(counts[1]) if even and not np.any(np.diff(times) < 0) else 0
 
 
-def _goes_on(rows: Sequence[Sequence[str]], count: int) -> bool:
+def _is_continuous(rows: Sequence[Sequence[str]], count: int) -> bool:
     """Whether readings move less from row to row than over `count` rows: of machines in turn it is the other way."""
     for cells in zip(*rows, strict=True):
         values = numbers(cells)[0]
@@ -327,7 +329,7 @@ class Stored:
     why: str = ""
 
 
-def stored_of(
+def find_storage(
     table: FoundTable,
     columns: Sequence[FoundColumn],
     times: Sequence[Array],
@@ -340,11 +342,11 @@ def stored_of(
     """
     every = np.unique(np.concatenate([each[np.isfinite(each)] for each in times]))
     steps = np.diff(every)
-    steps = steps[steps < _FAR / 2]
-    if steps.size < _LEAST_STEPS or answers.stored == "each row":
+    steps = steps[steps < _OWNER_GAP_S / 2]
+    if steps.size < _MIN_STEPS or answers.stored == "each row":
         return Stored(False)
     looks = {
-        column.header: _looks_stored(own, column, every.size, steps)
+        column.header: _storage_look(own, column, every.size, steps)
         for column, own in zip(columns, times, strict=True)
         if column.kind in ("number", "switch", "states")
     }
@@ -362,16 +364,16 @@ def stored_of(
         return kept
     told = [look for look in looks.values() if look is not None]
     # One that repeats what it was is polled.
-    if own is None or own.repeated >= _REPEATED:
+    if own is None or own.repeated >= _MAX_REPEAT_SHARE:
         return Stored(False)
-    if own.surely or (any(look.surely for look in told) and all(look.repeated < _REPEATED for look in told)):
+    if own.surely or (any(look.surely for look in told) and all(look.repeated < _MAX_REPEAT_SHARE for look in told)):
         return replace(
             kept,
             why=f"values stand where they change, repeated in {own.repeated:.0%} of the readings; {own.silent:.0%} "
             "of the time is silence",
         )
     seldom = next((name for name, look in looks.items() if look is not None and look.surely), "")
-    if not seldom and (not own.may or own.silent < _SILENT):
+    if not seldom and (not own.may or own.silent < _MIN_SILENT_SHARE):
         return Stored(False)
     name = seldom or temperature.header
     silent = next(look.silent for header, look in looks.items() if look is not None and header == name)
@@ -400,7 +402,7 @@ class _Look:
     holds: float
 
 
-def _looks_stored(times: Array, column: FoundColumn, rows: int, every: Array) -> _Look | None:
+def _storage_look(times: Array, column: FoundColumn, rows: int, every: Array) -> _Look | None:
     """How the readings of a column look, beside so many `rows` of all with the steps `every`; None for too few."""
     if column.kind == "number":
         known, values = np.isfinite(column.values), column.values
@@ -408,48 +410,53 @@ def _looks_stored(times: Array, column: FoundColumn, rows: int, every: Array) ->
         known, values = np.array([bool(cell) for cell in column.cells], dtype=bool), _codes(column.cells)
     order = np.argsort(times[known], kind="stable")
     steps, moves = np.diff(times[known][order]), np.abs(np.diff(values[known][order]))
-    steps, moves = steps[(steps > 0) & (steps < _FAR / 2)], moves[(steps > 0) & (steps < _FAR / 2)]
-    if steps.size < _LEAST_STEPS:
+    steps, moves = steps[(steps > 0) & (steps < _OWNER_GAP_S / 2)], moves[(steps > 0) & (steps < _OWNER_GAP_S / 2)]
+    if steps.size < _MIN_STEPS:
         return None
     longest = _longest_silence(steps)
     # What is stored because so long nothing changed may repeat what it was; what comes sooner has changed.
-    soon = steps < SOON * (longest - float(np.quantile(every, 0.05)))
-    beats = int((~soon).sum()) >= _LEAST_STEPS
+    soon = steps < EARLY_SHARE * (longest - float(np.quantile(every, 0.05)))
+    beats = int((~soon).sum()) >= _MIN_STEPS
     # Between the beats of a recorder stands only what moved farther than from beat to beat.
-    between = beats and int(soon.sum()) >= _LEAST_STEPS
+    between = beats and int(soon.sum()) >= _MIN_STEPS
     between = between and float(np.quantile(moves[soon], 0.05)) > float(np.quantile(moves[~soon], 0.9))
-    told = soon if between or soon.mean() > _FEW_SOON else np.ones(steps.shape, dtype=bool)
+    told = soon if between or soon.mean() > _MIN_SOON_SHARE else np.ones(steps.shape, dtype=bool)
     repeated, scan = float((moves[told] == 0).mean()), float(np.quantile(steps, 0.05))
-    if told.all() and scan > _LONG_STEPS * float(np.quantile(every, 0.05)):
+    if told.all() and scan > _LONG_STEP_RATIO * float(np.quantile(every, 0.05)):
         # It is told only when the longest time is over, or polled more slowly than others: neither speaks.
         repeated = 0.0
-    silent = float(steps[steps > _LONG_STEPS * scan].sum() / steps.sum())
-    sparse = known.sum() < _SPARSE * rows
+    silent = float(steps[steps > _LONG_STEP_RATIO * scan].sum() / steps.sum())
+    sparse = known.sum() < _MAX_SPARSE_SHARE * rows
     usual = float(np.median(steps[told]))
-    uneven = float((np.abs(steps - usual) > 0.5 * usual).mean()) > _UNEVEN
-    may = repeated < _REPEATED and (uneven or between)
+    uneven = float((np.abs(steps - usual) > 0.5 * usual).mean()) > _MAX_UNEVEN_SHARE
+    may = repeated < _MAX_REPEAT_SHARE and (uneven or between)
     # Noise makes small steps too, an exception none below its deadband.
-    apart = float(np.quantile(moves[told], 0.05)) >= _APART * float(np.median(moves[told]))
+    apart = float(np.quantile(moves[told], 0.05)) >= _SMALL_MOVE_QUANTILE_RATIO * float(np.median(moves[told]))
     # A switch that is never told anew says by its silence that it did not change, however long that is.
     holds = _holds(steps, beats=beats) if column.kind == "number" or beats else float(every.sum())
     return _Look(
-        may, may and (between or (silent >= _SILENT and apart) or bool(sparse)), repeated, silent, steps, holds
+        may,
+        may and (between or (silent >= _MIN_SILENT_SHARE and apart) or bool(sparse)),
+        repeated,
+        silent,
+        steps,
+        holds,
     )
 
 
 def _interval(scan: float, steps: Array) -> float:
-    return float(f"{max(scan, float(steps.sum()) / _MOST_HELD, _FINEST):.3g}")
+    return float(f"{max(scan, float(steps.sum()) / _MAX_HELD_ROWS, _MIN_HELD_STEP_S):.3g}")
 
 
 def _holds(steps: Array, *, beats: bool = True) -> float:
     """For how long silence means as before: somewhat longer than the longest one was, if that is a recorder's."""
-    return float(np.ceil((_MARGIN if beats else _WIDE_MARGIN) * _longest_silence(steps)))
+    return float(np.ceil((_SILENCE_MARGIN if beats else _WIDE_SILENCE_MARGIN) * _longest_silence(steps)))
 
 
 def _longest_silence(steps: Array) -> float:
     """The longest step that has others nearly as long: what goes far beyond them is an outage."""
     long = np.unique(steps)[-50:]
     for shorter, longer in pairwise(long):
-        if longer > _OUTAGE * shorter and shorter > 10 * float(np.median(steps)):
+        if longer > _OUTAGE_RATIO * shorter and shorter > 10 * float(np.median(steps)):
             return float(shorter)
     return float(long[-1])

@@ -7,31 +7,31 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.csv_rows import unguarded
+from drivers.csv_rows import strip_guards
 from sim.lab.recordings import (
     SEPARATORS,
     UNITS,
-    UNNAMED,
+    UNNAMED_COLUMN,
     TraceError,
     dated_format,
     decode_head,
-    folded,
-    head_of,
-    measured,
+    fold_name,
+    number_equal_names,
     numbers,
+    parse_quantity,
+    read_head,
     rows_mark,
-    told_apart,
     with_row_names,
 )
-from sim.lab.recordings.mapping.clocks import is_rounded, is_time, pure_date, pure_time
+from sim.lab.recordings.mapping.clocks import is_time, looks_rounded_count, pure_date, pure_time
 from sim.lab.recordings.mapping.words import bare_unit, named_time
 
-_HEAD = 1 << 20
+_HEAD_BYTES = 1 << 20
 _RULED = frozenset(" \t,;|-=+_\r\n")
 """Marks of a line that is blank, or drawn under the names as databases print them."""
 _SHOWN_ROWS = 5
 """Rows under a header that show whether they are numbered."""
-_SEARCHED = 60
+_MAX_HEADER_LINE = 60
 """Lines in which a header is looked for: titles, annotations and column lists of exports are shorter."""
 
 
@@ -58,18 +58,18 @@ class FoundTable:
 
 def find_table(path: Path) -> FoundTable:
     """The table in the first megabyte of a file. Raises TraceError for none, OSError where it cannot be read."""
-    head = head_of(path, _HEAD)
+    head = read_head(path, _HEAD_BYTES)
     if not head.strip():
         raise TraceError(f"{path}: the file is empty; give a CSV with a header and rows")
     _, text, _ = decode_head(path, head, "auto")
     lines = text.splitlines()
-    if len(head) == _HEAD:
+    if len(head) == _HEAD_BYTES:
         lines.pop()  # cut in the middle
     usable = [(at, line) for at, line in enumerate(lines) if not line.startswith("#") and set(line) - _RULED]
     # The separator under which most of the first rows have the same number of cells, and most of them.
     best: tuple[int, str, list[list[str]]] = (0, "", [])
     for name, mark in SEPARATORS.items():
-        rows = [_cells(line, mark) for _, line in usable[:_SEARCHED]]
+        rows = [_cells(line, mark) for _, line in usable[:_MAX_HEADER_LINE]]
         widths = [len(row) for row in rows if len(row) > 1]
         width = max(set(widths), key=widths.count) if widths else 0
         # A decimal comma makes rows of many cells too: what counts is in how many rows the cells say a time, or in how
@@ -109,14 +109,14 @@ def find_table(path: Path) -> FoundTable:
     if width > 1 and len(header) < width:
         # A header with commas over rows with semicolons.
         others = [_cells(usable[header_at][1], mark) for mark in SEPARATORS.values()]
-        below = [line for _, line in usable[first:_SEARCHED]]
+        below = [line for _, line in usable[first:_MAX_HEADER_LINE]]
         header = next((o for o in others if len(o) == width and rows_mark(below, width, ",") != ","), header)
     named_rows = with_row_names(header, rows[first : first + _SHOWN_ROWS])
     if len(named_rows) > len(header):
         # The rows between the names and the readings, and that of units, have no cell for the rows' numbers either.
         header, units = named_rows, ["", *units[: width - 1]]
         rows = [["", *row] if header_at <= place < first else row for place, row in enumerate(rows)]
-    header[0] = header[0] or UNNAMED
+    header[0] = header[0] or UNNAMED_COLUMN
     header += [""] * (width - len(header))
     while header and not header[-1]:
         header.pop()
@@ -129,13 +129,13 @@ def find_table(path: Path) -> FoundTable:
         for at, name in enumerate(header)
     ]
     mark = SEPARATORS[separator]
-    names, sample = _tables(told_apart(header), [_cells(line, mark) for _, line in usable[first:]])
+    names, sample = _tables(number_equal_names(header), [_cells(line, mark) for _, line in usable[first:]])
     more = len(names) - width
     return FoundTable(
         path=path,
         separator=separator,
         header=tuple(names),
-        titles=(*(told_apart(titles) if titles == header else titles), *names[width:]),
+        titles=(*(number_equal_names(titles) if titles == header else titles), *names[width:]),
         units=(*units[:width], *[""] * more),
         rows=tuple(sample),
     )
@@ -162,7 +162,7 @@ def _no_data(path: Path, rows: Sequence[Sequence[str]]) -> str:
             shown = rows[place + 1][at]
             why = (
                 "a spreadsheet has rounded it, and the seconds are lost; export it again as text"
-                if is_rounded(shown)
+                if looks_rounded_count(shown)
                 else ("no form of a time that is known; write it as 2024-03-13 09:58:00, or as seconds")
             )
             return f"{path}: the cells of its column {row[at]!r} are no times: {shown!r} is {why}"
@@ -177,19 +177,19 @@ def _tables(header: Sequence[str], rows: Sequence[Sequence[str]]) -> tuple[list[
     names, own = list(header), list(header)
     places = list(range(len(own)))
     sample: list[tuple[str, ...]] = []
-    words = {folded(name) for name in own if not _numeric(name)}
+    words = {fold_name(name) for name in own if not _numeric(name)}
     begins = {name[:1] for name in words}
     for row in rows:
         # Most rows are numbers, whose first character begins no name.
         if any(cell[:1].casefold() in begins for cell in row) and _is_header(row, words):
-            own = told_apart([*row])
+            own = number_equal_names([*row])
             while own and not own[-1]:
                 own.pop()
-            known = list(map(folded, names))
-            names += [name for name in own if folded(name) not in known]
-            known = list(map(folded, names))
-            places = [known.index(folded(name)) for name in own]
-            words = {folded(name) for name in own if not _numeric(name)}
+            known = list(map(fold_name, names))
+            names += [name for name in own if fold_name(name) not in known]
+            known = list(map(fold_name, names))
+            places = [known.index(fold_name(name)) for name in own]
+            words = {fold_name(name) for name in own if not _numeric(name)}
             begins = {name[:1] for name in words}
         elif len(row) >= len(own) and not any(row[len(own) :]):
             cells = [""] * len(names)
@@ -202,7 +202,7 @@ def _tables(header: Sequence[str], rows: Sequence[Sequence[str]]) -> tuple[list[
 
 def _is_header(row: Sequence[str], words: Set[str]) -> bool:
     """Whether half of a row's cells, two at least, are names of columns."""
-    filled = {folded(cell) for cell in row if cell}
+    filled = {fold_name(cell) for cell in row if cell}
     return len(filled & words) >= max(2, len(filled) / 2)
 
 
@@ -212,7 +212,7 @@ def with_rows(table: FoundTable, kept: Sequence[bool]) -> FoundTable:
 
 
 def _cells(line: str, mark: str) -> list[str]:
-    return [cell.strip() for cell in unguarded(next(csv.reader([line], delimiter=mark, skipinitialspace=True), []))]
+    return [cell.strip() for cell in strip_guards(next(csv.reader([line], delimiter=mark, skipinitialspace=True), []))]
 
 
 def _is_data(row: Sequence[str]) -> bool:
@@ -245,7 +245,7 @@ def _is_dated(cell: str) -> bool:
 
 
 def _numeric(cell: str) -> bool:
-    return bool(np.isfinite(numbers([cell])[0][0])) or measured(cell, "auto")[1] != ""
+    return bool(np.isfinite(numbers([cell])[0][0])) or parse_quantity(cell, "auto")[1] != ""
 
 
 def _is_units(row: Sequence[str]) -> bool:

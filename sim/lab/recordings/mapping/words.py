@@ -2,7 +2,7 @@
 
 import re
 
-from sim.lab.recordings import KEPT, known_unit
+from sim.lab.recordings import CONVERTED_UNITS, known_unit
 
 # A word begins or ends where the case changes or no letter stands: TCuscinetti, T_brg_1, motor.current. TI101, II101,
 # JI101
@@ -85,7 +85,7 @@ def bare_unit(cell: str) -> str:
     return cell.strip().strip("[](){}").strip().casefold()
 
 
-def unit_of(header: str) -> tuple[str, str]:
+def split_unit(header: str) -> tuple[str, str]:
     """(header without its unit, unit): "T bearing [°C]" is ("T bearing", "degC"); no unit that is known: ""."""
     match = _BRACKETED.search(header)
     if match:
@@ -101,7 +101,7 @@ def unit_of(header: str) -> tuple[str, str]:
     if match is None or (unit in ("A", "V") and _TEMPERATURE.search(header)):
         return header, ""
     # A unit that the map converts must not stay in the signal's name.
-    return header[: match.start()] if unit in KEPT and unit != KEPT[unit] else header, unit
+    return header[: match.start()] if unit in CONVERTED_UNITS and unit != CONVERTED_UNITS[unit] else header, unit
 
 
 def temperature_score(name: str, unit: str) -> int:

@@ -38,7 +38,7 @@ WatchedLines = tuple[list[tuple[Value, Value]], list[tuple[Value, Value]]]
 """Lines looked at from below and from above, each at both ends of a piece."""
 
 ZERO = Number(0.0)
-TINY = 1e-9
+CLOCK_TOLERANCE = 1e-9
 """Two clocks that differ by less, relative to their size, are equal: sums of floats are not exact."""
 
 _ARITHMETIC: dict[str, Callable[[Value, Value], Value]] = {
@@ -47,7 +47,7 @@ _ARITHMETIC: dict[str, Callable[[Value, Value], Value]] = {
     "*": lambda a, b: a * b,
     "/": lambda a, b: np.divide(a, b),
 }
-_COMPARED: dict[Comparison, Callable[[Value, Value], Mask]] = {
+_COMPARISONS: dict[Comparison, Callable[[Value, Value], Mask]] = {
     "<": np.less,
     "<=": np.less_equal,
     "==": np.equal,
@@ -64,7 +64,7 @@ _SIGNS: dict[Comparison, tuple[bool, bool, bool]] = {
     ">": (False, False, True),
 }
 """Whether a comparison holds where left - right is below 0, 0, above 0."""
-_MIRRORED: dict[Comparison, Comparison] = {"<": ">", "<=": ">=", "==": "==", "!=": "!=", ">=": "<=", ">": "<"}
+_MIRROR: dict[Comparison, Comparison] = {"<": ">", "<=": ">=", "==": "==", "!=": "!=", ">=": "<=", ">": "<"}
 
 
 def value(expression: Expression, temperature: Value, time: Value, age: Value) -> Value:
@@ -79,16 +79,16 @@ def value(expression: Expression, temperature: Value, time: Value, age: Value) -
     if isinstance(expression, Quantity):
         return {"temperature": temperature, "time": time, "age": age}[expression.kind]
     left, right = (value(side, temperature, time, age) for side in (expression.left, expression.right))
-    return combined(expression.op, left, right)
+    return combine(expression.op, left, right)
 
 
-def combined(op: Arithmetic, left: Value, right: Value) -> Value:
+def combine(op: Arithmetic, left: Value, right: Value) -> Value:
     """`left op right`. A division by 0 gives an infinite or undefined number."""
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         return _ARITHMETIC[op](left, right)
 
 
-def holds_at(
+def instant_truth(
     formula: Formula,
     *,
     temperature: Value,
@@ -99,12 +99,12 @@ def holds_at(
 ) -> Mask:
     """Whether the formula holds at single instants; arguments broadcast. Raises ValueError as `compile_formulas`."""
 
-    def compared(part: Compare) -> Mask:
+    def compare(part: Compare) -> Mask:
         left, right = (value(side, temperature, time, age) for side in (part.left, part.right))
-        return np.asarray(_COMPARED[part.op](left, right))
+        return np.asarray(_COMPARISONS[part.op](left, right))
 
     check_formula(formula, names)
-    return _truth(formula, compared, lambda place: np.asarray(location == names.index(place)))
+    return _truth(formula, compare, lambda place: np.asarray(location == names.index(place)))
 
 
 def _truth(formula: Formula, compared: Callable[[Compare], Mask], at: Callable[[str], Mask]) -> Mask:
@@ -165,7 +165,8 @@ def affine(expression: Expression) -> tuple[float, float, float] | None:
     t, g = values[1] - c, values[2] - c
     size = 1.0 + max(abs(number) for number in values)
     fits = all(
-        abs(c + t * time + g * age - height) <= TINY * size for (time, age), height in zip(corners, values, strict=True)
+        abs(c + t * time + g * age - height) <= CLOCK_TOLERANCE * size
+        for (time, age), height in zip(corners, values, strict=True)
     )
     return (c, t, g) if fits else None
 
@@ -233,7 +234,7 @@ def compile_formulas(formulas: tuple[Formula, ...], names: tuple[str, ...]) -> C
             level = None if quantities(at) else float(np.asarray(value(at, 0.0, 0.0, 0.0)))
             line = ThresholdLine(at if level is None else ZERO, level)
             index = lines.setdefault(line, len(lines))
-            op = compare.op if factor > 0 else _MIRRORED[compare.op]
+            op = compare.op if factor > 0 else _MIRROR[compare.op]
             place[compare] = index, op
             # Rising past the line matters where that can make the formula true: true above, under an even number of
             # negations, or false above under an odd one. Touching (==, !=) matters from both sides.
@@ -276,7 +277,7 @@ def table(compiled: CompiledFormulas, which: int, piece: Piece) -> Mask:
         for compare in compiled.clocks:
             left, right = value(compare.left, 0.0, *middle), value(compare.right, 0.0, *middle)
             difference = np.asarray(left - right)
-            equal = np.abs(difference) <= TINY * (1.0 + np.abs(left))
+            equal = np.abs(difference) <= CLOCK_TOLERANCE * (1.0 + np.abs(left))
             below, same, above = _SIGNS[compare.op]
             truth = np.where(equal, same, np.where(difference < 0, below, above) & ~np.isnan(difference))
             truths.append(bool(truth) if truth.ndim == 0 else truth)
@@ -308,7 +309,7 @@ def _table(compiled: CompiledFormulas, which: int, piece: Piece, clocks: tuple[b
     differs = ranks.ndim == 2 or any(isinstance(each, np.ndarray) for each in (piece.location, *clocks))
     shape = regions[:, None] if differs else regions
 
-    def compared(compare: Compare) -> Mask:
+    def compare_part(compare: Compare) -> Mask:
         if compare not in compiled.place:
             return np.asarray(known[compare])
         index, op = compiled.place[compare]
@@ -316,7 +317,7 @@ def _table(compiled: CompiledFormulas, which: int, piece: Piece, clocks: tuple[b
         return np.asarray(np.take(_SIGNS[op], side + 1))
 
     truth = _truth(
-        compiled.formulas[which], compared, lambda at: np.asarray(piece.location == compiled.names.index(at))
+        compiled.formulas[which], compare_part, lambda at: np.asarray(piece.location == compiled.names.index(at))
     )
     size = (regions.size,) if shape.ndim == 1 else (regions.size, piece.start.size)
     return np.broadcast_to(truth, size)
@@ -332,7 +333,7 @@ def _ranks(compiled: CompiledFormulas, piece: Piece) -> Indices:
     return np.argsort(np.argsort(np.stack(np.broadcast_arrays(*middles)), axis=0, kind="stable"), axis=0)
 
 
-def reached(line: ThresholdLine, piece: Piece, *, up: bool, strict: bool) -> Mask:
+def touches_line(line: ThresholdLine, piece: Piece, *, up: bool, strict: bool) -> Mask:
     """(n,) whether a run touches the line (`strict`: is beyond it) in the piece, from below or from above."""
     first, last = line.ends(piece)
     beyond = (np.greater if strict else np.greater_equal) if up else (np.less if strict else np.less_equal)
@@ -360,8 +361,8 @@ def exists(compiled: CompiledFormulas, which: int, piece: Piece) -> Mask | bool:
             return border
         if border is not None:
             line, up, strict = border
-            return reached(compiled.lines[line], piece, up=up, strict=strict)
-    low, high = visited(compiled, piece)
+            return touches_line(compiled.lines[line], piece, up=up, strict=strict)
+    low, high = visited_regions(compiled, piece)
     # A continuous path visits every region from its lowest to its highest; cumulated counts say in one subtraction
     # whether any of those is true.
     counts = np.cumsum(
@@ -389,13 +390,15 @@ def _border(truth: bytes) -> bool | tuple[int, bool, bool] | None:
     return last // 2, False, last % 2 == 0
 
 
-def visited(compiled: CompiledFormulas, piece: Piece) -> tuple[Indices, Indices]:
+def visited_regions(compiled: CompiledFormulas, piece: Piece) -> tuple[Indices, Indices]:
     """(n,) the lowest and the highest region that each run visits in the piece."""
     low = np.full(piece.start.size, 2 * len(compiled.lines), dtype=np.intp)
     high = np.zeros(piece.start.size, dtype=np.intp)
     for line in compiled.lines:
-        high += reached(line, piece, up=True, strict=True).astype(np.intp) + reached(line, piece, up=True, strict=False)
-        low -= reached(line, piece, up=False, strict=True).astype(np.intp) + reached(
+        high += touches_line(line, piece, up=True, strict=True).astype(np.intp) + touches_line(
+            line, piece, up=True, strict=False
+        )
+        low -= touches_line(line, piece, up=False, strict=True).astype(np.intp) + touches_line(
             line, piece, up=False, strict=False
         )
     return low, high
@@ -422,7 +425,7 @@ def begins_true(compiled: CompiledFormulas, which: int, piece: Piece, rows: Indi
     return np.asarray(truth[index] if truth.ndim == 1 else truth[index, rows])
 
 
-def true_in(truth: Mask, where: Indices) -> Mask:
+def region_truth(truth: Mask, where: Indices) -> Mask:
     """(n,) a formula's truth, by its table (`table`), in the region in which each run is."""
     return np.asarray(truth[where] if truth.ndim == 1 else truth[where, np.arange(where.size)])
 

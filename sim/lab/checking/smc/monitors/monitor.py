@@ -13,24 +13,24 @@ import numpy as np
 
 from sim.lab.checking.query import Expression, Indicator, Operation
 from sim.lab.checking.smc.monitors.formula import (
-    TINY,
+    CLOCK_TOLERANCE,
     CompiledFormulas,
     Value,
     WatchedLines,
     begins_true,
-    combined,
+    combine,
     exists,
-    holds_at,
+    instant_truth,
     region,
+    region_truth,
     table,
     table_at_begin,
-    true_in,
     value,
-    visited,
+    visited_regions,
     watched_lines,
 )
 from sim.lab.checking.smc.paths import Engine, Indices, Piece, State, with_extremes
-from sim.sha import MOST_STAYS, Array, Mask
+from sim.sha import MAX_STAYS, Array, Mask
 
 KEEP, EVERY = 0.95, 8
 """Decided runs are left out when fewer than KEEP of them are undecided, which is looked at after EVERY rows."""
@@ -87,7 +87,7 @@ def follow(engine: Engine, monitors: Sequence[Monitor], runs: int, rng: np.rando
 
 
 def _totals(state: State) -> Totals:
-    return Totals(int(state.clamps.sum()), int(state.limited.sum()), int((state.stays >= MOST_STAYS).sum()))
+    return Totals(int(state.clamps.sum()), int(state.limited.sum()), int((state.stays >= MAX_STAYS).sum()))
 
 
 def show(piece: Piece, who: Indices, monitors: Sequence[Monitor], rng: np.random.Generator) -> None:
@@ -180,13 +180,13 @@ class UntilMonitor:
         if not inside(piece, 0.0, self.high):
             return
         n = who.size
-        low, high = visited(self.compiled, piece)
+        low, high = visited_regions(self.compiled, piece)
         start_region = region(self.compiled, piece, at_end=False)
         ends, goal = (_nearest(table(self.compiled, which, piece), start_region, n) for which in (0, 1))
         up, down = ends[0] <= high, ends[1] >= low
         late = inside(piece, self.low, self.high)
         # A goal at the first instant needs no hold there; one that is true right after it (`time > 5` at 5 s) does.
-        at_begin = true_in(table_at_begin(self.compiled, 1, piece), start_region)
+        at_begin = region_truth(table_at_begin(self.compiled, 1, piece), start_region)
         ended = (ends[0] == start_region) & ~at_begin
         rise = (goal[0] <= high) & (goal[0] <= ends[0]) & ~ended & late
         fall = (goal[1] >= low) & (goal[1] >= ends[1]) & ~ended & late
@@ -247,7 +247,7 @@ class ExtremeMonitor:
         if self.factor == 0.0:
             return [], []
         # A hair beyond the best: a bridge that only meets it would be drawn for nothing.
-        beyond = self.best[who] + TINY * (1.0 + np.abs(self.best[who]))
+        beyond = self.best[who] + CLOCK_TOLERANCE * (1.0 + np.abs(self.best[who]))
         line = ((self.sign * beyond - before) / self.factor, (self.sign * beyond - after) / self.factor)
         return ([line], []) if self.sign * self.factor > 0 else ([], [line])
 
@@ -290,23 +290,27 @@ class TrajectoryMonitor:
             np.broadcast_to(np.asarray(time, dtype=float), who.shape) for time in (piece.begin, piece.begin + piece.dt)
         )
         self.times.append((begin, stop, who))
-        self.values.append((self._at(piece, begin, at_end=False), self._at(piece, stop, at_end=True)))
+        self.values.append(
+            (self._piece_values(piece, begin, at_end=False), self._piece_values(piece, stop, at_end=True))
+        )
 
-    def _at(self, piece: Piece, time: Array, *, at_end: bool) -> Array:
+    def _piece_values(self, piece: Piece, time: Array, *, at_end: bool) -> Array:
         """(expressions, n) the values at one end of the piece, conditions as 0 and 1."""
         x, age = (piece.end, piece.age + piece.dt) if at_end else (piece.start, piece.age)
 
-        def of(expression: Expression) -> Value:
+        def evaluate_expression(expression: Expression) -> Value:
             if isinstance(expression, Indicator):
-                holds = holds_at(
+                holds = instant_truth(
                     expression.inner, temperature=x, time=time, age=age, location=piece.location, names=self.names
                 )
                 return np.asarray(holds, dtype=float)
             if isinstance(expression, Operation):
-                return combined(expression.op, of(expression.left), of(expression.right))
+                return combine(
+                    expression.op, evaluate_expression(expression.left), evaluate_expression(expression.right)
+                )
             return value(expression, x, time, age)
 
-        return np.stack([np.broadcast_to(of(expression), x.shape) for expression in self.expressions])
+        return np.stack([np.broadcast_to(evaluate_expression(expression), x.shape) for expression in self.expressions])
 
     def open(self) -> Mask | None:
         """All."""

@@ -10,7 +10,7 @@ from sim.lab.checking.query import Always, BoundedResponse, Not, Operation, Path
 from sim.lab.checking.smc.monitors.formula import CompiledFormulas, affine, compile_formulas
 from sim.lab.checking.smc.monitors.monitor import EventuallyMonitor, Monitor, UntilMonitor
 from sim.lab.checking.smc.monitors.response import ResponseMonitor
-from sim.lab.checking.smc.paths import LONGEST, Affine, Cuts
+from sim.lab.checking.smc.paths import MAX_PIECE_S, Affine, Cuts
 from sim.sha import Array, Mask
 
 
@@ -52,7 +52,7 @@ class PreparedPath:
             return ~monitor.satisfied if isinstance(self.path, Always) else monitor.satisfied
         return monitor.satisfied if isinstance(monitor, UntilMonitor) else np.empty(0, dtype=np.bool_)
 
-    def when(self, monitor: Monitor) -> Array | None:
+    def goal_moment(self, monitor: Monitor) -> Array | None:
         """(n,) the moment (s) of the goal (for `[]`: of the violation), inf without; None for a response."""
         return monitor.when if isinstance(monitor, EventuallyMonitor | UntilMonitor) else None
 
@@ -82,7 +82,7 @@ def cuts(paths: Sequence[PreparedPath]) -> Cuts:
         else:
             low, high = path.span.low, min(path.span.high, prepared.bound)
         instants |= {low, high}
-        if compiled.lines or _is_bent(prepared):
+        if compiled.lines or _is_nonlinear(prepared):
             # What must hold before the goal, and a cause, count from the start on, whatever the span says.
             looked.append((0.0 if isinstance(path, Until | BoundedResponse) else min(low, bound), high))
         for compare in compiled.clocks:
@@ -93,10 +93,10 @@ def cuts(paths: Sequence[PreparedPath]) -> Cuts:
     instants |= {-c / t for c, t, g in clocks if g == 0.0}
     mixed = tuple(sorted(line for line in clocks if line[2] != 0.0))
     ordered = any(isinstance(each.path, Until | BoundedResponse) and each.compiled.lines for each in paths)
-    longest = LONGEST if ordered or any(map(_is_bent, paths)) else inf
+    longest = MAX_PIECE_S if ordered or any(map(_is_nonlinear, paths)) else inf
     inside = tuple(sorted(time for time in instants if 0.0 <= time <= bound))
     # A line that moves, or a condition that is looked at once in each piece, is not known from a longer step's ends.
-    fixed = all(each.compiled.still and not _is_bent(each) for each in paths)
+    fixed = all(each.compiled.still and not _is_nonlinear(each) for each in paths)
     lines = {line.level for each in paths for line in each.compiled.lines if line.level is not None}
     return Cuts(
         bound=bound,
@@ -108,7 +108,7 @@ def cuts(paths: Sequence[PreparedPath]) -> Cuts:
     )
 
 
-def _is_bent(prepared: PreparedPath) -> bool:
+def _is_nonlinear(prepared: PreparedPath) -> bool:
     """Whether a condition on clocks is not linear in them."""
     return any(affine(Operation("-", compare.left, compare.right)) is None for compare in prepared.compiled.clocks)
 
@@ -116,7 +116,7 @@ def _is_bent(prepared: PreparedPath) -> bool:
 def approximations(prepared: PreparedPath) -> tuple[str, ...]:
     """What is not exact in following this path, and how far beyond the bound it is followed, one sentence each."""
     sentences = []
-    if _is_bent(prepared):
+    if _is_nonlinear(prepared):
         sentences.append(
             "a condition on clocks that is not linear in them is looked at once in each step of at most 4 s"
         )

@@ -16,9 +16,9 @@ from sim.lab.checking.smc.monitors.formula import (
     comparisons,
     exists,
     region,
+    region_truth,
     table,
     table_at_begin,
-    true_in,
     watched_lines,
 )
 from sim.lab.checking.smc.monitors.monitor import inside
@@ -73,7 +73,7 @@ class ResponseMonitor:
         """Let causes of the piece wait, and its effect answer those that wait."""
         cause = self._stretch(0, piece) if inside(piece, 0.0, max(self.until, self.bound)) else None
         if not inside(piece, 0.0, self.until):
-            self._leave_out(cause, piece, who)
+            self._count_late_causes(cause, piece, who)
             cause, self.over = None, self.over or not inside(piece, 0.0, self.bound)
         effect = self._stretch(1, piece)
         stop = _last_instant(piece)
@@ -122,7 +122,7 @@ class ResponseMonitor:
             del self.later[0]
         return due
 
-    def _leave_out(self, cause: tuple[Array, Array] | None, piece: Piece, who: Indices) -> None:
+    def _count_late_causes(self, cause: tuple[Array, Array] | None, piece: Piece, who: Indices) -> None:
         """Count the causes that begin in a piece, or go on in the first piece after `until`."""
         if cause is None:
             self.lasting[who] = False
@@ -151,7 +151,7 @@ class ResponseMonitor:
         else:
             met = exists(self.compiled, which, piece)
             here, there = (region(self.compiled, piece, at_end=at_end) for at_end in (False, True))
-            at_begin, inner, at_end = true_in(opening, here), true_in(truth, here), true_in(truth, there)
+            at_begin, inner, at_end = region_truth(opening, here), region_truth(truth, here), region_truth(truth, there)
             if not np.any(met) and not np.any(at_begin):
                 return None
             moment = begin + piece.dt * self._share(which, piece)

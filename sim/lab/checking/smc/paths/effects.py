@@ -1,6 +1,6 @@
 """Runs under effects whose events are known: the simulator's own steps, short enough that a query can look at them.
 
-Every run has its own X, housing, lags, thermostat and m. Steps are those of `sim.engine.tables`, at most LONGEST s
+Every run has its own X, housing, lags, thermostat and m. Steps are those of `sim.engine.tables`, at most MAX_PIECE_S s
 and 0.05 of the fastest time constant where the temperature counts. In between the path of X is the bridge of its
 noise about a straight line; after a lag it is smooth, and its extremes are those of the steps' ends.
 """
@@ -11,7 +11,7 @@ from math import inf, isfinite, nextafter
 
 import numpy as np
 
-from sim.effects import ABSOLUTE_SECONDS, Structural, dead_time, kind_of, offset_times, sensor_offsets
+from sim.effects import ABSOLUTE_SECONDS, Structural, dead_time, effect_kind, offset_times, sensor_offsets
 from sim.engine import (
     Hidden,
     SamplingPlan,
@@ -24,8 +24,17 @@ from sim.engine import (
     move,
     schedule,
 )
-from sim.lab.checking.smc.paths.known_events import MOST_ROWS, Cuts, crossings, notes_of
-from sim.lab.checking.smc.paths.plan import FINE, LEAST_DECAY, LONGEST, Indices, Piece, State, World, draw_mode
+from sim.lab.checking.smc.paths.known_events import MAX_ROWS, Cuts, crossings, trace_notes
+from sim.lab.checking.smc.paths.plan import (
+    MAX_PIECE_S,
+    MAX_PIECE_TAUS,
+    MIN_DECAY,
+    Indices,
+    Piece,
+    State,
+    World,
+    draw_mode,
+)
 from sim.lab.checking.smc.paths.tilting import Tilts
 from sim.sha import SHA, UNKNOWN, Array, Event, distributions
 
@@ -46,7 +55,7 @@ class KnownUnderEffects:
     notes: tuple[str, ...]
     columns: int = 0
 
-    def tilted(self, tilts: Tilts) -> "KnownUnderEffects":
+    def tilt(self, tilts: Tilts) -> "KnownUnderEffects":
         """Never asked for: there are no columns."""
         raise ValueError("runs under effects have no mode parameters that may be drawn by laws of their own")
 
@@ -63,7 +72,7 @@ class KnownUnderEffects:
             opened = np.full(runs, float(hidden.opened))
         clamps = np.zeros(runs, dtype=np.intp)
         _clamp(self.plan.schedule.sha, s, clamps)
-        x = s[:, plant.sensed] + self.before[0]
+        x = s[:, plant.sensor_state] + self.before[0]
         return State(x, mode, clamps, np.zeros(runs, dtype=np.intp), hidden=np.column_stack([s, opened]))
 
     def advance(self, row: int, state: State, rng: np.random.Generator) -> Iterator[Piece]:
@@ -78,7 +87,7 @@ class KnownUnderEffects:
                 s[:, 0] = distributions.draw(law, runs, rng)
                 _clamp(schedule_.sha, s, state.clamps)
             state.mode = draw_mode(schedule_.sha, place, runs, rng)
-        start = s[:, plant.sensed] + self.before[row]
+        start = s[:, plant.sensor_state] + self.before[row]
         if dt > 0:
             drawn = rng.standard_normal((runs, plant.size))
             noise = np.where(opened[:, None], drawn @ plan.open[row].T, drawn @ plan.closed[row].T)
@@ -87,7 +96,7 @@ class KnownUnderEffects:
             state.limited += moved.met
             _clamp(schedule_.sha, s, state.clamps)
         state.hidden = np.column_stack([s, opened])
-        state.x = s[:, plant.sensed] + self.after[row]
+        state.x = s[:, plant.sensor_state] + self.after[row]
         age = float(schedule_.age[row])
         yield Piece(
             rows=None,
@@ -109,7 +118,7 @@ def _clamp(sha: SHA, s: Array, clamps: Indices) -> None:
         s[:, 0] = np.clip(s[:, 0], sha.low, sha.high)
 
 
-def augmented(world: World, cuts: Cuts) -> KnownUnderEffects:
+def effects_engine(world: World, cuts: Cuts) -> KnownUnderEffects:
     """The engine along the events and signals of `world.trace`. Raises ValueError as `schedule` does."""
     trace = world.trace
     if trace is None:
@@ -131,16 +140,16 @@ def augmented(world: World, cuts: Cuts) -> KnownUnderEffects:
     steps = schedule(sha, events, outputs, start=0.0, inputs=inputs, policy="resync")
     if world.belief is not None and steps.location[0] != world.location:
         raise ValueError(f"trace {trace.name!r}: its events do not lead to the location that the belief is in")
-    if steps.dt.size > MOST_ROWS:
+    if steps.dt.size > MAX_ROWS:
         raise ValueError(
-            f"the query needs {steps.dt.size} steps a run, above {MOST_ROWS}: ask for a shorter bound or interval"
+            f"the query needs {steps.dt.size} steps a run, above {MAX_ROWS}: ask for a shorter bound or interval"
         )
     plan = augmented_plan(steps, world.belief.x if world.belief is not None else distributions.mean(world.first))
     clock = np.concatenate([[0.0], np.cumsum(steps.dt)])
     begins = steps.segments.time if steps.segments is not None else clock[:-1]
     closed = plan.steps.closed
-    bridge = closed.noise[:, 0, 0] / np.maximum(closed.phi[:, 0, 0], LEAST_DECAY)
-    notes = list(notes_of(trace, world, cuts.bound, len(steps.unmatched)))
+    bridge = closed.noise[:, 0, 0] / np.maximum(closed.phi[:, 0, 0], MIN_DECAY)
+    notes = list(trace_notes(trace, world, cuts.bound, len(steps.unmatched)))
     if plan.plant.thermostat is not None or plan.plant.radiation is not None:
         notes.append("thermostat and radiation are followed run by run, the noise of a step being that of its begin")
     if plan.plant.lags:
@@ -163,7 +172,7 @@ def relative(sha: SHA, begin: float) -> SHA:
     """The automaton on a clock that is 0 at `begin` (absolute s), its dead time being in the events already."""
     effects = []
     for effect in sha.effects:
-        kind = kind_of(effect)
+        kind = effect_kind(effect)
         absolute = {name for name, each in kind.parameters.items() if each.unit == ABSOLUTE_SECONDS}
         params = {name: value - begin if name in absolute else value for name, value in effect.params.items()}
         effects.append(replace(effect, params={"delay": 0.0} if kind.law == Structural("dead time") else params))
@@ -182,18 +191,18 @@ def _outputs(coarse: Schedule, cuts: Cuts, sha: SHA) -> Array:
         speed = np.maximum(speed, 1.0 / plant.housing_tau)
     if plant.disturbance is not None:
         speed = np.maximum(speed, 1.0 / plant.disturbance.params["memory"])
-    part = FINE / np.maximum(speed, 1e-12)
+    part = MAX_PIECE_TAUS / np.maximum(speed, 1e-12)
     points = [np.array([cuts.bound])]
     instants = {time for time in cuts.instants if 0.0 <= time <= cuts.bound}
     instants |= {at for at in offset_times(sha) if 0.0 < at < cuts.bound}
     for first, dt, age, place in zip(begins, coarse.dt, coarse.age, coarse.location, strict=True):
-        longest = min(LONGEST, float(part[place]), cuts.longest)
+        longest = min(MAX_PIECE_S, float(part[place]), cuts.longest)
         for low, high in cuts.looked:
             left, right = max(float(first), low), min(float(first + dt), high)
             if right > left:
                 count = int(np.ceil((right - left) / longest))
-                if count > MOST_ROWS:
-                    raise ValueError(f"the query needs more than {MOST_ROWS} steps a run: ask for a shorter bound")
+                if count > MAX_ROWS:
+                    raise ValueError(f"the query needs more than {MAX_ROWS} steps a run: ask for a shorter bound")
                 points.append(np.linspace(left, right, count + 1)[1:])
         instants |= set(crossings(cuts.clocks, float(first), float(dt), float(age)))
     doubled = np.repeat(np.array(sorted(instants)), 2)

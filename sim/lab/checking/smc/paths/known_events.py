@@ -11,8 +11,8 @@ from sim.engine import Schedule, schedule, step_coefficients
 from sim.lab.checking.smc.paths import long_steps
 from sim.lab.checking.smc.paths.long_steps import NestedStep
 from sim.lab.checking.smc.paths.plan import (
-    FINE,
-    LEAST_DECAY,
+    MAX_PIECE_TAUS,
+    MIN_DECAY,
     Indices,
     Piece,
     State,
@@ -20,10 +20,10 @@ from sim.lab.checking.smc.paths.plan import (
     clamp,
     draw_start,
     limit,
-    start_at,
     start_tiltable,
+    state_from_scores,
 )
-from sim.lab.checking.smc.paths.tilting import Tilts, chosen, scored, tiltable
+from sim.lab.checking.smc.paths.tilting import Tilts, choose_stays, mode_value, tiltable
 from sim.sha import (
     UNKNOWN,
     Array,
@@ -33,13 +33,13 @@ from sim.sha import (
     Mask,
     Trace,
     distributions,
-    drawn_parameter,
-    drawn_temperature,
+    draw_parameter,
+    draw_temperature,
     flows,
     mode_parameter,
 )
 
-MOST_ROWS = 200_000
+MAX_ROWS = 200_000
 """Steps of one run; a query that needs more is refused."""
 
 Affine = tuple[float, float, float]
@@ -107,7 +107,7 @@ class Known:
     columns: int = 0
     tilts: Tilts | None = None
 
-    def tilted(self, tilts: Tilts) -> "Known":
+    def tilt(self, tilts: Tilts) -> "Known":
         """The same with the mode parameters of `columns` stays drawn by these laws."""
         return replace(self, tilts=tilts)
 
@@ -119,7 +119,7 @@ class Known:
             x, mode = draw_start(self.world, runs, rng)
         else:
             drawn[:, column] = self.tilts.scores(column, runs, rng)
-            x, mode = start_at(self.world, drawn[:, column], rng)
+            x, mode = state_from_scores(self.world, drawn[:, column], rng)
         x, outside = clamp(self.world.sha, x)
         clamps = np.zeros(runs, dtype=np.intp) if outside is None else outside.astype(np.intp)
         return State(x, mode, clamps, np.zeros(runs, dtype=np.intp), drawn=drawn)
@@ -136,17 +136,17 @@ class Known:
                 state.mode = distributions.draw(entry.drawn, runs, rng)
             else:
                 state.drawn[:, entry.column] = self.tilts.scores(entry.column, runs, rng)
-                state.mode = scored(entry.drawn, state.drawn[:, entry.column])
+                state.mode = mode_value(entry.drawn, state.drawn[:, entry.column])
         if (whole := self.whole[row]) is not None:
             mode = state.mode if entry.own else 0.0
-            pieces = whole.taken(state, mode, sha=self.world.sha, lines=self.lines, rng=rng)
+            pieces = whole.advance(state, mode, sha=self.world.sha, lines=self.lines, rng=rng)
             if pieces is not None:
                 yield from pieces
                 return
         for step in steps:
             start = state.x
             if step.dt > 0.0:
-                state.x = self._moved(step, start, state, rng)
+                state.x = self._advance(step, start, state, rng)
             yield Piece(
                 rows=None,
                 begin=step.begin,
@@ -158,7 +158,7 @@ class Known:
                 bridge=step.bridge,
             )
 
-    def _moved(self, step: _Row, start: Array, state: State, rng: np.random.Generator) -> Array:
+    def _advance(self, step: _Row, start: Array, state: State, rng: np.random.Generator) -> Array:
         rate = self.world.sha.max_rate
         if isfinite(rate):
             target = (state.mode if step.own else step.mean) + step.offset
@@ -186,7 +186,7 @@ def _count(counts: Indices, outside: Mask | None) -> None:
         counts += outside
 
 
-def known(world: World, cuts: Cuts) -> Known:
+def known_engine(world: World, cuts: Cuts) -> Known:
     """The engine along the events and inputs of `world.trace`. Raises ValueError as `schedule` does.
 
     An event without an edge leads where most edges with its symbol lead (`resync`), as the gateway does; it is noted.
@@ -210,13 +210,13 @@ def known(world: World, cuts: Cuts) -> Known:
     steps = schedule(world.sha, events, _outputs(coarse, cuts), start=0.0, inputs=inputs, policy="resync")
     if world.belief is not None and steps.location[0] != world.location:
         raise ValueError(f"trace {trace.name!r}: its events do not lead to the location that the belief is in")
-    if steps.dt.size > MOST_ROWS:
+    if steps.dt.size > MAX_ROWS:
         raise ValueError(
-            f"the query needs {steps.dt.size} steps a run, above {MOST_ROWS}: ask for a shorter bound or interval"
+            f"the query needs {steps.dt.size} steps a run, above {MAX_ROWS}: ask for a shorter bound or interval"
         )
     clock = np.concatenate([[0.0], np.cumsum(steps.dt)])
     rows, columns = _with_columns(world, _rows(world, steps, clock))
-    most = 1 if cuts.lines is None or isfinite(world.sha.max_rate) else long_steps.MOST_PIECES
+    most = 1 if cuts.lines is None or isfinite(world.sha.max_rate) else long_steps.MAX_PIECES
     firsts = [0]
     for k, (row, after) in enumerate(pairwise(rows), start=1):
         same = after.age > row.age and after.offset == row.offset  # the stay, and so m, and what the inputs add to it
@@ -230,12 +230,12 @@ def known(world: World, cuts: Cuts) -> Known:
         firsts=tuple(firsts),
         whole=tuple(_whole(rows[first:last]) for first, last in pairwise(firsts)),
         lines=cuts.lines or (),
-        notes=notes_of(trace, world, cuts.bound, len(steps.unmatched)),
+        notes=trace_notes(trace, world, cuts.bound, len(steps.unmatched)),
         columns=columns,
     )
 
 
-def notes_of(trace: Trace, world: World, bound: float, unmatched: int) -> tuple[str, ...]:
+def trace_notes(trace: Trace, world: World, bound: float, unmatched: int) -> tuple[str, ...]:
     """What limits runs along a trace, one sentence each."""
     notes = []
     last = float(trace.times[-1]) - world.begin if trace.times.size else 0.0
@@ -281,7 +281,7 @@ def _fine(flow: Flow, age: float, length: float, *, longest: float) -> Array:
     elif flow.kind == "transient" and own < length:  # equal steps of exp(-u / 2 tau), as those of `limit`
         twice = 2.0 * flow.params["tau"]
         first, last = np.exp(-np.array([age, age + length]) / twice)
-        inner = np.linspace(first, last, ceil((first - last) / (0.5 * FINE)) + 1)[1:-1]
+        inner = np.linspace(first, last, ceil((first - last) / (0.5 * MAX_PIECE_TAUS)) + 1)[1:-1]
         points = np.array([0.0, *(-twice * np.log(inner) - age), length])
     else:
         points = np.linspace(0.0, length, ceil(length / own) + 1 if isfinite(own) else 2)
@@ -304,12 +304,12 @@ def _rows(world: World, steps: Schedule, clock: Array) -> tuple[_Row, ...]:
     sha = world.sha
     decay, pull, variance = step_coefficients(steps)
     mean, spread = np.array([mode_parameter(place) for place in sha.locations]).T[:, steps.location]
-    bridge = variance / np.maximum(decay, LEAST_DECAY)
+    bridge = variance / np.maximum(decay, MIN_DECAY)
     # A normal m on which one step alone depends is one more normal noise in that step: one draw stands for both. Under
     # a rate limit a step is not linear in m, and a belief's first m is not independent of its X: there they stay apart.
     alone = np.zeros(steps.dt.size, dtype=np.bool_)
     if not isfinite(sha.max_rate):
-        laws = [drawn_parameter(place) for place in sha.locations]
+        laws = [draw_parameter(place) for place in sha.locations]
         normal = np.array([law is not None and law.kind == "normal" for law in laws])[steps.location]
         dependent = np.bincount(steps.stay, weights=pull != 0)[steps.stay]
         alone = normal & (dependent <= 1)
@@ -330,8 +330,8 @@ def _rows(world: World, steps: Schedule, clock: Array) -> tuple[_Row, ...]:
                 dt=float(steps.dt[k]),
                 age=float(steps.age[k]),
                 location=place,
-                fresh=drawn_temperature(location) if entered[k] else None,
-                drawn=drawn_parameter(location) if entered[k] and own[k] else None,
+                fresh=draw_temperature(location) if entered[k] else None,
+                drawn=draw_parameter(location) if entered[k] and own[k] else None,
                 own=bool(own[k]),
                 mean=float(mean[k]),
                 decay=float(decay[k]),
@@ -350,7 +350,7 @@ def _whole(rows: Sequence[_Row]) -> NestedStep | None:
     """Several rows as one step; None for a single one."""
     if len(rows) == 1:
         return None
-    return long_steps.joined(
+    return long_steps.join_steps(
         [
             NestedStep(
                 begin=row.begin,
@@ -384,6 +384,6 @@ def _with_columns(world: World, rows: Sequence[_Row]) -> tuple[tuple[_Row, ...],
             sigma = 0.0
         # How far one standard deviation of this m moves X over its stay, roughly: the pulls of its steps, added up.
         effects[which] = sigma * sum(row.pull for row in rows[first:last] if row.own)
-    places = chosen(effects)
+    places = choose_stays(effects)
     columns = {begins[which]: column for column, which in enumerate(places)}
     return tuple(replace(row, column=columns.get(k)) for k, row in enumerate(rows)), len(places)

@@ -1,9 +1,9 @@
 """One exact step over several pieces, filled in for the runs that come near a line.
 
 A flow without saturation is affine with normal noise, so that one step over several pieces has their exact law. Where
-its bridge reaches none of the lines that are looked at (`plan.near`), nothing happens in it and a run needs no more.
-Elsewhere the middle is drawn given both ends, as in Lévy's construction of Brownian motion, and each half is taken in
-the same way, down to single pieces, whose bridges are looked at as ever.
+its bridge reaches none of the lines that are looked at (`plan.may_reach`), nothing happens in it and a run needs no
+more. Elsewhere the middle is drawn given both ends, as in Lévy's construction of Brownian motion, and each half is
+taken in the same way, down to single pieces, whose bridges are looked at as ever.
 """
 
 from collections.abc import Iterator, Sequence
@@ -12,15 +12,15 @@ from math import sqrt
 
 import numpy as np
 
-from sim.lab.checking.smc.paths.plan import LEAST_DECAY, Indices, Piece, State, near
+from sim.lab.checking.smc.paths.plan import MIN_DECAY, Indices, Piece, State, may_reach
 from sim.sha import SHA, Array
 
-MOST_PIECES = 4
-"""Pieces of one step at most. Over four as long as `plan.FINE` allows, the mean path strays from the bridge's straight
-line by 0.5 % of the line's distance from the target: of lines up to ten stationary deviations away, the chance that is
-left out stays below 1e-15."""
+MAX_PIECES = 4
+"""Pieces of one step at most. Over four as long as `plan.MAX_PIECE_TAUS` allows, the mean path strays from the bridge's
+straight line by 0.5 % of the line's distance from the target: of lines up to ten stationary deviations away, the chance
+that is left out stays below 1e-15."""
 
-CLEAR = 10.0
+CLEAR_SIGMAS = 10.0
 """Standard deviations of a step by which all runs keep clear of the automaton's range, where each piece is clamped."""
 
 
@@ -58,14 +58,14 @@ class NestedStep:
             bridge=self.bridge,
         )
 
-    def taken(
+    def advance(
         self, state: State, mode: Array | float, *, sha: SHA, lines: Sequence[float], rng: np.random.Generator
     ) -> Iterator[Piece] | None:
         """Move all runs to the end: the pieces on the way. None, and nothing moved, where a run may leave the range."""
         start = state.x
         mean = self.mean(start, mode)
         # The target is one and the same, so that the mean goes one way only and on the way is between its two ends.
-        apart = CLEAR * sqrt(self.variance)
+        apart = CLEAR_SIGMAS * sqrt(self.variance)
         if min(start.min(), mean.min()) - apart < sha.low or max(start.max(), mean.max()) + apart > sha.high:
             return None
         state.x = rng.standard_normal(start.size)
@@ -90,7 +90,7 @@ class NestedStep:
             return
         close = np.zeros(start.size, dtype=np.bool_)
         for line in lines:
-            close |= near(piece, line, line)
+            close |= may_reach(piece, line, line)
         far, some = np.flatnonzero(~close), np.flatnonzero(close)
         if far.size:
             # No bridge: it reaches nothing.
@@ -111,12 +111,12 @@ class NestedStep:
         yield from second.pieces(rows, middle, end, mode=mode, lines=lines, rng=rng)
 
 
-def joined(parts: Sequence[NestedStep]) -> NestedStep:
+def join_steps(parts: Sequence[NestedStep]) -> NestedStep:
     """One step over neighbouring ones of the same stay, with the same target and some noise in each."""
     if len(parts) == 1:
         return parts[0]
     half = (len(parts) + 1) // 2
-    first, second = joined(parts[:half]), joined(parts[half:])
+    first, second = join_steps(parts[:half]), join_steps(parts[half:])
     decay, variance = second.decay * first.decay, second.decay**2 * first.variance + second.variance
     return NestedStep(
         begin=first.begin,
@@ -127,6 +127,6 @@ def joined(parts: Sequence[NestedStep]) -> NestedStep:
         pull=second.decay * first.pull + second.pull,
         shift=second.decay * first.shift + second.shift,
         variance=variance,
-        bridge=variance / max(decay, LEAST_DECAY),
+        bridge=variance / max(decay, MIN_DECAY),
         halves=(first, second),
     )

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from sim.engine import Belief, Plant, Tracker, draw_belief, draw_states, drawn_start
 from sim.lab.checking.smc.paths.tilting import Tilts, tiltable
 from sim.sha import (
-    RELAXING,
+    RELAXING_FLOWS,
     SHA,
     Array,
     Distribution,
@@ -30,23 +30,23 @@ from sim.sha import (
     Mask,
     Trace,
     distributions,
-    drawn_parameter,
+    draw_parameter,
     mode_parameter,
 )
 
 Indices = NDArray[np.intp]
 
-FINE = 0.05
+MAX_PIECE_TAUS = 0.05
 """Longest piece in units of a flow's time constant: the bridge's straight line is then within 0.4 % of a standard
 deviation of the bridge, four stationary deviations away from the target."""
 
-LONGEST = 4.0
+MAX_PIECE_S = 4.0
 """Longest piece (s) where the order of two things within one piece counts."""
 
 NEGLIGIBLE_EXPONENT = 40.0
 """A bridge whose (p0 - x0) (p1 - x1) exceeds 20 V reaches the line with a chance below exp(-40); nothing is drawn."""
 
-LEAST_DECAY = exp(-1.0)
+MIN_DECAY = exp(-1.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +73,7 @@ class World:
     def under_effects(self) -> bool:
         """Whether the runs need the engine of effects: without a trace what is only random is drawn stay by stay."""
         plant = self.tracker.plant
-        return plant is not None and (self.trace is not None or not plant.random_only)
+        return plant is not None and (self.trace is not None or not plant.is_random)
 
     @property
     def age(self) -> float:
@@ -124,7 +124,7 @@ class State:
         for whole, count in zip(self.wholes(), other.wholes(), strict=True):
             whole[rows if whole.size else slice(0)] = count
 
-    def joined(self, other: "State") -> "State":
+    def concatenate(self, other: "State") -> "State":
         """These runs and the other ones."""
         return _state(
             [np.concatenate(pair) for pair in zip(self.reals(), other.reals(), strict=True)],
@@ -196,7 +196,7 @@ class Engine(Protocol):
         """How many mode parameters may be drawn by laws of their own (`sim.lab.checking.smc.paths.tilting`)."""
         ...
 
-    def tilted(self, tilts: Tilts) -> "Engine":
+    def tilt(self, tilts: Tilts) -> "Engine":
         """The same with those mode parameters drawn by these laws."""
         ...
 
@@ -211,25 +211,25 @@ class Engine(Protocol):
 
 def limit(flow: Flow, age: float | Array) -> float | Array:
     """The longest piece (s) of a flow whose path is looked at, `age` s after entry."""
-    if flow.kind in RELAXING:
-        return FINE / flow.params["k"]
+    if flow.kind in RELAXING_FLOWS:
+        return MAX_PIECE_TAUS / flow.params["k"]
     if flow.kind == "transient":
-        # Pieces of FINE tau exp(u / 2 tau): in each the course is as far from its chord. They are equal steps of
-        # exp(-u / 2 tau), so that there are 2 / FINE of them at most, and the last one has no end.
+        # Pieces of MAX_PIECE_TAUS tau exp(u / 2 tau): in each the course is as far from its chord. They are equal steps
+        # of exp(-u / 2 tau), so that there are 2 / MAX_PIECE_TAUS of them at most, and the last one has no end.
         twice = 2.0 * flow.params["tau"]
-        step = 0.5 * FINE * np.exp(np.minimum(age / twice, 50.0))
+        step = 0.5 * MAX_PIECE_TAUS * np.exp(np.minimum(age / twice, 50.0))
         return np.where(step < 1.0, -twice * np.log1p(-np.minimum(step, 1.0 - 1e-12)), np.inf)
-    return FINE * (flow.params["t0"] + age) if flow.kind == "logarithmic" else np.inf
+    return MAX_PIECE_TAUS * (flow.params["t0"] + age) if flow.kind == "logarithmic" else np.inf
 
 
 def start_tiltable(world: World) -> bool:
     """Whether m at the start is normal and not known."""
     if world.belief is not None:
         return world.belief.mm > 0
-    return tiltable(drawn_parameter(world.sha.locations[world.location]))
+    return tiltable(draw_parameter(world.sha.locations[world.location]))
 
 
-def start_at(world: World, scores: Array, rng: np.random.Generator) -> tuple[Array, Array]:
+def state_from_scores(world: World, scores: Array, rng: np.random.Generator) -> tuple[Array, Array]:
     """(X, m) of runs at the start whose m has these standard scores; X by its law, a belief's given m."""
     belief = world.belief
     if belief is None:
@@ -250,7 +250,7 @@ def draw_start(world: World, runs: int, rng: np.random.Generator) -> tuple[Array
     return draw_belief(belief, runs, rng)
 
 
-def draw_hidden(world: World, plant: Plant, runs: int, rng: np.random.Generator) -> tuple[Array, Array]:
+def draw_hidden_states(world: World, plant: Plant, runs: int, rng: np.random.Generator) -> tuple[Array, Array]:
     """(states (N, d), m (N,)) at the start of runs of a plant that is random beyond its flows."""
     belief = world.belief
     if belief is not None and belief.hidden is not None:
@@ -261,7 +261,7 @@ def draw_hidden(world: World, plant: Plant, runs: int, rng: np.random.Generator)
 
 def draw_mode(sha: SHA, location: int, runs: int, rng: np.random.Generator) -> Array:
     """m of `runs` stays in a location, drawn by its law or fixed."""
-    law = drawn_parameter(sha.locations[location])
+    law = draw_parameter(sha.locations[location])
     if law is not None:
         return distributions.draw(law, runs, rng)
     return np.full(runs, mode_parameter(sha.locations[location])[0])
@@ -274,7 +274,7 @@ def clamp(sha: SHA, x: Array) -> tuple[Array, Mask | None]:
     return np.clip(x, sha.low, sha.high), (x < sha.low) | (x > sha.high)
 
 
-def near(piece: Piece, begin: float | Array, end: float | Array) -> Mask:
+def may_reach(piece: Piece, begin: float | Array, end: float | Array) -> Mask:
     """Whether a run's bridge may reach the line from `begin` to `end`, or an end of the piece lies beyond it."""
     product = begin - piece.start
     product *= end - piece.end
@@ -292,9 +292,9 @@ def with_extremes(
         return
     for lines, name in ((ups, "rise"), (downs, "fall")):
         if lines:
-            candidates = near(piece, *lines[0])
+            candidates = may_reach(piece, *lines[0])
             for line in lines[1:]:
-                candidates |= near(piece, *line)
+                candidates |= may_reach(piece, *line)
             rows = np.flatnonzero(candidates)
             if rows.size:
                 setattr(piece, name, (rows, rng.standard_exponential(rows.size)))

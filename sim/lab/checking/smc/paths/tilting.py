@@ -14,10 +14,10 @@ import scipy
 
 from sim.sha import Array, Distribution
 
-MOST = 6
+MAX_TILTED_STAYS = 6
 """Stays whose m is drawn so, at most: those on which m has the greatest effect."""
 
-LEAST_EFFECT = 0.2
+MIN_EFFECT_SHARE = 0.2
 """Stays with less than this share of the greatest effect are left alone: their m is one noise among others."""
 
 
@@ -48,7 +48,7 @@ def neutral(columns: int) -> Tilts:
     return Tilts(np.zeros(columns))
 
 
-def fitted(drawn: Array) -> Tilts:
+def fit_tilts(drawn: Array) -> Tilts:
     """The laws with the means of scores (runs, K) that led to the event."""
     # The mean of the scores given the event minimises the cross-entropy to their law there (Rubinstein 1999), among
     # normal laws of unit width.
@@ -73,7 +73,7 @@ def balance(tilts: Tilts, drawn: Array, spent: Array, least: float) -> float:
     return 1.0 if excess(1.0) <= 0.0 else float(scipy.optimize.brentq(excess, least, 1.0, xtol=1e-3))
 
 
-def moved(before: Tilts, after: Tilts) -> float:
+def tilt_distance(before: Tilts, after: Tilts) -> float:
     """The greatest difference of the means, in standard deviations of the scores."""
     return float(np.max(np.abs(before.mean - after.mean), initial=0.0))
 
@@ -83,14 +83,15 @@ def tiltable(law: Distribution | None) -> bool:
     return law is not None and law.kind == "normal" and law.params["sigma"] > 0
 
 
-def scored(law: Distribution, scores: Array) -> Array:
+def mode_value(law: Distribution, scores: Array) -> Array:
     """m of a normal law at these standard scores."""
     return np.asarray(law.params["mu"] + law.params["sigma"] * scores)
 
 
-def chosen(effects: Array) -> list[int]:
-    """The places of the greatest effects, in order: at most MOST, none below LEAST_EFFECT of the greatest."""
+def choose_stays(effects: Array) -> list[int]:
+    """The places of the greatest effects, in order: at most MAX_TILTED_STAYS, none below MIN_EFFECT_SHARE of the
+    greatest."""
     if not effects.size or effects.max() <= 0:
         return []
-    best = np.argsort(-effects, kind="stable")[:MOST]
-    return sorted(best[effects[best] >= LEAST_EFFECT * effects.max()].tolist())
+    best = np.argsort(-effects, kind="stable")[:MAX_TILTED_STAYS]
+    return sorted(best[effects[best] >= MIN_EFFECT_SHARE * effects.max()].tolist())

@@ -13,41 +13,41 @@ import numpy as np
 
 from sim.effects import disturbance_step
 from sim.lab.checking.smc.paths import long_steps
-from sim.lab.checking.smc.paths.known_events import MOST_ROWS, Cuts
+from sim.lab.checking.smc.paths.known_events import MAX_ROWS, Cuts
 from sim.lab.checking.smc.paths.long_steps import NestedStep
 from sim.lab.checking.smc.paths.plan import (
-    LEAST_DECAY,
+    MIN_DECAY,
     Indices,
     Piece,
     State,
     World,
     clamp,
-    draw_hidden,
+    draw_hidden_states,
     draw_mode,
     draw_start,
     limit,
-    start_at,
     start_tiltable,
+    state_from_scores,
 )
 from sim.lab.checking.smc.paths.tilting import Tilts
 from sim.sha import (
-    MOST_STAYS,
+    MAX_STAYS,
     Array,
     Chain,
     Mask,
     compile_chain,
     distributions,
-    drawn_temperature,
+    draw_temperature,
     flows,
     input_moments,
 )
 
-STILL = 0.1
+MAX_PIECE_MEMORIES = 0.1
 """Longest piece in units of a disturbance's memory: the mean of its ends is then right to a thousandth."""
-ROWS = 64
+MIN_ROWS = 64
 """Rows of the common grid at least: runs that are decided are left out from row to row."""
 
-SAME_CLOCK = 1e-9
+CLOCK_TOLERANCE = 1e-9
 """Relative to its constant, what a condition on clocks may be off and still change at this instant."""
 
 
@@ -65,7 +65,7 @@ class SemiMarkov:
     columns: int = 0
     tilts: Tilts | None = None
 
-    def tilted(self, tilts: Tilts) -> "SemiMarkov":
+    def tilt(self, tilts: Tilts) -> "SemiMarkov":
         """The same with the m of the first stay drawn by this law."""
         return replace(self, tilts=tilts)
 
@@ -75,17 +75,17 @@ class SemiMarkov:
         drawn = np.empty(0) if self.tilts is None else np.full((runs, self.columns), np.nan)
         hidden = np.empty(0)
         if (plant := world.tracker.plant) is not None:
-            hidden, mode = draw_hidden(world, plant, runs, rng)
+            hidden, mode = draw_hidden_states(world, plant, runs, rng)
             x = hidden[:, 0].copy()
         elif self.tilts is None or not self.columns:
             x, mode = draw_start(world, runs, rng)
         else:
             drawn[:, 0] = self.tilts.scores(0, runs, rng)
-            x, mode = start_at(world, drawn[:, 0], rng)
+            x, mode = state_from_scores(world, drawn[:, 0], rng)
         mode = mode + (world.belief.offset if world.belief is not None else self._offset(current, runs, rng))
         x, outside = clamp(world.sha, x)
         law = self.chain.laws[current]
-        leaves = np.full(runs, np.inf) if law is None else distributions.draw_remaining(law, world.age, runs, rng)
+        leaves = np.full(runs, np.inf) if law is None else distributions.draw_residual(law, world.age, runs, rng)
         none = np.zeros(runs, dtype=np.intp)
         clamps = none.copy() if outside is None else outside.astype(np.intp)
         return State(
@@ -114,7 +114,7 @@ class SemiMarkov:
         while now.size:
             who = np.arange(state.x.size) if rows is None else rows
             stop, instant = self._stop(state, who, now, end, looked=bool(self.looked[row]))
-            yield self._moved(state, rows, who, now=now, dt=stop - now, rng=rng)
+            yield self._advance(state, rows, who, now=now, dt=stop - now, rng=rng)
             if instant.any():
                 yield self._instant(state, who[instant], stop[instant])
             jumping = state.leaves[who] <= stop
@@ -122,7 +122,7 @@ class SemiMarkov:
             # The clock of a stay begins at 0, where a condition such as `age > 0` changes: an instant by itself.
             entered = np.zeros(who.size, dtype=np.bool_)
             for c, t, _ in self.cuts.clocks:
-                entered |= jumping & (np.abs(c + t * stop) <= SAME_CLOCK * (1.0 + abs(c)))
+                entered |= jumping & (np.abs(c + t * stop) <= CLOCK_TOLERANCE * (1.0 + abs(c)))
             if entered.any():
                 yield self._instant(state, who[entered], stop[entered])
             left = stop < end
@@ -133,7 +133,7 @@ class SemiMarkov:
     ) -> Iterator[Piece]:
         """The pieces of a row in which all runs are in one stay that none leaves: times and coefficients are numbers.
 
-        Piece by piece it is the same arithmetic in the same order as `_stop` and `_moved` do for runs apart.
+        Piece by piece it is the same arithmetic in the same order as `_stop` and `_advance` do for runs apart.
         """
         sha = self.world.sha
         place, entered = int(state.location[0]), float(state.entered[0])
@@ -156,23 +156,23 @@ class SemiMarkov:
                 pull=pull,
                 shift=0.0,
                 variance=variance,
-                bridge=variance / max(decay, LEAST_DECAY),
+                bridge=variance / max(decay, MIN_DECAY),
             )
             for now, dt, age, decay, pull, variance in zip(*(column.tolist() for column in columns), strict=True)
         ]
-        most = long_steps.MOST_PIECES if self.cuts.lines is not None and not isfinite(sha.max_rate) else 1
+        most = long_steps.MAX_PIECES if self.cuts.lines is not None and not isfinite(sha.max_rate) else 1
         each = ceil(len(parts) / ceil(len(parts) / most))  # groups of about the same size
         for first in range(0, len(parts), each):
             group = parts[first : first + each]
             if len(group) > 1 and flow.params["noise"]:
-                whole = long_steps.joined(group).taken(state, mode, sha=sha, lines=self.cuts.lines or (), rng=rng)
+                whole = long_steps.join_steps(group).advance(state, mode, sha=sha, lines=self.cuts.lines or (), rng=rng)
                 if whole is not None:
                     yield from whole
                     continue
             for part in group:
-                yield self._taken(part, state, mode, rng)
+                yield self._single_piece(part, state, mode, rng)
 
-    def _taken(self, step: NestedStep, state: State, mode: Array | float, rng: np.random.Generator) -> Piece:
+    def _single_piece(self, step: NestedStep, state: State, mode: Array | float, rng: np.random.Generator) -> Piece:
         """A single piece of runs that are in one stay."""
         sha, start = self.world.sha, state.x
         if isfinite(sha.max_rate):
@@ -195,11 +195,11 @@ class SemiMarkov:
         plant = self.world.tracker.plant
         if plant is not None and plant.disturbance is not None:
             # Inside a piece the disturbance is the mean of its ends'.
-            stop = np.minimum(stop, now + STILL * plant.disturbance.params["memory"])
+            stop = np.minimum(stop, now + MAX_PIECE_MEMORIES * plant.disturbance.params["memory"])
         entered = state.entered[who]
         if looked:
             location = state.location[who]
-            for place in _visited(location):
+            for place in _visited_locations(location):
                 members = np.flatnonzero(location == place)
                 longest = limit(self.world.sha.locations[place].flow, now[members] - entered[members])
                 stop[members] = np.minimum(stop[members], now[members] + longest)
@@ -212,7 +212,7 @@ class SemiMarkov:
                 stop = np.where(sooner, time, stop)
         return stop, instant
 
-    def _moved(
+    def _advance(
         self, state: State, rows: Indices | None, who: Indices, *, now: Array, dt: Array, rng: np.random.Generator
     ) -> Piece:
         start, mode, age = state.x[who], state.mode[who], now - state.entered[who]
@@ -223,7 +223,7 @@ class SemiMarkov:
         fast = np.zeros(who.size, dtype=np.bool_)
         mean = np.empty(who.size)
         rate = self.world.sha.max_rate
-        for place in _visited(location):
+        for place in _visited_locations(location):
             members = location == place
             flow = self.world.sha.locations[place].flow
             decay[members], pull[members], variance[members] = flows.coefficients(flow, age[members], dt[members])
@@ -244,7 +244,7 @@ class SemiMarkov:
             noise = np.sqrt(variance + p["sigma"] ** 2 * step.own) * white
             fresh = p["sigma"] * np.sqrt(step.dd) * rng.standard_normal(who.size)
             heat = state.hidden[who, plant.heat_state]
-            noise += step.carried * heat + step.into * fresh
+            noise += step.carried * heat + step.coupling * fresh
             state.hidden[who, plant.heat_state] = step.keep * heat + fresh
         end, outside = clamp(self.world.sha, mean + noise)
         state.limited[who] += fast & (dt > 0)
@@ -259,7 +259,7 @@ class SemiMarkov:
             location=location,
             start=start,
             end=end,
-            bridge=variance / np.maximum(decay, LEAST_DECAY),
+            bridge=variance / np.maximum(decay, MIN_DECAY),
         )
 
     def _instant(self, state: State, rows: Indices, now: Array) -> Piece:
@@ -282,12 +282,12 @@ class SemiMarkov:
         state.location[rows] = self.chain.next_locations(state.location[rows], rng.random(rows.size))
         state.entered[rows] = state.leaves[rows]
         state.stays[rows] += 1
-        for place in _visited(state.location[rows]):
+        for place in _visited_locations(state.location[rows]):
             jumps = rows[state.location[rows] == place]
             state.mode[jumps] = draw_mode(self.world.sha, place, jumps.size, rng) + self._offset(place, jumps.size, rng)
-            law, fresh = self.chain.laws[place], drawn_temperature(self.world.sha.locations[place])
+            law, fresh = self.chain.laws[place], draw_temperature(self.world.sha.locations[place])
             lasts = np.inf if law is None else distributions.draw(law, jumps.size, rng)
-            state.leaves[jumps] = np.where(state.stays[jumps] < MOST_STAYS, state.entered[jumps] + lasts, np.inf)
+            state.leaves[jumps] = np.where(state.stays[jumps] < MAX_STAYS, state.entered[jumps] + lasts, np.inf)
             if fresh is not None:
                 state.x[jumps], outside = clamp(self.world.sha, distributions.draw(fresh, jumps.size, rng))
                 if outside is not None:
@@ -303,7 +303,7 @@ def _in_one_stay(state: State) -> bool:
     return bool((state.location == state.location[0]).all() and (state.entered == state.entered[0]).all())
 
 
-def _visited(location: Indices) -> list[int]:
+def _visited_locations(location: Indices) -> list[int]:
     """The locations in which some run is, ascending; counted, which for a few small numbers is far cheaper than a hash
     of all runs."""
     return [place for place, runs in enumerate(np.bincount(location).tolist()) if runs]
@@ -313,9 +313,9 @@ def semi_markov(world: World, cuts: Cuts) -> SemiMarkov:
     """The engine of unknown events. Raises ValueError for an unusable semi-Markov law or a query of too many rows."""
     model = world.tracker.model
     instants = [time for time in cuts.instants if 0.0 <= time <= cuts.bound]
-    rows = int(np.ceil(cuts.bound / min(cuts.longest, cuts.bound / ROWS)))
-    if rows > MOST_ROWS:
-        raise ValueError(f"the query needs {rows} steps a run, above {MOST_ROWS}: ask for a shorter bound")
+    rows = int(np.ceil(cuts.bound / min(cuts.longest, cuts.bound / MIN_ROWS)))
+    if rows > MAX_ROWS:
+        raise ValueError(f"the query needs {rows} steps a run, above {MAX_ROWS}: ask for a shorter bound")
     grid = np.union1d(np.linspace(0.0, cuts.bound, rows + 1), [edge for pair in cuts.looked for edge in pair])
     grid = grid[(grid >= 0.0) & (grid <= cuts.bound)]
     clock = np.sort(np.concatenate([np.setdiff1d(grid, instants), np.repeat(np.unique(instants), 2)]))

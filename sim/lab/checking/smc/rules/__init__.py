@@ -5,7 +5,7 @@ from sim.lab.checking.smc.rules.estimation import (
     Progress,
     RuleOutcome,
     anytime,
-    fixed,
-    one_or_two_sided,
+    fixed_run_estimate,
     to_half_width,
+    uppaal_interval,
 )

@@ -25,14 +25,14 @@ Progress = Callable[[str, float], None]
 Interval = Callable[[Array, NDArray[np.int_], float], tuple[Array, Array]]
 """(successes (n,), runs (n,), level) -> low and high (n,)."""
 
-BATCH = 1000
-MOST_RUNS = 1_000_000
-UNDER_COVERS = (
+BATCH_RUNS = 1000
+MAX_RUNS = 1_000_000
+UNDERCOVERAGE_NOTE = (
     "the rule stops where the interval happens to be narrow, so it holds the truth less often than its level says: "
     "92.7 % for a nominal 95 % at p = 0.1 and a half-width of 0.05"
 )
 
-_BLOCK = 1024
+_BLOCK_RUNS = 1024
 """Runs that are looked at in one piece of arithmetic."""
 
 
@@ -52,8 +52,8 @@ class RuleOutcome:
     note: str = ""
 
 
-def fixed(
-    draw: Draw, runs: int, level: float = 0.95, batch: int = BATCH, progress: Progress | None = None
+def fixed_run_estimate(
+    draw: Draw, runs: int, level: float = 0.95, batch: int = BATCH_RUNS, progress: Progress | None = None
 ) -> RuleOutcome:
     """Exact binomial interval after that many runs (Clopper & Pearson 1934); weights in [0, 1] are allowed.
 
@@ -63,7 +63,7 @@ def fixed(
         raise ValueError(f"{runs} runs give no estimate; ask for at least 1")
     successes, done = 0.0, 0
     while done < runs:
-        outcomes = drawn(draw, min(batch, runs - done))
+        outcomes = draw_outcomes(draw, min(batch, runs - done))
         successes, done = successes + float(outcomes.sum()), done + outcomes.size
         show_progress(progress, done, runs)
     estimate = clopper_pearson(min(successes, runs), runs, level)
@@ -75,8 +75,8 @@ def to_half_width(
     epsilon: float = 0.05,
     level: float = 0.95,
     *,
-    most: int = MOST_RUNS,
-    batch: int = BATCH,
+    most: int = MAX_RUNS,
+    batch: int = BATCH_RUNS,
     progress: Progress | None = None,
 ) -> RuleOutcome:
     """UPPAAL's sequential rule: runs until the Clopper-Pearson interval is no wider than 2 epsilon.
@@ -85,10 +85,10 @@ def to_half_width(
     rule then stops at 29 runs with [0, 0.0981446]. Weights in [0, 1] are allowed. Raises ValueError for an epsilon
     outside (0, 0.5) and for outcomes outside [0, 1].
     """
-    estimate, decided = _narrowed(
-        draw, one_or_two_sided, epsilon=epsilon, level=level, most=most, batch=batch, progress=progress
+    estimate, decided = _narrow_interval(
+        draw, uppaal_interval, epsilon=epsilon, level=level, most=most, batch=batch, progress=progress
     )
-    return RuleOutcome("Clopper-Pearson, sequential (UPPAAL's rule)", level, estimate, decided, note=UNDER_COVERS)
+    return RuleOutcome("Clopper-Pearson, sequential (UPPAAL's rule)", level, estimate, decided, note=UNDERCOVERAGE_NOTE)
 
 
 def anytime(
@@ -96,8 +96,8 @@ def anytime(
     epsilon: float = 0.05,
     level: float = 0.95,
     *,
-    most: int = MOST_RUNS,
-    batch: int = BATCH,
+    most: int = MAX_RUNS,
+    batch: int = BATCH_RUNS,
     progress: Progress | None = None,
 ) -> RuleOutcome:
     """Runs until the anytime-valid interval of `mixture_interval` is no wider than 2 epsilon.
@@ -105,7 +105,7 @@ def anytime(
     Whatever stops it, the truth lies in the interval with a probability of at least `level`. Weights in [0, 1] are
     allowed. Raises as `to_half_width`.
     """
-    estimate, decided = _narrowed(
+    estimate, decided = _narrow_interval(
         draw, mixture_interval, epsilon=epsilon, level=level, most=most, batch=batch, progress=progress
     )
     return RuleOutcome("betting (beta mixture), valid at any time", level, estimate, decided)
@@ -124,12 +124,12 @@ def mixture_interval(successes: Array, runs: NDArray[np.int_], level: float) -> 
     wealth = scipy.special.betaln(successes + 0.5, runs - successes + 0.5) - scipy.special.betaln(0.5, 0.5) - rich
     middle = successes / runs
 
-    def kept(p: Array) -> Mask:
+    def inside(p: Array) -> Mask:
         return np.asarray(wealth <= scipy.special.xlogy(successes, p) + scipy.special.xlog1py(runs - successes, -p))
 
     # The wealth against p falls from p = 0 to s/n and rises beyond, so that one bisection on either side is enough.
-    low = np.where(successes > 0, _edge(kept, np.zeros_like(middle), middle), 0.0)
-    high = np.where(successes < runs, _edge(kept, np.ones_like(middle), middle), 1.0)
+    low = np.where(successes > 0, _edge(inside, np.zeros_like(middle), middle), 0.0)
+    high = np.where(successes < runs, _edge(inside, np.ones_like(middle), middle), 1.0)
     return low, high
 
 
@@ -142,7 +142,7 @@ def _edge(kept: Callable[[Array], Mask], outside: Array, inside: Array) -> Array
     return outside
 
 
-def one_or_two_sided(successes: Array, runs: NDArray[np.int_], level: float) -> tuple[Array, Array]:
+def uppaal_interval(successes: Array, runs: NDArray[np.int_], level: float) -> tuple[Array, Array]:
     """Clopper-Pearson as UPPAAL has it: with no success or no failure all of 1 - level lies on the open side."""
     extreme = (successes <= 0) | (successes >= runs)
     tail = np.where(extreme, 1.0 - level, (1.0 - level) / 2.0)
@@ -153,7 +153,7 @@ def one_or_two_sided(successes: Array, runs: NDArray[np.int_], level: float) -> 
     return low, high
 
 
-def _narrowed(
+def _narrow_interval(
     draw: Draw,
     interval: Interval,
     *,
@@ -168,9 +168,9 @@ def _narrowed(
         raise ValueError(f"no estimate to +-{epsilon} at level {level} in {most} runs; use such as 0.05, 0.95, 1000000")
     total, runs = 0.0, 0
     while runs < most:
-        batch_outcomes = drawn(draw, min(batch, most - runs))
-        for first in range(0, batch_outcomes.size, _BLOCK):
-            outcomes = batch_outcomes[first : first + _BLOCK]
+        batch_outcomes = draw_outcomes(draw, min(batch, most - runs))
+        for first in range(0, batch_outcomes.size, _BLOCK_RUNS):
+            outcomes = batch_outcomes[first : first + _BLOCK_RUNS]
             sums, counts = total + np.cumsum(outcomes), runs + np.arange(1, outcomes.size + 1)
             estimate = _first_narrow(interval, sums, counts, epsilon, level)
             if estimate is not None:
@@ -209,12 +209,12 @@ def _first_narrow(
     return Estimate(float(sums[at] / counts[at]), float(lows[at]), float(highs[at]), int(counts[at]))
 
 
-def drawn(draw: Draw, runs: int) -> Array:
+def draw_outcomes(draw: Draw, runs: int) -> Array:
     """The next outcomes, checked."""
-    return checked(draw(runs), runs)
+    return check_outcomes(draw(runs), runs)
 
 
-def checked(outcomes: Array, runs: int) -> Array:
+def check_outcomes(outcomes: Array, runs: int) -> Array:
     """The outcomes as floats. Raises ValueError for one outside [0, 1] or NaN, and for a wrong number of them."""
     values = np.asarray(outcomes, dtype=float)
     if values.shape != (runs,):

@@ -15,7 +15,14 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from sim.lab.checking.smc.rules.estimation import BATCH, MOST_RUNS, Progress, checked, mixture_interval, show_progress
+from sim.lab.checking.smc.rules.estimation import (
+    BATCH_RUNS,
+    MAX_RUNS,
+    Progress,
+    check_outcomes,
+    mixture_interval,
+    show_progress,
+)
 from sim.scores import Estimate
 from sim.sha import Array, Mask
 
@@ -80,8 +87,8 @@ def compare(
     delta: float = 0.01,
     level: float = 0.95,
     *,
-    most: int = MOST_RUNS,
-    batch: int = BATCH,
+    most: int = MAX_RUNS,
+    batch: int = BATCH_RUNS,
     progress: Progress | None = None,
 ) -> PairedOutcome:
     """Pairs until one probability is the greater, or the two are within `delta`; at most `most` pairs.
@@ -97,7 +104,7 @@ def compare(
     count, look = _PairCounts(), _FIRST_LOOK
     while count.runs < most:
         runs = min(batch, most - count.runs)
-        left, right = (checked(side, runs) for side in draw(runs))
+        left, right = (check_outcomes(side, runs) for side in draw(runs))
         if np.any((left % 1.0) + (right % 1.0)):
             raise ValueError("a comparison needs outcomes of 0 and 1; weights cannot be paired")
         while left.size:
@@ -105,7 +112,7 @@ def compare(
             part = look - count.runs
             wins = count.left_alone + np.cumsum(left[:part] > right[:part])
             alone = wins + count.right_alone + np.cumsum(right[:part] > left[:part])
-            sided = np.flatnonzero(_is_sided(wins, alone, level))
+            sided = np.flatnonzero(_rejects_fair_coin(wins, alone, level))
             if sided.size:
                 stop = int(sided[0]) + 1
                 return _outcome(count.plus(left[:stop], right[:stop]), delta, level)
@@ -119,7 +126,7 @@ def compare(
     return _outcome(count, delta, level)
 
 
-def _is_sided(wins: NDArray[np.int_], alone: NDArray[np.int_], level: float) -> Mask:
+def _rejects_fair_coin(wins: NDArray[np.int_], alone: NDArray[np.int_], level: float) -> Mask:
     """Whether a fair coin is outside the interval of q: the gambler against it is 2 / (1 - level) times richer."""
     # The wealth of `estimation.mixture_interval` at p = 1/2, in logarithms, where p^s (1-p)^(n-s) is 2^-n.
     wealth = scipy.special.betaln(wins + 0.5, alone - wins + 0.5) - scipy.special.betaln(0.5, 0.5) + alone * np.log(2.0)
@@ -151,7 +158,7 @@ def _outcome(count: _PairCounts, delta: float, level: float) -> PairedOutcome:
     low, high = _difference(count, level)
     alone = count.left_alone + count.right_alone
     answer: Order = "equal" if _is_equal(count, delta, level) else "not decided"
-    if _is_sided(np.array([count.left_alone]), np.array([alone]), level)[0]:
+    if _rejects_fair_coin(np.array([count.left_alone]), np.array([alone]), level)[0]:
         answer = "greater" if count.left_alone > count.right_alone else "smaller"
     difference = (count.left - count.right) / count.runs
     runs = count.runs

@@ -8,13 +8,13 @@ import numpy as np
 import scipy
 
 from sim.lab.checking.smc.rules.estimation import (
-    BATCH,
-    MOST_RUNS,
+    BATCH_RUNS,
+    MAX_RUNS,
     Draw,
     Progress,
     RuleOutcome,
-    drawn,
-    fixed,
+    draw_outcomes,
+    fixed_run_estimate,
     mixture_interval,
     show_progress,
 )
@@ -55,8 +55,8 @@ def sprt(
     draw: Draw,
     test: RatioTest,
     *,
-    most: int = MOST_RUNS,
-    batch: int = BATCH,
+    most: int = MAX_RUNS,
+    batch: int = BATCH_RUNS,
     progress: Progress | None = None,
 ) -> RuleOutcome:
     """Wald's sequential probability ratio test (1945) of `test`; weights in [0, 1] are allowed.
@@ -65,16 +65,16 @@ def sprt(
     probability keeps (>= 0, <= 1) holds without a run that matters.
     """
     if test.accept == test.reject:
-        only = fixed(draw, 1, 1.0 - test.alpha)
+        only = fixed_run_estimate(draw, 1, 1.0 - test.alpha)
         return replace(only, rule=f"every probability is {test.op} {test.p:g}", holds=True)
     below, above = test.limits
     success, failure = test.steps
     total, runs, ratio = 0.0, 0, 0.0
     while runs < most and below < ratio < above:
-        outcomes = drawn(draw, min(batch, most - runs))
+        outcomes = draw_outcomes(draw, min(batch, most - runs))
         sums, counts = total + np.cumsum(outcomes), runs + np.arange(1, outcomes.size + 1)
         # The ratio after every single run of the batch, so that the batch decides nothing about where the test stops.
-        ratios = _scaled(sums, success) + _scaled(counts - sums, failure)
+        ratios = _scale_counts(sums, success) + _scale_counts(counts - sums, failure)
         ends = np.flatnonzero((ratios <= below) | (ratios >= above))
         last = int(ends[0]) if ends.size else outcomes.size - 1
         total, runs, ratio = float(sums[last]), int(counts[last]), float(ratios[last])
@@ -168,6 +168,6 @@ def _moments(p: float, success: float, failure: float) -> tuple[float, float]:
     return p * success + (1.0 - p) * failure, p * success**2 + (1.0 - p) * failure**2
 
 
-def _scaled(counts: Array, step: float) -> Array:
+def _scale_counts(counts: Array, step: float) -> Array:
     """counts * step, where nothing times infinity is nothing."""
     return np.multiply(counts, step, out=np.zeros_like(counts), where=counts != 0)

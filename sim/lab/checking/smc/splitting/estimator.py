@@ -26,11 +26,11 @@ from sim.lab.checking.smc.monitors import PreparedPath
 from sim.lab.checking.smc.paths import Engine
 from sim.lab.checking.smc.rules import Progress
 from sim.lab.checking.smc.splitting.pilot import SplittingPlan, find_plan
-from sim.lab.checking.smc.splitting.stage import RareEvent, begin, nearest_line, resample, resampled, stage
+from sim.lab.checking.smc.splitting.stage import RareEvent, begin, nearest_line, resample, select_runs, stage
 from sim.scores import Estimate
 from sim.sha import Array
 
-LEAST_SKEWNESS = 1e-4
+MIN_SKEWNESS = 1e-4
 
 GOOD, MORE = 0.12, 4
 """A relative standard error above GOOD: all is done again with MORE times the runs, and the first part is dropped."""
@@ -60,7 +60,7 @@ def refusal(prepared: PreparedPath) -> str:
     return ""
 
 
-def split(
+def split_estimate(
     engine: Engine,
     prepared: PreparedPath,
     rng: np.random.Generator,
@@ -113,8 +113,8 @@ def skewed_interval(values: Array, confidence: float) -> tuple[float, float]:
     if deviation == 0.0:
         return (mean, mean) if mean > 0.0 else (0.0, 1.0)
     skewness = float(np.mean((values - mean) ** 3) / values.std() ** 3)
-    if abs(skewness) < LEAST_SKEWNESS:  # the cubic is the straight line then, and the quotient 0 / 0
-        skewness = LEAST_SKEWNESS
+    if abs(skewness) < MIN_SKEWNESS:  # the cubic is the straight line then, and the quotient 0 / 0
+        skewness = MIN_SKEWNESS
     # The cubic in the studentised mean has one real root, in closed form: the cube root in `place`.
     reach = float(scipy.special.stdtrit(values.size - 1, 0.5 + confidence / 2.0)) / root
 
@@ -149,5 +149,5 @@ def _repeat(plan: SplittingPlan, runs: int, repetitions: int, rng: np.random.Gen
             resample(outstanding, np.flatnonzero(reached & (group == repetition)), runs, rng)
             for repetition in living.tolist()
         ]
-        entries, group = resampled(event, ended, np.concatenate(chosen), share), np.repeat(living, runs)
+        entries, group = select_runs(event, ended, np.concatenate(chosen), share), np.repeat(living, runs)
     return chances

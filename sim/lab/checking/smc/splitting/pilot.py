@@ -5,7 +5,7 @@ from math import inf
 
 import numpy as np
 
-from sim.lab.checking.smc.paths import balance, fitted, moved, neutral
+from sim.lab.checking.smc.paths import balance, fit_tilts, neutral, tilt_distance
 from sim.lab.checking.smc.rules import Progress
 from sim.lab.checking.smc.splitting.stage import (
     EntranceStates,
@@ -13,23 +13,24 @@ from sim.lab.checking.smc.splitting.stage import (
     begin,
     nearest_line,
     resample,
-    resampled,
+    select_runs,
     stage,
 )
 from sim.sha import Array
 
-SHARE = 0.2
+LEVEL_SHARE = 0.2
 """The share of the pilot's runs that reach the next level."""
 
-ENOUGH = 0.1
+MIN_EFFECTIVE_SHARE = 0.1
 """The effective share that is to reach it where runs carry weights: (sum w)^2 / sum w^2 over the number of all."""
 
-LEAST_STEP = 0.2
-"""A level taken for that is no nearer to the last one than this, relative to the level that SHARE of the runs reach."""
+MIN_LEVEL_STEP = 0.2
+"""A level taken for that is no nearer to the last one than this, relative to the level that LEVEL_SHARE of the runs
+reach."""
 
-MOST_LEVELS = 60
+MAX_LEVELS = 60
 PILOT, PILOTS = 2000, 5
-SETTLED = 0.3
+SETTLED_SIGMAS = 0.3
 """A pilot is the last one when it moves the laws of mode parameters by less (standard deviations of their own)."""
 
 
@@ -57,9 +58,9 @@ def find_plan(event: RareEvent, rng: np.random.Generator, report: Progress) -> S
         tilts = neutral(event.engine.columns)
         for _ in range(PILOTS):
             # The cross-entropy method: each pilot, drawn by the last one's laws, comes nearer to those of the event.
-            plan, scores = _pilot(event.tilted(tilts), rng, report)
-            before, tilts = tilts, fitted(scores)
-            if moved(before, tilts) < SETTLED:
+            plan, scores = _pilot(event.tilt(tilts), rng, report)
+            before, tilts = tilts, fit_tilts(scores)
+            if tilt_distance(before, tilts) < SETTLED_SIGMAS:
                 break
     if isinstance(plan, PilotFailed):
         raise plan
@@ -74,7 +75,7 @@ def _pilot(event: RareEvent, rng: np.random.Generator, report: Progress) -> tupl
     goal, plan = nearest_line(event), SplittingPlan(event, [], [])
     entries = begin(event, PILOT, rng)
     levels, share = plan.levels, 0.0
-    while len(levels) < MOST_LEVELS:
+    while len(levels) < MAX_LEVELS:
         report(f"looking for levels: {len(levels)}", 0.0)
         ended = stage(event, entries, [goal], inf, rng)
         level = _next(event, ended, goal, share, levels[-1] if levels else float(entries.peak.min()))
@@ -83,7 +84,7 @@ def _pilot(event: RareEvent, rng: np.random.Generator, report: Progress) -> tupl
             chosen = hits if not hits.size else resample(event.outstanding(ended, 1.0), hits, PILOT, rng)
             return plan, ended.state.drawn[chosen] if event.tilts else np.empty((0, 0))
         if levels and level <= levels[-1]:
-            reached_by = "" if event.tilts else f" with a chance of about {SHARE ** len(levels):.1g}"
+            reached_by = "" if event.tilts else f" with a chance of about {LEVEL_SHARE ** len(levels):.1g}"
             failure = (
                 f"importance splitting finds no way: {event.sign * levels[-1]:.6g} degC are reached{reached_by}, and "
                 "hardly any run comes nearer to the event from there"
@@ -98,22 +99,22 @@ def _pilot(event: RareEvent, rng: np.random.Generator, report: Progress) -> tupl
             share = balance(event.tilts, reached.state.drawn[rows], reached.applied[rows], share)
         levels.append(level)
         plan.shares.append(share)
-        entries = resampled(event, reached, resample(event.outstanding(reached, share), rows, PILOT, rng), share)
-    failure = f"importance splitting needs more than {MOST_LEVELS} levels: the event is rarer than 1e-41"
+        entries = select_runs(event, reached, resample(event.outstanding(reached, share), rows, PILOT, rng), share)
+    failure = f"importance splitting needs more than {MAX_LEVELS} levels: the event is rarer than 1e-41"
     return PilotFailed(failure), entries.state.drawn
 
 
 def _next(event: RareEvent, ended: EntranceStates, goal: float, share: float, before: float) -> float:
-    """The level that SHARE of the runs reach; a lower one where few of those carry most of what is to be given back,
-    if that is still a step from the level `before`."""
+    """The level that LEVEL_SHARE of the runs reach; a lower one where few of those carry most of what is to be given
+    back, if that is still a step from the level `before`."""
     ahead = np.where(ended.hit, goal, np.minimum(ended.peak, goal))
-    level = float(np.quantile(ahead, 1.0 - SHARE))
+    level = float(np.quantile(ahead, 1.0 - LEVEL_SHARE))
     tilts = event.tilts
     if tilts is None:
         return level
-    for part in (SHARE, 2.0 * SHARE, 3.0 * SHARE, 4.0 * SHARE):
+    for part in (LEVEL_SHARE, 2.0 * LEVEL_SHARE, 3.0 * LEVEL_SHARE, 4.0 * LEVEL_SHARE):
         lower = float(np.quantile(ahead, 1.0 - part))
-        if lower - before < LEAST_STEP * (level - before):
+        if lower - before < MIN_LEVEL_STEP * (level - before):
             break
         level = lower
         rows = np.flatnonzero(ahead >= level)
@@ -121,6 +122,6 @@ def _next(event: RareEvent, ended: EntranceStates, goal: float, share: float, be
         drawn, applied = ended.state.drawn[rows], ended.applied[rows]
         exponent = 1.0 if level >= goal else balance(tilts, drawn, applied, share)
         weights = np.exp(exponent * tilts.log_weights(drawn) - applied)
-        if float(weights.sum() ** 2 / np.square(weights).sum()) >= ENOUGH * ahead.size:
+        if float(weights.sum() ** 2 / np.square(weights).sum()) >= MIN_EFFECTIVE_SHARE * ahead.size:
             break
     return level

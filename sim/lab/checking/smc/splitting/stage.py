@@ -43,9 +43,9 @@ class RareEvent:
     sign: float
     tilts: Tilts | None = None
 
-    def tilted(self, tilts: Tilts) -> "RareEvent":
+    def tilt(self, tilts: Tilts) -> "RareEvent":
         """The same with mode parameters drawn by these laws."""
-        return replace(self, engine=self.engine.tilted(tilts), tilts=tilts)
+        return replace(self, engine=self.engine.tilt(tilts), tilts=tilts)
 
     def outstanding(self, entries: EntranceStates, share: float) -> Array:
         """(n,) the logarithm of what these runs are still to be weighted by up to `share` of their whole weight."""
@@ -78,7 +78,7 @@ def resample(outstanding: Array, rows: Indices, runs: int, rng: np.random.Genera
     return np.asarray(rows[np.minimum(np.searchsorted(chances, places, side="right"), rows.size - 1)])
 
 
-def resampled(event: RareEvent, ended: EntranceStates, chosen: Indices, share: float) -> EntranceStates:
+def select_runs(event: RareEvent, ended: EntranceStates, chosen: Indices, share: float) -> EntranceStates:
     """The chosen runs, with `share` of their weight applied."""
     entries = ended.take(chosen)
     entries.applied += event.outstanding(entries, share)
@@ -109,7 +109,7 @@ def stage(
     for row in range(last):
         new = order[begins[row] : begins[row + 1]]
         if new.size:
-            state, live = state.joined(out.state.take(new)), np.concatenate([live, new])
+            state, live = state.concatenate(out.state.take(new)), np.concatenate([live, new])
         if not live.size:
             continue
         for piece in event.engine.advance(row, state, rng):
