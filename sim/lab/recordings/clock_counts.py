@@ -53,9 +53,14 @@ def since_1970(seconds: float) -> bool:
     return seconds >= _BEGINNING
 
 
-def dated_format(counts: Array, *, named: bool) -> str:
-    """The format in which all counts are dates; "" for none. `named` is whether the counts are called a time."""
+def dated_format(counts: Array, *, named: bool, unit: str = "") -> str:
+    """The format in which all counts are dates; "" for none. `named` is whether the counts are called a time.
+
+    Where a `unit` is known, one of `COUNTS`, only formats that count in it are looked at.
+    """
     for name, count in COUNTS.items():
+        if unit and count.second != COUNTS[unit].second:
+            continue
         days = count.second < 1.0
         if (count.bare or (named and count.origin and (not days or np.any(counts % 1)))) and count.is_dated(counts):
             return name

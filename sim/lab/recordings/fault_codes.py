@@ -22,6 +22,10 @@ _MIN_RANGE_SHARE = 0.25
 """Of the range of all other readings: so far a code lies from the readings beside it."""
 _ABSURD = 1e7
 """Times the usual reading: no quantity of a plant is so large, but what a float holds that nobody has written is."""
+_BEYOND_ALL = 1e12
+"""What no quantity of a plant is in any unit, however many different numbers of this size there are."""
+_MAX_CODES = 3
+"""Different large numbers that may be codes; more are readings, as of a pressure in pascals."""
 _SLOW = (0.0, -1.0)
 """What programs write for a temperature that they do not have; it passes these numbers, and does not jump to them."""
 _MAX_VALUE_SHARE = 0.5
@@ -38,8 +42,11 @@ def find_codes(values: Array, *, slow: bool = False) -> dict[float, int]:
     least, most = finite.min(initial=np.inf), finite.max(initial=-np.inf)
     known = np.zeros(finite.shape, dtype=bool)
     if max(-least, most) > _ABSURD:
-        usual = float(np.sort(np.abs(finite))[finite.size // 2])
-        known |= np.abs(finite) > _ABSURD * max(1.0, usual)
+        sizes = np.abs(finite)
+        # What rests at 0 says nothing of how large its readings are.
+        moved = sizes[(sizes > 0.0) & (sizes <= _BEYOND_ALL)]
+        absurd = sizes > _ABSURD * max(1.0, float(np.median(moved)) if moved.size else 0.0)
+        known |= absurd if np.unique(finite[absurd]).size <= _MAX_CODES else absurd & (sizes > _BEYOND_ALL)
     for code in (*POSSIBLE_CODES, *(_SLOW if slow else ())):
         width = _EQUAL_TOLERANCE * max(1.0, abs(code))
         if least - width <= code <= most + width:

@@ -314,7 +314,8 @@ def _read_wide(path: Path, layout: TextLayout, column_map: ColumnMap, report: Fi
             if place in seen:
                 report.cells += _count_cells(cells)  # one cell read as two signals counts twice
             seen.add(place)
-        if column_map.parts and qualities and not places:
+        # Only a file that holds nothing else judges the others.
+        if column_map.parts and qualities and not places and len(taken) == len(chunk.header):
             said = np.array([bool(cell.strip()) for cell in chunk.columns[qualities[0]]], dtype=bool)
             good = 1.0 - _not_good(qualities[0] - 1, chunk.columns, qualities, column_map)
             values.setdefault(_OF_OTHERS, []).append(np.where(said, good, np.nan))

@@ -42,6 +42,8 @@ MAX_HEADER_LINE = 60
 """Lines among which a header is looked for, comments not counted."""
 UNNAMED_COLUMN = "column 1"
 """What a first column without a name is called: an index that a program has written beside its table."""
+_NOTES = frozenset({"", "comment", "comments", "note", "notes", "remark", "remarks", "kommentar", "bemerkung"})
+"""Names of last columns of which rows without a note have no cell."""
 _BOMS = ((codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"))
 
 
@@ -188,7 +190,9 @@ def find_layout(
         shown = [cells for line in lines[skip : skip + _SHOWN_ROWS] if (cells := _header([line], separator)[0])]
         header = tuple(with_row_names(header, shown))
         kept = header[: _narrower(lines[skip:], separator, len(header))]
-        if kept != header and all(find_column(kept, names) is not None for names in needed):
+        # Which cell is missing only a column that people leave empty says.
+        optional = all(fold_name(name) in _NOTES for name in header[len(kept) :])
+        if kept != header and optional and all(find_column(kept, names) is not None for names in needed):
             report.warn(f"none of its rows has a cell for {list_names(header[len(kept) :])}")
             header = kept
     named = tuple(number_equal_names(header))

@@ -36,6 +36,8 @@ _COUNT_UNITS = {
 }  # fmt: skip
 """Units of elapsed time as headers write them."""
 _WORDS = re.compile(r"[^\W\d_]+")
+_TENTHS_OF_US = re.compile(r"100 ?ns", re.IGNORECASE)
+"""What Windows and .NET count in, which is no unit of elapsed time."""
 _COMPACT_FORMAT = "%Y%m%d%H%M%S"
 _ROUNDED = re.compile(r"\d[.,]\d+[eE]\+?\d\d$")
 _MAX_CHECKED_CELLS = 400
@@ -204,12 +206,14 @@ def counted_clock(place: int, values: Array, header: str, *, named: bool) -> Fou
     in_order = bool(np.all(steps >= 0) or np.all(steps <= 0))
     if not in_order and not (named and float((steps < 0).mean()) <= _MAX_FALL_SHARE):
         return None
-    if dated := dated_format(finite, named=named):
+    # Time (ms), elapsed_min, t [h]; of several words that are units, as of h:m:s, none is sure.
+    units = [_COUNT_UNITS[word] for word in _WORDS.findall(header.casefold()) if word in _COUNT_UNITS]
+    sure = units[0] if len(set(units)) == 1 and not _TENTHS_OF_US.search(header) else ""
+    if dated := dated_format(finite, named=named, unit=sure):
         return FoundClock(place, (dated,), "year", COUNTS[dated].seconds(values))
     if not named or not (in_order or _restarts_evenly(finite)):
         return None
-    # The last word that is a unit: Time (ms), elapsed_min, t [h]; without one, seconds.
-    units = [_COUNT_UNITS[word] for word in _WORDS.findall(header.casefold()) if word in _COUNT_UNITS]
+    # The last word that is a unit; without one, seconds.
     format_ = units[-1] if units else "seconds"
     times = COUNTS[format_].seconds(values)
     # So large an elapsed time is a count from a beginning that is not known.

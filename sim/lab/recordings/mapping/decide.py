@@ -366,17 +366,22 @@ def _runs(switch: FoundColumn, load: FoundColumn | None) -> int:
 
 
 def _of_load(switches: Sequence[FoundColumn], load: FoundColumn | None) -> FoundColumn | None:
-    """The one switch that is on while the load is drawn, and off while it is not; None where several are, or none."""
-    along = list[FoundColumn]()
+    """The one switch that is on while the load is drawn, and off while it is not; None where several are, or none.
+
+    None also where another is on all the while that the load is drawn: a motor may be switched on before it is loaded.
+    """
+    along, rivals = list[FoundColumn](), list[FoundColumn]()
     for switch in switches:
         if load is None or switch.values.shape != load.values.shape:
             continue
         both = np.isfinite(switch.values) & np.isfinite(load.values)
         drawn = np.abs(load.values[both]) > _IDLE_CURRENT_SHARE * np.abs(load.values[both]).max(initial=0.0)
         on = switch.values[both] == 1
-        if drawn.any() and not drawn.all() and np.mean(on == drawn) >= _ALONGSIDE:
-            along.append(switch)
-    return along[0] if len(along) == 1 else None
+        if not drawn.any() or drawn.all():
+            continue
+        along += [switch] if np.mean(on == drawn) >= _ALONGSIDE else []
+        rivals += [switch] if np.mean(on[drawn]) >= _ALONGSIDE else []
+    return along[0] if len(along) == 1 and all(rival is along[0] for rival in rivals) else None
 
 
 def _check_load(where: object, running: FoundColumn, load: FoundColumn | None, answers: Answers) -> None:

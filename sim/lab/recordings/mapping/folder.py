@@ -1,5 +1,6 @@
 """A folder of files as one table: one file a tag, or the parts of one recording one after another."""
 
+import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
@@ -14,6 +15,8 @@ from sim.lab.recordings.mapping.clocks import FoundClock
 from sim.lab.recordings.mapping.decide import choose_clock, sample_seconds
 from sim.lab.recordings.mapping.quality import is_quality
 from sim.lab.recordings.mapping.table import FoundTable, find_table
+
+_DIGITS = re.compile(r"\d+")
 
 
 def one_table(folder: Path, files: Sequence[Path], answers: Answers) -> tuple[FoundTable, FoundClock]:
@@ -46,7 +49,7 @@ def one_table(folder: Path, files: Sequence[Path], answers: Answers) -> tuple[Fo
                 "give each its own map"
             )
     # A name that files share is a column of one recording; where one row of numbers only is under it, of one tag each,
-    # if their times are not those of days one after another.
+    # if their times or their names are not those of days one after another.
     seen = Counter(fold_name(name) for table in tables for name in set(table.header))
     owned = [
         [place for place, name in enumerate(table.header) if name and place not in (own.place, own.date)]
@@ -58,7 +61,9 @@ def one_table(folder: Path, files: Sequence[Path], answers: Answers) -> tuple[Fo
     # One tag a file come row by row in turn; parts one after another, as the clock that is set back goes in each.
     times = [sample_seconds(table, own)[0] for table, own in zip(tables, clocks, strict=True)]
     order = np.argsort(list(map(np.nanmin, times)), kind="stable").tolist()
-    single &= any(np.nanmin(times[after]) < np.nanmax(times[before]) for before, after in pairwise(order))
+    overlap = any(np.nanmin(times[after]) < np.nanmax(times[before]) for before, after in pairwise(order))
+    # Parts are told apart by a date or a number; files of other names are of other tags, whenever these were stored.
+    single &= overlap or len({_DIGITS.sub("", recording_name(file)).casefold() for file in files}) > 1
     clock_name, date = first.header[clock.place], None if clock.date is None else first.header[clock.date]
     names: list[str] = [clock_name, *([] if date is None else [date])]
     rows: list[tuple[float, int, dict[str, str]]] = []

@@ -1,0 +1,85 @@
+"""What looked alike and was read as the wrong one of two: clocks, codes, switches, parts and narrow rows."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sim.lab.recordings import TraceError, find_codes, load_map, load_traces, parse_map
+from tests.traces.exports import recording, wide, written
+from tests.traces.test_dialects import asked, mapped
+
+PLANT = recording()
+
+
+@pytest.mark.parametrize(
+    ("name", "begin", "size"), [("Time [us]", 3.2e9, 1e6), ("timestamp_ms", 1.25e9, 1e3), ("Time (s)", 40000.5, 1.0)]
+)
+def test_the_unit_of_a_clocks_name_decides_before_its_size(
+    name: str, begin: float, size: float, tmp_path: Path
+) -> None:
+    export = wide(
+        tmp_path / "a.csv",
+        header=f"{name},Bearing temperature,Motor current,Running",
+        clock=lambda moment: repr(begin + (moment - PLANT.moments[0]).total_seconds() * size),
+    )
+    (trace,), _, _ = mapped(export, tmp_path / "m.toml")
+    assert trace.times[-1] - trace.times[0] == pytest.approx(2390.0, abs=0.01)
+
+
+def test_pascals_of_what_rests_at_0_are_no_codes() -> None:
+    pressure = np.zeros(600)
+    pressure[::10] = 2.5e7 + np.arange(60)
+    assert find_codes(pressure) == {}
+    pressure[::10] = 1.70141e38
+    assert find_codes(pressure + np.sin(np.arange(600))) == {1.70141e38: 60}
+
+
+def test_a_switch_is_not_the_machines_where_another_is_on_all_the_while(tmp_path: Path) -> None:
+    early = np.maximum(PLANT.running, np.append(PLANT.running[8:], [0] * 8))
+    columns = zip(PLANT.moments, PLANT.heat, PLANT.current, early, PLANT.running, strict=True)
+    rows = [",".join(map(str, row)) for row in columns]
+    export = written(tmp_path / "a.csv", "Time,Bearing temperature,Motor current,Motor running,Fan running", rows)
+    assert "--running 'Motor running' or --running 'Fan running'" in asked(export, tmp_path / "m.toml")
+
+
+def test_files_of_two_tags_whose_times_do_not_overlap_are_no_parts(tmp_path: Path) -> None:
+    folder = tmp_path / "tags"
+    folder.mkdir()
+    rows = [f"{moment},{heat}" for moment, heat in zip(PLANT.moments, PLANT.heat, strict=True)]
+    written(folder / "Temperature.csv", "Time,Value", rows)
+    written(folder / "Current.csv", "Time,Value", ["2024-03-13 09:50:00,5.0", "2024-03-13 09:52:00,4.9"])
+    (trace,), _, said = mapped(folder, tmp_path / "m.toml")
+    assert said["temperature"] == "Temperature/Value" and np.nanmin(trace.signals["Temperature"]) > 10.0
+
+
+def test_rows_that_lack_a_cell_are_not_shifted(tmp_path: Path) -> None:
+    export = wide(tmp_path / "a.csv")
+    mapped(export, tmp_path / "m.toml")
+    lines = export.read_text(encoding="utf-8").splitlines()
+    written(export, "Time,Ambient,Bearing temperature,Motor current,Running", lines[1:])
+    with pytest.raises(TraceError, match="another number of cells than the header"):
+        load_traces(export, load_map(tmp_path / "m.toml"))
+
+
+def test_a_quality_beside_another_reading_judges_no_other_file(tmp_path: Path) -> None:
+    folder = tmp_path / "tags"
+    folder.mkdir()
+    rows = [f"{moment},{heat},Good" for moment, heat in zip(PLANT.moments, PLANT.heat, strict=True)]
+    written(folder / "Oil.csv", "Time,Temp,Quality", rows)
+    text = """
+    format = "wide"
+    separator = ","
+    temperature = "Temp"
+    parts = "*.csv"
+    quality = { column = ["Quality"], good = ["Good"] }
+    clock = { column = "Time", formats = ["ISO8601"], timezone = "UTC" }
+    signals.Temp = { column = "Temp", unit = "degC" }
+    derived.Running = { constant = 1.0 }
+    [alphabet]
+    gap = 30
+    channels = [{ kind = "switch", signal = "Running", rising = "W_ON", falling = "W_OFF", on_change = false }]
+    """
+    written(folder / "Door.csv", "Time,Door,Quality", [f"{moment},0,Bad" for moment in PLANT.moments])
+    (trace,), _ = load_traces(folder, parse_map(text, "map"))
+    assert not np.isnan(trace.signals["Temp"]).any()
