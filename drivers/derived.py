@@ -1,7 +1,7 @@
 """A signal that is made of others, where neither device nor file has it: one law for column maps and device files."""
 
 from collections.abc import Mapping, Sequence
-from math import prod
+from math import isfinite, prod
 from typing import Any, Self
 
 from pydantic import BaseModel, ConfigDict, model_validator
@@ -73,12 +73,15 @@ def with_derived(samples: Mapping[str, Sample], derived: Mapping[str, Derived], 
             found[name] = Sample(name, value, Quality.GOOD, now)
             continue
         worst = max(sources, key=lambda sample: sample.quality)
+        quality, reason = worst.quality, f"{worst.tag}: {worst.reason}" if worst.reason else ""
+        if value is not None and not isfinite(value):
+            value, quality, reason = None, Quality.DECODING_ERROR, f"{' times '.join(law.sources)} is beyond any number"
         found[name] = Sample(
             name,
             value,
-            worst.quality,
+            quality,
             min(sample.time for sample in sources),
             sent=min((sample.sent for sample in sources if sample.sent is not None), default=None),
-            reason=f"{worst.tag}: {worst.reason}" if worst.reason else "",
+            reason=reason,
         )
     return found

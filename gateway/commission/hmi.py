@@ -76,7 +76,9 @@ class Point:
 
 def definition_hash(tag: Tag) -> str:
     """A short hash of where and how the tag lies: what was proved for another place is not proved for this one."""
-    text = repr((tag.address, tag.dtype.value, tag.order.value, tag.scale, tag.offset, tag.bit, tag.length))
+    place = (tag.address, tag.dtype.value, tag.order.value, tag.scale, tag.offset, tag.bit, tag.length)
+    # Only where there is one: what was proved before tags could have a factor's register is proved still.
+    text = repr((*place, tag.scale_from) if tag.scale_from else place)
     return hashlib.sha256(text.encode()).hexdigest()[:12]
 
 
@@ -203,6 +205,8 @@ def _meaning(tag: Tag, shown: HmiReading, slack: float) -> tuple[Value, float, f
         raise ListError(f"{shown.where or tag.name}: {shown.text!r} is no number; give it as the HMI shows it")
     # The last digit may be cut off, wrong by up to a whole step of it; the little more is for binary fractions.
     raw = abs(reading.value) * _FLOAT_STEP[tag.dtype] if tag.dtype in _FLOAT_STEP else abs(tag.scale) / 2
+    if tag.scale_from:
+        raw = 0.0  # what a count is worth stands in the device alone
     return reading.value, reading.step * 1.000001 + raw + slack, reading.step
 
 

@@ -1,6 +1,6 @@
 """The HMI against the PLC: which readings agree, when a tag is proved, which lists can be read."""
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import pytest
@@ -44,6 +44,13 @@ def test_a_reading_agrees_within_what_the_hmi_shows(tag: Tag, text: str, value: 
     found = point(tag, text, value)
     assert found.ok is agrees
     assert bool(found.reason) is not agrees
+
+
+def test_a_tag_with_its_factor_in_a_register_is_held_to_what_the_hmi_shows() -> None:
+    scaled = Tag("Frequenza", "holding:2", scale_from="holding:3", unit="Hz")
+    assert point(scaled, "49.98", 49.98).ok and not point(scaled, "50.30", 49.98).ok
+    there, elsewhere = point(scaled, "49.98", 49.98), replace(scaled, scale_from="holding:4")
+    assert there.definition != point(elsewhere, "49.98", 49.98).definition
 
 
 def test_a_value_that_moves_agrees_with_what_lies_on_its_way() -> None:

@@ -9,6 +9,9 @@ from typing import Any
 
 import pytest
 
+from drivers import codec
+from drivers.device_file import TagTable
+from drivers.tag import Quality
 from gateway.commission.files.io_list import IoList, ListError, Reading, read_io_list
 from tests.commission.bench import Handler, answer, plc, server
 from tests.commission.test_probed_devices import take
@@ -50,6 +53,8 @@ def sensor(folder: Path, text: str) -> dict[str, Any] | str:
         ("address: 1; data_type: string; count: 5", {"dtype": "string", "length": 10}),
         ("address: 1; data_type: custom; count: 2; structure: '>f'", {"dtype": "float32", "order": "ABCD"}),
         ("address: 1; data_type: custom; count: 2; structure: '<i'", {"dtype": "int32", "order": "DCBA"}),
+        ("address: 1; data_type: custom; count: 2; structure: 'f'", {"dtype": "float32", "order": "DCBA"}),
+        ("address: 1; data_type: custom; count: 1; structure: '=h'", {"dtype": "int16", "order": "BADC"}),
         ("address: 1; nan_value: 0x8000; min_value: -20; max_value: 150",
          {"sentinel": 0x8000, "low": -20, "high": 150}),
         ("address: 1; scan_interval: 60", {"period": 60.0}), ("address: 1; scan_interval: 0", {"dtype": "int16"}),
@@ -121,7 +126,8 @@ def test_entities_of_several_units_and_connections_are_kept_apart(tmp_path: Path
     [
         ("a: [1", "is no YAML: line"), ("a: 1", "is no list that is known here"), ("", "is no list"),
         ("modbus: []", "has no registers"), ("a: *b", "undefined alias"), ("[" * 5000, "is no YAML"),
-        ("\ufffe", "is no"),
+        ("\ufffe", "is no"), ("modbus: &a\n  <<: *a\n  sensors: []", "line 2: takes itself over by <<"),
+        ("modbus: &a\n  <<: [&b {<<: *a}]", "takes itself over by <<"),
     ],
 )  # fmt: skip
 def test_a_yaml_file_that_is_no_list_is_one_sentence(text: str, said: str, tmp_path: Path) -> None:
@@ -198,7 +204,7 @@ def test_a_meter_template_of_evcc_is_read_row_by_row(tmp_path: Path) -> None:
         "grid_power": {"address": "holding:23316", "dtype": "int32", "order": "ABCD", "scale": 0.01},
         "grid_currents1": {"address": "input:1", "dtype": "uint32", "order": "CDAB"},
         "grid_currents2": {"address": "input:3", "dtype": "float32", "order": "CDAB", "scale": -1.0},
-        "pv_power_part2": {"address": "holding:8", "dtype": "int16", "scale": 10.0, "sentinel": 0x8000},
+        "pv_power_part2": {"address": "holding:8", "dtype": "int16", "scale": 10.0, "sentinel": [0x8000, 0x7FFF]},
         "pv_energy": {"address": "holding:9", "dtype": "uint64", "order": "ABCD"},
         "flag": {"address": "coil:5", "dtype": "bool"},
     }
@@ -210,6 +216,52 @@ def test_a_meter_template_of_evcc_is_read_row_by_row(tmp_path: Path) -> None:
                  "soc: names '124:ChaState'", "is written (writesingle)"):  # fmt: skip
         assert said in reasons
     assert len(found.problems) == 4
+
+
+def test_what_evcc_computes_by_a_script_is_no_tag(tmp_path: Path) -> None:
+    source = "source: modbus, register: {address: 100, type: holding, decode: int16}"
+    script = "    source: js\n    script: -val/10\n    in:\n      - name: val\n        config: {%s}\n"
+    found = read(tmp_path, "m.yaml", "render: |\n  power:\n" + script % source)
+    assert not found.tags and "is a part of what evcc computes (source: js)" in found.problems[0]
+
+
+@pytest.mark.parametrize(
+    ("decode", "registers"),
+    [
+        ("int16nan", [0x8000]), ("int16nan", [0x7FFF]), ("int32nan", [0x8000, 0]), ("int32nan", [0x7FFF, 0xFFFF]),
+        ("uint64nan", [0xFFFF] * 4), ("int64nan", [0x8000, 0, 0, 0]),
+    ],
+)  # fmt: skip
+def test_what_evcc_takes_for_no_value_is_none(decode: str, registers: list[int], tmp_path: Path) -> None:
+    source = f"{{source: modbus, register: {{address: 1, type: holding, decode: {decode}}}}}"
+    row = keys(read(tmp_path, "m.yaml", f"render: |\n  soc: {source}\n"))["soc"]
+    assert codec.decode(TagTable.model_validate({"name": "soc", **row}).tag(), registers)[1] is Quality.NO_DATA
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        "Anzahl Nachkommastellen",
+        "Anzahl Dezimalstellen",
+        "Kommastellen",
+        "Cantidad de decimales",
+        "Nombre de decimales",
+    ],
+)
+def test_a_column_of_decimals_scales(header: str, tmp_path: Path) -> None:
+    found = read(tmp_path, "m.csv", f"Bezeichnung;Adresse;Datentyp;{header}\nT;100;INT16;1\n")
+    assert keys(found)["T"]["scale"] == 0.1
+
+
+@pytest.mark.parametrize("header", ["Coefficient", "Coeficiente", "Multiplikator", "Precision", "Wertigkeit"])
+def test_a_column_that_may_scale_and_is_not_understood_refuses_the_list(header: str, tmp_path: Path) -> None:
+    with pytest.raises(ListError, match="may say how readings are scaled"):
+        read(tmp_path, "m.csv", f"Nom;Adresse;Type;{header}\nT;100;INT16;0,1\n")
+
+
+def test_a_slaves_address_is_no_registers(tmp_path: Path) -> None:
+    text = "Nom;Adresse esclave;Adresse registre;Type\nA;1;100;INT16\nB;2;101;INT16\n"
+    assert keys(read(tmp_path, "m.csv", text, Reading(unit=1)))["A"]["address"] == "holding:100"
 
 
 # ---------------------------------------------------------------- modpoll and ioBroker

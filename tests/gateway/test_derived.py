@@ -53,6 +53,11 @@ def test_a_derived_signal_is_worth_what_the_worst_of_its_sources_is_and_no_young
     assert (gone["Running"].value, gone["Running"].quality) == (None, Quality.TIMEOUT)
 
 
+def test_a_product_beyond_any_number_has_no_value() -> None:
+    found = with_derived(told(value=1e308), {"Power": Derived(product=("Current", "Voltage"))}, 11.0)["Power"]
+    assert (found.value, found.quality) == (None, Quality.DECODING_ERROR) and "beyond any number" in found.reason
+
+
 @pytest.mark.parametrize("law", [RUNNING, Derived(signal="Current", below=0.5), Derived(signal="Current", above=-1.0)])
 def test_a_number_and_an_array_are_judged_alike(law: Derived) -> None:
     values = np.array([-2.0, -1.0, 0.0, 0.3, 0.31, 0.5, 7.0])

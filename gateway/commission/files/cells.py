@@ -174,7 +174,11 @@ def _says(key: str, word: str, *, exactly: bool) -> bool:
     """Whether a header is a synonym, written as one word or several, or has it within."""
     if exactly:
         return key.replace(" ", "") == word.replace(" ", "")
-    return f" {word} " in f" {key} "
+    return word not in _ALONE and f" {word} " in f" {key} "
+
+
+_ALONE = frozenset({"anzahl", "cantidad", "quantity"})
+"""Words that mean by themselves what they do not within others: `Anzahl Nachkommastellen`."""
 
 
 def header_key(text: str) -> str:

@@ -44,8 +44,11 @@ from gateway.commission.survey import Register, parse_register
 
 GAINS = ("multiply", "divide")
 """What is done with a reading by a gain above 1."""
-_HEX_NUMBER = re.compile(r"(?:0x|16#)([0-9a-f]{1,8})|([0-9a-f]{1,4})h")
+_HEX_NUMBER = re.compile(r"(?:0x|16#)([0-9a-f]{1,16})|([0-9a-f]{1,16})h")
+_WHOLE_NUMBER = re.compile(r"[+-]?\d+")
 _EMPTY = ("", "-", "–", "n/a", "n.a.")
+_MOST_DIGITS = 20
+"""A sign, and those of a whole number of 64 bits, or those alone."""
 _SCALE_DECIMALS = 9
 _RANGE_TOLERANCE = 1e-3
 """A range ends where a type does if they differ by less, as a part of it."""
@@ -154,7 +157,10 @@ def _polled(path: Path, how: Reading) -> ListSheet | None:
     return None
 
 
-_SCALES = re.compile(r"scal|factor|fattor|faktor|skalier|gain|multipl|divis|resol|risol")
+_SCALES = re.compile(
+    r"scal|factor|fattor|faktor|skalier|gain|multipl|divis|resol|risol"
+    r"|coef|komma|dezim|decim|precis|prazis|echel|facteur|teil|divid|auflos|potenz|wertig|multiplik"
+)
 
 
 def _of_units(sheet: ListSheet, how: Reading) -> ListSheet:
@@ -337,6 +343,8 @@ def _raw(text: str, column: str) -> int | float | None:
         return None
     if match := _HEX_NUMBER.fullmatch(text.lower()):
         return int(match[1] or match[2], 16)
+    if _WHOLE_NUMBER.fullmatch(text) and len(text) <= _MOST_DIGITS:
+        return int(text)  # a float has 53 bits, and a raw number 64
     try:
         number = parse_decimal(text)
     except ValueError:

@@ -27,14 +27,17 @@ _READ_BY = {
     **{"holding": "holding", "input": "input", "coil": "coil", "discrete": "discrete", "discrete_input": "discrete"},
     **{"coils": "coil", "discreteinput": "discrete", "readholding": "holding", "readinput": "input"},
 }
-_ABSENT = {"uint16": "0xFFFF", "int16": "0x8000", "uint32": "0xFFFFFFFF", "int32": "0x80000000"} | {
+_ABSENT = {"uint16": "0xFFFF", "int16": "0x8000;0x7FFF", "uint32": "0xFFFFFFFF", "int32": "0x80000000;0x7FFFFFFF"} | {
     "uint64": str((1 << 64) - 1), "int64": str(-(1 << 63))
 }  # fmt: skip
+"""What evcc takes for no value, by a decode that ends in nan."""
 _ACTION = re.compile(r"\{\{.*?\}\}")
 _OWN = "OfTheTemplate"
 """What stands where a template puts something in."""
 _STEPS = ("get", "set", "in", "source", "from", "to")
 _COMPUTED = ("add", "sub", "mul", "div", "abs", "sign", "min", "max", "out")
+_SCRIPTS = ("js", "go")
+"""Sources that compute by a program of their own."""
 _PART = "part"
 _USAGE = re.compile(r'\s*eq\s+\.usage\s+"(\w+)"\s*')
 
@@ -54,9 +57,10 @@ class ListedUnit:
 
 @dataclass(slots=True)
 class _Nodes:
-    """A YAML document by its nodes: how many have been visited."""
+    """A YAML document by its nodes: how many have been visited, and which mappings are being looked at."""
 
     visited: int = 0
+    _open: set[int] = field(default_factory=set)
 
     def pairs(self, node: Any) -> list[tuple[str, Any, int]]:
         """(key, value, line) of a mapping, with what `<<` takes over; nothing for any other node."""
@@ -69,7 +73,11 @@ class _Nodes:
                 raise TemplateError(f"has more than {MOST_NODES} nodes; give the part with the registers alone")
             if str(key.value) == "<<" and key.id == "scalar":
                 parts = value.value if value.id == "sequence" else [value]
+                if id(node) in self._open:
+                    raise TemplateError(f"line {key.start_mark.line + 1}: takes itself over by <<; take that out")
+                self._open.add(id(node))
                 found = [pair for part in parts for pair in self.pairs(part)] + found
+                self._open.discard(id(node))
             elif key.id == "scalar":
                 found.append((str(key.value), value, key.start_mark.line + 1))
         return found
@@ -189,9 +197,11 @@ def _sensor(own: Mapping[str, Any]) -> Iterator[dict[str, str]]:
             refused = refused or f"structure {texts.get('structure', '')!r} is not one number in registers"
         else:
             kind = _OF_STRUCT[match[2]]
-            # A structure of low bytes first reads all its registers backwards.
+            # A structure of low bytes first reads all its registers backwards; without a sign it is as the host's own.
             backwards = {"ABCD": "DCBA", "DCBA": "ABCD", "CDAB": "BADC", "BADC": "CDAB"}
-            order = backwards.get(order, "") if match[1] == "<" else order
+            order = backwards.get(order, "") if match[1] in ("", "=", "<") else order
+            if _registers(kind) == "1" and order == "DCBA":
+                order = "BADC"  # one register has no order of words
     if kind == "string":
         kind = f"STRING[{2 * int(count)}]" if count.isdecimal() else "string"
     elif count and not refused and _registers(kind) not in ("", count):
@@ -278,7 +288,7 @@ def _of_evcc(render: Any) -> Iterator[ListRow]:
     rendered = _without_actions(_scalar_text(render))
     root = _composed("\n".join(rendered.lines))
     nodes, names = _Nodes(), dict[str, int]()
-    for path, source in _sources(nodes, root, (), 0):
+    for path, source, script in _sources(nodes, root, (), 0):
         line = source.start_mark.line
         cells = _evcc_cells(nodes, source, rendered)
         usage = next((match[1] for text in rendered.under[line] if (match := _USAGE.fullmatch(text))), "")
@@ -290,6 +300,8 @@ def _of_evcc(render: Any) -> Iterator[ListRow]:
         said = [f"where {' and '.join(where)}"] if where else []
         said += ["a part of what evcc computes"] if any(part.startswith(_PART) for part in path) else []
         cells["said"] = "; ".join(said)
+        if script:
+            cells = {"refused": f"is a part of what evcc computes (source: {script}); give its row by hand", **cells}
         yield ListRow(first + line, {"name": name, "order": "ABCD", "exact": "1", **cells})
 
 
@@ -297,21 +309,25 @@ def _scalar_text(node: Any) -> str:
     return str(node.value) if node is not None and node.id == "scalar" else ""
 
 
-def _sources(nodes: _Nodes, node: Any, path: tuple[str, ...], depth: int) -> Iterator[tuple[tuple[str, ...], Any]]:
-    """Every mapping with `source: modbus`, with the names on the way to it."""
+def _sources(
+    nodes: _Nodes, node: Any, path: tuple[str, ...], depth: int, script: str = ""
+) -> Iterator[tuple[tuple[str, ...], Any, str]]:
+    """Every mapping with `source: modbus`, with the names on the way to it and the script that computes with it."""
     if node is None or depth > _MOST_DEPTH:
         return
     if node.id == "mapping":
-        if _scalar(nodes.table(node).get("source")) in ("modbus", "sunspec"):
-            yield path, node
+        source = _scalar(nodes.table(node).get("source"))
+        if source in ("modbus", "sunspec"):
+            yield path, node, script
             return
+        script = source if source in _SCRIPTS else script
         for key, value, _ in nodes.pairs(node):
             way = (*path, _PART) if key in _COMPUTED else path if key in _STEPS else (*path, key)
-            yield from _sources(nodes, value, way, depth + 1)
+            yield from _sources(nodes, value, way, depth + 1, script)
     elif node.id == "sequence":
         way = path or ("value",)
         for place, member in enumerate(nodes.items(node), start=1):
-            yield from _sources(nodes, member, (*way[:-1], f"{way[-1]}{place}"), depth + 1)
+            yield from _sources(nodes, member, (*way[:-1], f"{way[-1]}{place}"), depth + 1, script)
 
 
 def _evcc_cells(nodes: _Nodes, source: Any, rendered: _Rendered) -> dict[str, str]:

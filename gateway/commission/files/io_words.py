@@ -19,7 +19,16 @@ COLUMNS: Mapping[str, tuple[str, ...]] = {
         *("indirizzo", "address", "indirizzo modbus", "modbus address", "registro", "register", "addr", "ind"),
         *("indirizzo plc", "plc address", "modbus register", "registro modbus", "offset modbus", "nodeid", "object"),
         *("oggetto", "index", "indice"),
-        *("adresse", "modbus adresse", "registeradresse", "registernummer", "adresse modbus", "registre"),
+        *(
+            "adresse registre",
+            "adresse du registre",
+            "adresse",
+            "modbus adresse",
+            "registeradresse",
+            "registernummer",
+            "adresse modbus",
+            "registre",
+        ),
         *("direccion", "direccion modbus"),
     ),
     "table": (
@@ -64,7 +73,8 @@ COLUMNS: Mapping[str, tuple[str, ...]] = {
     "decimals": (
         *("decimals", "decimal places", "decimali", "cifre decimali", "number of decimals", "decimal digits"),
         *("exponent", "esponente", "scale exponent"),
-        *("nachkommastellen", "dezimalstellen", "decimales"),
+        *("nachkommastellen", "dezimalstellen", "decimales", "anzahl nachkommastellen", "anzahl dezimalstellen"),
+        *("kommastellen", "cantidad de decimales", "nombre de decimales"),
     ),
     "range": (
         *("range", "campo", "intervallo", "value range", "wertebereich", "span", "campo di valori", "limits"),
@@ -80,7 +90,10 @@ COLUMNS: Mapping[str, tuple[str, ...]] = {
         *("einheit", "physikalische einheit", "unite", "unidad", "unidad de medida"),
     ),
     "formula": ("formula", "formel", "espressione", "expression"),
-    "unit_id": ("deviceid", "device id", "slave", "slave id", "slave address", "unit id", "modbus id", "slaveid"),
+    "unit_id": (
+        *("deviceid", "device id", "slave", "slave id", "slave address", "unit id", "modbus id", "slaveid"),
+        *("adresse esclave", "esclave", "no esclave", "numero esclave"),
+    ),
     "negate": ("negate value", "negate"),
     "raw_low": ("raw min", "min raw", "grezzo min", "min grezzo", "raw low", "inizio scala raw", "count min"),
     "raw_high": ("raw max", "max raw", "grezzo max", "max grezzo", "raw high", "fondo scala raw", "count max"),
