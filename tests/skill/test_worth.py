@@ -76,6 +76,19 @@ def test_moments_at_which_nothing_was_read_are_counted_and_of_few_others_nothing
     assert "15 of 40 moments have an outcome" in found.sentences[0]
 
 
+def test_moments_that_a_rival_was_not_asked_at_are_not_taken_for_unread_ones() -> None:
+    own = [replace(row, origin=60.0 * at) for at, row in enumerate(rows(60.0, ours=0.5) * 4)]
+    beside = [replace(row, method="persistence", quantiles=row.quantiles + 5.0) for row in own[::4]]
+    (found,) = forecast_skill(own + beside, ["ours"]).worth
+    assert (found.verdict, found.due, found.scored) == ("better", 10, 10)
+
+
+def test_a_method_of_which_nothing_was_read_does_not_keep_the_others_from_being_compared() -> None:
+    unread = [replace(row, trace="B", outcome=np.nan) for row in rows(60.0, third=0.5)]
+    found = forecast_skill(rows(60.0, ours=0.5, persistence=5.0) + unread, ["ours"])
+    assert [each.verdict for each in found.worth] == ["better"]
+
+
 @pytest.mark.parametrize(
     ("step", "count", "worth"),
     [(30.0, 4, "1.1"), (30.0, 31, "2"), (900.0, 7, "7"), (9000.0, 7, "7"), (449.0, 15, "7.9")],

@@ -160,17 +160,24 @@ def means(rows: Iterable[SkillRow], keys: Mapping[str, Callable[[SkillRow], Any]
     return [{**dict(zip(keys, group, strict=True)), **asdict(skill(own))} for group, own in groups.items()]
 
 
+def rows_at_common_moments(rows: Sequence[SkillRow]) -> list[SkillRow]:
+    """The rows of those moments at which every method that has read rows has a forecast, read or not.
+
+    A method that came due only where nothing was read has nothing to be compared by.
+    """
+    methods = {row.method for row in rows if row.read}
+    there: dict[tuple[str, str, float, float], set[str]] = {}
+    for row in rows:
+        there.setdefault(row.moment, set()).add(row.method)
+    return [row for row in rows if row.method in methods and methods <= there[row.moment]]
+
+
 def common(rows: Sequence[SkillRow]) -> list[SkillRow]:
     """The rows of those moments at which every method has a forecast and which have an outcome.
 
     No method is judged by easier ones.
     """
-    methods = {row.method for row in rows}
-    rows = [row for row in rows if row.read]
-    there: dict[tuple[str, str, float, float], set[str]] = {}
-    for row in rows:
-        there.setdefault(row.moment, set()).add(row.method)
-    return [row for row in rows if there[row.moment] == methods]
+    return [row for row in rows_at_common_moments(rows) if row.read]
 
 
 def group_rows(rows: Iterable[Row], key: Callable[[Row], Key]) -> dict[Key, list[Row]]:

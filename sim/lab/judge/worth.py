@@ -12,11 +12,11 @@ from sim.lab.judge.rows import (
     MIN_FORECASTS,
     TRACE_PARTS_S,
     SkillRow,
-    common,
     difference,
     group_rows,
     independent,
     means,
+    rows_at_common_moments,
     stretch,
 )
 from sim.sha import DEFAULT_UNIT, display_unit
@@ -27,8 +27,8 @@ class Worth:
     """A method of ours against the best other one at one `horizon` (s), on one machine or on all of them ("").
 
     `crps` and `best_crps` are the means of both in the temperature's unit; the best has the lowest at that place.
-    Of the `due` forecasts, which came due within a trace, `scored` had an outcome; these overlap and are worth
-    `independent` ones that do not.
+    Of the `due` forecasts, which came due within a trace at moments that all methods share, `scored` had an outcome;
+    these overlap and are worth `independent` ones that do not.
     """
 
     method: str
@@ -117,14 +117,15 @@ def forecast_skill(
     rows: Sequence[SkillRow], ours: Sequence[str], *, seed: int = 0, notes: Sequence[str] = (), unit: str = DEFAULT_UNIT
 ) -> ForecastSkill:
     """The skill of the methods `ours` among all that have rows, at the moments that all of them share."""
-    shared = common(rows)
+    due = rows_at_common_moments(rows)
+    shared = [row for row in due if row.read]
     said = list(notes)
     if rows and not shared:
         said.append("the methods have no forecast for the same moment, so they cannot be compared")
     found = tables(shared, ours, seed)
     own = group_rows(shared, lambda row: (row.method, row.horizon))
-    every = group_rows(rows, lambda row: (row.method, row.horizon))
-    said += _unread(every.values(), ours)
+    every = group_rows(due, lambda row: (row.method, row.horizon))
+    said += _unread(group_rows(rows, lambda row: (row.method, row.horizon)).values(), ours)
     crps: dict[float, dict[str, dict[str, float]]] = {}
     for row in (*found["by horizon"], *found["by machine"]):
         places = crps.setdefault(row["horizon"], {})
