@@ -29,7 +29,7 @@ class ScaledTag:
 
 def scaled_tag(tag: Tag, factors: Mapping[str, Tag]) -> ScaledTag:
     """The two that are read for a tag; `factors` are those of others, by their addresses."""
-    raw = replace(tag, scale=1.0, offset=0.0, low=None, high=None, labels={}, unit="", scale_from="", period=0.0)
+    raw = replace(tag, scale=1.0, offset=0.0, low=None, high=None, labels={}, scale_from="", period=0.0)
     known = factors.get(tag.scale_from)
     return ScaledTag(tag, raw, known or _factor(tag.scale_from))
 
@@ -83,9 +83,12 @@ def scaled_sample(part: ScaledTag, raw: Sample, factor: Sample, before: int | No
     after = raw.sent is not None and factor.sent is not None and factor.sent >= raw.sent
     if not together and not (after and before == factor.value):
         reason = f"its factor at {place} was another one while it was read, or that is not known"
-        return replace(raw, value=None, quality=Quality.NO_DATA, reason=reason)
+        # As if nothing had been asked: a tag with a period of its own is asked for again with the next scan.
+        return replace(raw, value=None, quality=Quality.NO_DATA, sent=None, reason=reason)
     power = factor.value
     number = raw.value * 10**power if power >= 0 else raw.value / 10**-power
     value = number if tag.scale == 1.0 and tag.offset == 0.0 else number * tag.scale + tag.offset
     quality, reason = judge(tag, value)
+    if quality.is_good:  # what was doubted of the raw number stays doubted
+        quality, reason = raw.quality, raw.reason
     return replace(raw, value=value, quality=quality, reason=reason)

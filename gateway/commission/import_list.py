@@ -135,9 +135,20 @@ def repeats_of(given: Mapping[str, str]) -> dict[str, int]:
 
 
 def bindings(io_list: IoList) -> list[Binding]:
-    """The list's tags; what the list says nothing of stays as it is in the file."""
+    """The list's tags; what the list says nothing of stays as it is in the file.
+
+    But where a tag's bit or scale stands elsewhere now, what the file says of it goes.
+    """
     return [
-        Binding(tag.name, {key: value for key, value in tag.keys.items() if value is not None or key == "bit"}, True)
+        Binding(
+            tag.name,
+            {
+                key: value
+                for key, value in tag.keys.items()
+                if value is not None or key == "bit" or (key == "scale_from" and tag.keys["scale"] is not None)
+            },
+            True,
+        )
         for tag in io_list.tags
     ]
 

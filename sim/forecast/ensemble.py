@@ -10,7 +10,7 @@ back.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from math import inf, isfinite, isnan
+from math import inf, isfinite
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -139,8 +139,8 @@ def learn(pool: Pool, context: str, losses: Sequence[float | None], worth: float
     `worth` (0 to 1) is the part of an independent forecast that it is. Only members that had a forecast are compared:
     an absent one loses what the weighted mean of the others did, so that it neither gains nor loses by it.
     """
-    # A loss that is no number (of a fan with a NaN in it) is no forecast either.
-    known = [None if loss is None or isnan(loss) else loss for loss in losses]
+    # A loss that is no number (of a fan with a NaN or an end that is nowhere) is no forecast either.
+    known = [None if loss is None or not isfinite(loss) else loss for loss in losses]
     present = [place for place, loss in enumerate(known) if loss is not None]
     if pool.fixed is not None or len(present) < 2 or not worth > 0:
         return pool

@@ -10,6 +10,7 @@ from openpyxl import Workbook
 from gateway.commission.files.cells import ListError, parse_decimal
 from gateway.commission.files.io_list import IoList, Reading, read_io_list
 from gateway.commission.files.io_words import type_cell
+from gateway.commission.import_list import bindings
 
 ITALIAN = """\
 Elenco I/O - linea 2;;;;;;;
@@ -225,3 +226,14 @@ def test_what_is_no_number_is_refused(text: str) -> None:
 def test_types_are_known_by_their_usual_names(words: str, dtype: str) -> None:
     found = type_cell(words)
     assert not found.unknown and found.dtype == dtype
+
+
+def test_a_scale_of_the_list_takes_the_place_of_a_factor_in_a_register(tmp_path: Path) -> None:
+    (own, without) = bindings(listed(tmp_path, "Tag;Address;Type;Scale\nV;40001;INT;0,1\nW;40002;INT;\n"))
+    assert own.keys["scale"] == 0.1 and own.keys["scale_from"] is None
+    assert "scale_from" not in without.keys, "what the list says nothing of stays"
+
+
+@pytest.mark.parametrize("header", ["Bauteil", "Teilenummer", "Verteiler"])
+def test_a_part_is_no_divisor(tmp_path: Path, header: str) -> None:
+    assert not listed(tmp_path, f"Tag;Address;Type;{header}\nV;40001;INT;7\n").problems

@@ -4,7 +4,7 @@ import asyncio
 import struct
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import pytest
@@ -685,6 +685,34 @@ async def test_a_scaled_tag_may_have_a_period() -> None:
         device.registers |= {10: 1, 3: 30}
         assert [s.value for s in await driver.read(tags)] == [230.1, 30]
     assert sum(start <= 10 < start + number for _, start, number in device.asked) == 1
+
+
+async def test_a_scaled_tag_with_a_period_whose_factor_changed_is_asked_for_with_the_next_scan() -> None:
+    device = Device()
+    device.registers |= {2: 2301, 40: 0xFFFF}
+    keep = device.answer
+
+    def changed(pdu: bytes) -> bytes | None:
+        answered = keep(pdu)
+        if pdu[:3] == bytes((3, 0, 2)):
+            device.registers |= {2: 23015, 40: 0xFFFE}
+        return answered
+
+    device.answer = changed  # type: ignore[method-assign]
+    tags = [scaled("V", 2, 40, period=3600.0)]
+    async with plugged(device) as (_, driver):
+        (torn,) = await driver.read(tags)
+        assert torn.value is None and "factor" in torn.reason
+        assert [(await driver.read(tags))[0].value for _ in range(2)] == [230.15, 230.15]
+
+
+async def test_words_that_seem_swapped_are_doubted_with_a_factor_as_they_are_without() -> None:
+    device = Device()
+    device.registers |= {10: 12345, 11: 0, 12: 0xFFFF}
+    tag = Tag("E", "holding:10", DType.UINT32, unit="Wh")
+    async with plugged(device) as (_, driver):
+        plain, with_factor = await driver.read([tag, replace(tag, name="F", scale_from="holding:12")])
+    assert plain.quality is with_factor.quality is Quality.UNCERTAIN and plain.reason == with_factor.reason
 
 
 async def test_a_factor_that_is_nowhere_is_said() -> None:

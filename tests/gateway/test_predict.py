@@ -1,6 +1,7 @@
 """From scans to predictions: online equals batch, not knowing is said, the open loop is open."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,11 +9,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.tag import Quality, Value
+from gateway.machine.model.outlook import Outlook
 from gateway.machine.model.predict import Predictor, ScanPrediction
 from sim.engine.belief import filter_trace
+from sim.forecast.calibration import Horizon, PendingForecast
 from sim.sha.events import encode
 from sim.sha.trace import UNKNOWN, Trace
-from tests.gateway.support import CURRENT, EPOCH, RUNNING, TEMPERATURE, scan_of, two_modes
+from tests.gateway.support import CURRENT, EPOCH, RUNNING, TEMPERATURE, config_in, scan_of, two_modes
 
 Reading = tuple[bool | None, float | None, float | None]
 
@@ -141,3 +144,18 @@ def test_a_model_that_is_only_tracked_believes_what_one_that_predicts_believes()
         assert tracked.track(scan) == (prediction.known and prediction.inputs_good)
         assert tracked.belief == said.belief
     assert tracked.track(scan_of({RUNNING: True, CURRENT: 150.0}, EPOCH + 60)) is False, "a tag that was not read"
+
+
+def test_what_bands_await_under_a_clock_that_was_ahead_keeps_no_other_forecast_waiting(tmp_path: Path) -> None:
+    """Saved eight years ahead, restored now: what is due now is due, and what was learned stays."""
+    config = config_in(tmp_path)
+    outlook = Outlook(Predictor(two_modes(), TEMPERATURE), config.forecast, 80.0, scan_period=1.0)
+    horizon = min(outlook.calibration.horizons)
+    ahead = EPOCH + 2.5e8
+    waiting = PendingForecast(due=ahead + horizon, low=40.0, median=41.0, high=42.0)
+    saved = json.loads(json.dumps({f"{horizon:g}": Horizon(2.0, last=ahead, pending=(waiting,), matured=7).plain()}))
+    outlook.restore(saved, EPOCH)
+    found = outlook.calibration.horizons[horizon]
+    assert (found.prior, found.matured, found.pending, found.last) == (2.0, 7, (), EPOCH)
+    outlook.restore(saved, ahead)
+    assert outlook.calibration.horizons[horizon].pending == (waiting,)

@@ -178,13 +178,18 @@ class Outlook:
         """What the bands have learned, as JSON can carry it."""
         return {f"{horizon:g}": one.plain() for horizon, one in self.calibration.horizons.items()}
 
-    def restore(self, saved: Mapping[str, Any]) -> None:
-        """Go on from a snapshot, for the horizons that are still configured. Raises KeyError or TypeError."""
+    def restore(self, saved: Mapping[str, Any], now: float) -> None:
+        """Go on from a snapshot at `now` (s), for the horizons that are still configured. Raises KeyError or TypeError.
+
+        What it awaits beyond its horizon was made under a clock that was ahead: it would keep all others waiting.
+        """
         horizons = dict(self.calibration.horizons)
         for text, one in saved.items():
             if float(text) in horizons:
                 pending = tuple(PendingForecast(**item) for item in one["pending"])
-                horizons[float(text)] = Horizon(**{**one, "counts": tuple(one["counts"]), "pending": pending})
+                pending = tuple(each for each in pending if each.due <= now + float(text))
+                kept = {**one, "counts": tuple(one["counts"]), "pending": pending, "last": min(one["last"], now)}
+                horizons[float(text)] = Horizon(**kept)
         section = self.calibration
         self.calibration = Calibration(horizons, section.memory, section.weight, section.tolerance)
 

@@ -356,7 +356,7 @@ class ModelUnit:
             if self.twin is not None and (twin := saved_state(self._historian, "twin", self._log)) is not None:
                 self.twin.restore(twin[1])
             if bands is not None and bands[1]["model"] == self.loaded.hash:
-                self.outlook.restore(bands[1]["horizons"])
+                self.outlook.restore(bands[1]["horizons"], now)
                 self.guards.restore(bands[1].get("reviews", {}))
                 ensemble = self.outlook.ensemble
                 members = saved_state(self._historian, "ensemble", self._log) if ensemble else None
