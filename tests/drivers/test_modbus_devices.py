@@ -216,7 +216,7 @@ async def test_a_device_that_does_not_say_who_it_is_is_not_believed() -> None:
 
 
 async def test_a_pinned_device_that_hangs_up_after_each_answer_is_read_and_never_written() -> None:
-    async with plugged(Device(hangs_up=True), identity={"holding:40-47": "SN-0001"}) as (plug, driver):
+    async with plugged(Device(ends_connections=True), identity={"holding:40-47": "SN-0001"}) as (plug, driver):
         assert good(await read_until(driver, good))
         with pytest.raises(DriverError):
             await driver.write([(TAGS[0], 7)])
@@ -396,7 +396,7 @@ async def test_what_was_kept_of_another_device_is_forgotten() -> None:
 
 async def test_a_device_that_hangs_up_after_each_answer_is_read_and_a_write_is_read_back() -> None:
     tags = [*TAGS, Tag("far", "holding:40")]
-    async with plugged(Device(hangs_up=True)) as (plug, driver):
+    async with plugged(Device(ends_connections=True)) as (plug, driver):
         async with asyncio.timeout(60):
             while not good(await driver.read(tags)):
                 await asyncio.sleep(0.01)
@@ -430,7 +430,7 @@ async def test_one_that_hangs_up_under_the_question_of_reading_back_is_asked_on_
 
 
 async def test_a_write_without_an_answer_ends_the_connection_that_it_was_sent_on() -> None:
-    async with plugged(Device(hangs_up=True)) as (plug, driver):
+    async with plugged(Device(ends_connections=True)) as (plug, driver):
         async with asyncio.timeout(60):
             while not good(await driver.read(TAGS)) or plug.connections < 5:
                 await asyncio.sleep(0.01)

@@ -293,7 +293,7 @@ async def test_a_device_that_is_not_there_is_said_to_be_silent() -> None:
 # ---------------------------------------------------------------- the table of habits
 
 WALKED = [row for row in HABITS if row.wire]
-_APART = ({"quiet", "hangs_up"}, {"hidden", "stale"})
+_APART = ({"quiet", "ends_connections"}, {"hidden", "stale"})
 """Habits that no device has together: one that is quiet after each connection and ends each would never be read."""
 
 

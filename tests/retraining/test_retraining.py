@@ -300,7 +300,7 @@ def test_a_better_model_is_proposed_with_its_report_and_nothing_is_promoted(
     assert familiar.curve.cycles == len(held & pointed) >= len(held) - 3
 
 
-@pytest.mark.parametrize("killed", ["learned_model", "scores_along", "save", "replace_durably"])
+@pytest.mark.parametrize("killed", ["learned_model", "score_trace", "save", "replace_durably"])
 def test_a_kill_at_any_step_leaves_the_present_model_and_a_study_that_goes_on(
     killed: str,
     request_of: RetrainingRequest,

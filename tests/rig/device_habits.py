@@ -147,7 +147,7 @@ HABITS: tuple[DeviceHabit, ...] = (
             "alejoseb/Modbus-STM32-HAL-FreeRTOS#28", "yaacov/node-modbus-serial#535",
             "Cloud-Automation/node-modbus#121", "stephane/libmodbus#503",
         ),
-        wire={"hangs_up": True},
+        wire={"ends_connections": True},
         over=(TCP, TLS),
     ),
     DeviceHabit(

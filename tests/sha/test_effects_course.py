@@ -55,6 +55,8 @@ def idle() -> tuple[Effect, ...]:
         for effect in effects
         for name in ("gain", "loss", "coupling", "size", "delay")
         if name in effect.params and effect.kind not in ("radiation-loss", "housing-thermal-mass")
+        # A heat that comes late is as strong without its delay.
+        if name != "delay" or effect.kind == "dead-time"
     )
 
 

@@ -17,6 +17,8 @@ from drivers.named_files import MOST_BYTES, contents
 
 HEADER_WITHIN = 40
 """So many lines of titles may stand above the header."""
+SHEET_ROWS = 1 << 20
+"""Rows of the largest sheet that there is (ECMA-376, Excel 2007 and later)."""
 _DELIMITERS = ";,\t|"
 _PLAIN = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)(e[+-]?\d{1,2})?", re.IGNORECASE)
 _GROUPED = re.compile(r"[+-]?\d{1,3}(?:(?P<group>[.,'])\d{3})(?:(?P=group)\d{3})*(?P<rest>[.,]\d*)?")
@@ -253,13 +255,15 @@ def _xlsx_rows(path: Path, data: bytes, sheet: str | None) -> Iterator[tuple[int
         page = book[sheet] if sheet is not None else book.worksheets[0]
         # What the sheet says of its own size is not looked at: it would be believed, a row being filled up to it.
         page.reset_dimensions()
-        filled = lines = 0
+        filled = lines = gap = 0
         for number, row in enumerate(page.iter_rows(values_only=True), start=1):
-            # A sheet that was formatted to its end has a million rows of nothing.
-            if row.count(None) == len(row):
+            # A sheet that was formatted to its end has a million rows of nothing, and none has more. Rows that are not
+            # even written have no cells: a sheet has no hundred thousand of them between two that have.
+            gap = gap + 1 if not row else 0
+            if row.count(None) == len(row) and number <= SHEET_ROWS and gap <= MOST_ROWS:
                 continue
             filled, lines = filled + len(row), lines + 1
-            if lines > MOST_ROWS or filled > MOST_CELLS:
+            if gap > MOST_ROWS or number > SHEET_ROWS or lines > MOST_ROWS or filled > MOST_CELLS:
                 raise ListError(f"{path}: goes on beyond line {number}; a list has {MOST_ROWS} lines at most")
             # As it would be typed: XLSX knows no whole numbers, and 40101.0 is no address.
             cells = [

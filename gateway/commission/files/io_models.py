@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from drivers.errors import OneLineError
 from gateway.commission.files.cells import ListRow
 
 _TYPES: Mapping[str, tuple[str, str]] = {
@@ -39,7 +40,7 @@ _HEAD = ("ID", "L")
 MOST_REPEATS = 200
 
 
-class ModelError(ValueError):
+class ModelError(OneLineError, ValueError):
     """The file is no SunSpec model, in words."""
 
 

@@ -9,6 +9,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from drivers.errors import OneLineError
 from gateway.commission.files.cells import ListRow
 
 MOST_NODES = 200_000
@@ -42,7 +43,11 @@ _PART = "part"
 _USAGE = re.compile(r'\s*eq\s+\.usage\s+"(\w+)"\s*')
 
 
-class TemplateError(ValueError):
+_REGISTER_SOURCES = frozenset({"modbus", "sunspec"})
+"""What evcc calls the sources that are read from registers."""
+
+
+class TemplateError(OneLineError, ValueError):
     """The file is none of these lists, in words."""
 
 
@@ -317,7 +322,7 @@ def _sources(
         return
     if node.id == "mapping":
         source = _scalar(nodes.table(node).get("source"))
-        if source in ("modbus", "sunspec"):
+        if source in _REGISTER_SOURCES:
             yield path, node, script
             return
         script = source if source in _SCRIPTS else script

@@ -158,13 +158,10 @@ def learn(
         for folder, each in taught.items():
             yield from _model_parts(each, folder)
         several = len(taught) > 1
-        kept = [
-            f"--keep {shlex.quote(f'{_model_key(each.model, several)}={folder}')}"
-            for folder, each in taught.items()
-            if each.verdict.word != "unfit"
-        ]
-        if kept:
-            yield f"next, in the plant's folder: decanter plc bind {' '.join(kept)}"
+        for folder, each in taught.items():
+            if each.verdict.word != "unfit":
+                setting = shlex.quote(f"{_model_key(each.model, several)}={folder}")
+                yield f"next, in the plant's folder: `decanter plc bind --keep {setting}`"
 
     conclude(CommandResult(data), lambda _: show(), as_json=as_json)
 

@@ -37,7 +37,7 @@ FULL = "database or disk is full"
 def full(monkeypatch: pytest.MonkeyPatch) -> asyncio.Event:
     """While it is set neither store takes anything."""
     event = asyncio.Event()
-    for kind, name in ((Historian, "_store"), (Audit, "_committed")):
+    for kind, name in ((Historian, "_store"), (Audit, "_commit")):
         real = getattr(kind, name)
 
         def failing(self: Any, *given: Any, real: Any = real, **keys: Any) -> Any:

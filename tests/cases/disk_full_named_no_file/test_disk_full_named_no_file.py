@@ -70,7 +70,8 @@ def test_no_command_writes_a_text_outside_of_it() -> None:
             inside = {
                 id(node)
                 for block in ast.walk(tree)
-                if isinstance(block, ast.With) and any("writing(" in ast.unparse(item) for item in block.items)
+                if isinstance(block, ast.With)
+                and any("name_write_errors(" in ast.unparse(item) for item in block.items)
                 for node in ast.walk(block)
             }
             for node in ast.walk(tree):
