@@ -59,8 +59,7 @@ def test_a_new_model_has_the_noise_of_rest_at_rest_and_that_of_running_while_it_
     given: Model, at_rest: float, running: float, rough: float
 ) -> None:
     found = noise_of_the_new_model(given, plant(1, at_rest, running, rough))
-    # It was a factor of 12 once; what the likelihood's top says of one day at rest is not known better than this.
-    assert 1 / 2.0 < found["OFF"] / at_rest < 2.0
+    assert 1 / 1.5 < found["OFF"] / at_rest < 1.5
     whole = float(np.hypot(running, as_white(rough, MEMORY, TARGETS["HIGH"][1])))
     assert 1 / 1.5 < found["HIGH"] / whole < 1.5
 

@@ -54,7 +54,7 @@ def test_a_hidden_pump_is_named_with_its_strength_and_the_gap_shrinks(pumped: Di
     assert found.effects[0].params["loss"] == pytest.approx(2e-4, rel=0.25)
     assert found.effects[0].margin > 6
     assert found.none_of_these is not None
-    assert 0.9 < found.effects[0].confidence <= min(0.99, 1.0 - found.none_of_these) + 1e-12
+    assert 0.9 < found.effects[0].confidence <= min(0.99, 1.0 - found.none_of_these)
     held = found.held_out
     assert held is not None
     assert held.rmse_after < 0.6 * held.rmse_before

@@ -10,9 +10,9 @@ from sim.lab.discrepancy.fitting import Fitted, automaton_effects
 from sim.lab.learning import RATE_PARAMETERS, with_inputs
 from sim.sha import Distribution, Flow, Input, Location, Model, Provenance, Trace, content_hash, distributions
 
-REST_HEAT_SHARE = 0.5
+EVERYWHERE_REST_SHARE = 2 / 3
 """The share of a rough heat that acts at rest from which on it counts as heat of all locations: it is then stated at
-most twice too wide there, and the model keeps its memory."""
+most half as wide again there, and the model keeps its memory. A half is what is believed before the data."""
 
 
 def augment_model(
@@ -116,7 +116,7 @@ def kept_share(fitted: Fitted) -> float:
     """
     if not of_feature(fitted.frame.record.model.sha, "disturbance"):
         return 0.0
-    return 1.0 if fitted.noise.rest >= REST_HEAT_SHARE else fitted.noise.rest
+    return 1.0 if fitted.noise.rest >= EVERYWHERE_REST_SHARE else fitted.noise.rest
 
 
 def as_white(sigma: float, memory: float, k: float) -> float:

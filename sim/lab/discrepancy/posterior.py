@@ -58,8 +58,9 @@ class NamePosterior:
     none_of_these: float
 
     def confidence(self, members: tuple[str, ...]) -> float:
-        """The share of a claim: one of these names. At most `MAX_CONFIDENCE`."""
-        return min(sum(self.shares.get(name, 0.0) for name in members), MAX_CONFIDENCE)
+        """The share of a claim: one of these names. At most `MAX_CONFIDENCE`, and what none of these leaves."""
+        share = sum(self.shares.get(name, 0.0) for name in members)
+        return min(share, MAX_CONFIDENCE, 1.0 - self.none_of_these)
 
 
 def names_evidence(

@@ -141,10 +141,12 @@ def describe(
     shown = told.held.ci95 is not None and told.held.ci95[0] > 0.0
     taken = path.accepted_steps if kept else ()
     sure = [posterior(step_gains(step), found.against, rules) for step in taken]
-    effects = tuple(
+    effects = [
         replace(named_effect(step, told.after, each.confidence(step.members)), shrinking_shown=shown)
         for step, each in zip(taken, sure, strict=True)
-    )
+    ]
+    # The search may come first to what explains less; whoever reads of several looks at the first.
+    effects.sort(key=lambda effect: -effect.gain)
     none_of_these = max((each.none_of_these for each in sure), default=None)
     moved = shifts(told.after, rules)
     unexplained = remaining if unnamed or (kept and systematic(found.judged.ceiling, rules)) else ()
@@ -168,7 +170,7 @@ def describe(
             none_of_these=none_of_these,
         ),
         reasons=found.reasons,
-        effects=effects,
+        effects=tuple(effects),
         shifts=moved,
         places=where,
         unexplained=unexplained,
