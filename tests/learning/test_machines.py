@@ -11,7 +11,7 @@ from sim.engine.tracker import compile_model
 from sim.forecast import FAN_LEVELS, forecast
 from sim.lab.learning.bins.candidates import CANDIDATES
 from sim.lab.learning.bins.learn import Learned, learn_bins
-from sim.lab.learning.calibrate import UNSEEN_WIDENING, HeldOutForecasts, Scored
+from sim.lab.learning.calibrate import HORIZONS_S, PRIOR_FACTOR, UNSEEN_WIDENING, HeldOutForecasts, Scored
 from sim.lab.learning.machines import next_stay, small_sample
 from sim.lab.learning.plain import PERSISTENCE, TREND, learn_plain
 from sim.lab.learning.preparation import splits
@@ -171,22 +171,21 @@ def test_odds_are_for_who_was_better_on_data_held_out_and_go_through_json(alone:
     good, bad = PlainMember("good", 0.1, 0.1), PlainMember("bad", 0.1, 0.1, heat=0.01, memory=100.0)
     forecasts = HeldOutForecasts((good, bad), 0)
     dues = [100.0 * number for number in range(20)]
-    forecasts.scored = [Scored(60.0, due, 1.0, 1.0) for due in dues]
+    forecasts.scored = [Scored(60.0, due, 1.0, 1.0, "m", f"day {due:g}") for due in dues]
     forecasts.of_plain = {
         "good": [Scored(60.0, due, 1.0, 0.5) for due in dues],
         "bad": [Scored(60.0, due, 1.0, 3.0) for due in dues],
     }
-    forecasts.machines = ["m"] * 20
     better, worse = forecasts.members
     assert (better.odds[60.0], worse.odds[60.0]) == pytest.approx((21.0, 1.0 / 21.0)), "twenty cycles"
-    forecasts.machines = ["m", "n"] * 10
+    forecasts.scored = [replace(each, machine="mn"[place % 2]) for place, each in enumerate(forecasts.scored)]
     assert [member.odds[60.0] for member in forecasts.members] == pytest.approx([3.0, 1.0 / 3.0]), "two machines"
     model = replace(alone.model, plain=forecasts.members)
     assert parse_model(model_text(model)).plain == forecasts.members
 
 
 def test_later_times_of_the_same_recording_tell_nothing_of_another_day() -> None:
-    forecasts = HeldOutForecasts((PlainMember("plain", 0.1, 0.1),), 0, machines=["m"])
+    forecasts = HeldOutForecasts((PlainMember("plain", 0.1, 0.1),), 0)
     scored = [Scored(60.0, 100.0 * number, 1.0, 0.1) for number in range(20)]
     forecasts.scored, forecasts.of_plain = scored, {"plain": [replace(each, crps=5.0) for each in scored]}
     of_other_days, (sure,) = forecasts.coverage[0], forecasts.members
@@ -197,6 +196,22 @@ def test_later_times_of_the_same_recording_tell_nothing_of_another_day() -> None
     assert of_one_day.widening == pytest.approx(UNSEEN_WIDENING * of_other_days.factor)
     assert unsure.calibration[60.0] == pytest.approx(UNSEEN_WIDENING * sure.calibration[60.0])
     assert sure.odds[60.0] < 1.0 < unsure.odds[60.0], "however much better the model was on its own day"
+    nothing = HeldOutForecasts(forecasts.plain, 0, other_days=False)
+    (unseen,) = nothing.members
+    assert unseen.odds == unsure.odds, "too short to see anything is no reason to be believed"
+    assert nothing.calibration == dict.fromkeys(HORIZONS_S, UNSEEN_WIDENING * PRIOR_FACTOR)
+    assert set(forecasts.calibration) == set(HORIZONS_S)
+
+
+def test_pieces_of_which_nothing_was_scored_are_no_witnesses(alone: Learned) -> None:
+    """Forty exports of half a minute beside one day: no forecast along them comes due."""
+    forecasts = HeldOutForecasts((PlainMember("plain", 0.1, 0.1),), 0)
+    (day,) = of_machine("m", 0.0, 3, cycles=1)
+    pieces = [replace(day.between(float(day.times[0]), float(day.times[0]) + 30.0), name=f"p{n}") for n in range(40)]
+    traces = [day, *pieces]
+    forecasts.add(alone.model, traces, [float(each.times[0]) for each in traces], np.random.default_rng(0), origins=20)
+    assert {each.trace for each in forecasts.scored} == {day.name}
+    assert all(1 / 2 <= odds <= 2 for odds in forecasts.members[0].odds.values())
 
 
 def test_persistence_begins_from_the_last_reading_and_its_band_is_that_of_two_readings_apart() -> None:

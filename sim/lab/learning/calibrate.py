@@ -57,12 +57,17 @@ class Coverage:
 
 @dataclass(frozen=True, slots=True)
 class Scored:
-    """One forecast for one horizon: when it was due, its error in units of the band (1.645 is its edge), its CRPS."""
+    """One forecast for one horizon: when it was due, its error in units of the band (1.645 is its edge), its CRPS.
+
+    It was made along the `trace` of that name, of a `machine` ("": nobody says of which).
+    """
 
     horizon: float
     due: float
     z: float
     crps: float
+    machine: str = ""
+    trace: str = ""
 
 
 def score_forecasts(
@@ -83,7 +88,7 @@ def score_forecasts(
     usable = [max(float(trace.times[-1]) - first, 0.0) for trace, first in zip(traces, since, strict=True)]
     every = max(sum(usable) / origins, 1e-9)
     stride = max(sum(trace.times.size for trace in traces) // most_rows, 1)
-    seen: list[tuple[Belief, dict[float, float]]] = []
+    seen: list[tuple[Trace, Belief, dict[float, float]]] = []
     for trace, first in zip(traces, since, strict=True):
         raw = trace.signal_course(tracker.model.temperature)
         outcomes = clean_readings(trace.times, raw, tracker.model.alphabet.gap)
@@ -102,15 +107,19 @@ def score_forecasts(
             belief = observe(tracker, belief, time, value)
             if time >= following and belief.seen:
                 due = {horizon: outcomes.interpolate(time + horizon) for horizon in HORIZONS_S}
-                seen.append((belief, {horizon: value for horizon, value in due.items() if value is not None}))
+                seen.append((trace, belief, {horizon: value for horizon, value in due.items() if value is not None}))
                 following = max(following + every, time)
-    judged = [(belief, due) for belief, due in seen if due]
-    found = fans(tracker, [(belief, tuple(due)) for belief, due in judged], rng, runs=FORECAST_RUNS)
-    return [score for (belief, due), fan in zip(judged, found, strict=True) for score in _scores(belief.time, due, fan)]
+    judged = [each for each in seen if each[-1]]
+    found = fans(tracker, [(belief, tuple(due)) for _, belief, due in judged], rng, runs=FORECAST_RUNS)
+    return [
+        score
+        for (trace, belief, due), fan in zip(judged, found, strict=True)
+        for score in _scores(trace, belief.time, due, fan)
+    ]
 
 
-def _scores(time: float, due: Mapping[float, float], fan: Array) -> list[Scored]:
-    """The `fan` (L, H) of a forecast made at `time` (s) against what came true, horizon -> degC."""
+def _scores(trace: Trace, time: float, due: Mapping[float, float], fan: Array) -> list[Scored]:
+    """The `fan` (L, H) of a forecast made at `time` (s) along a trace against what came true, horizon -> degC."""
     low, median, high = (fan[FAN_LEVELS.index(level)] for level in (0.05, 0.5, 0.95))
     scored = []
     for column, (horizon, outcome) in enumerate(due.items()):
@@ -118,7 +127,8 @@ def _scores(time: float, due: Mapping[float, float], fan: Array) -> list[Scored]
         # The law need not be symmetric: an error counts in units of the half of the band on whose side it lies.
         edge = high[column] - median[column] if error >= 0 else median[column] - low[column]
         z = float(Z90 * abs(error) / max(edge, 1e-9))
-        scored.append(Scored(horizon, time + horizon, z, float(crps_quantiles(FAN_LEVELS, fan[:, column], outcome))))
+        crps = float(crps_quantiles(FAN_LEVELS, fan[:, column], outcome))
+        scored.append(Scored(horizon, time + horizon, z, crps, trace.machine, trace.name))
     return scored
 
 
@@ -126,8 +136,7 @@ def _scores(time: float, due: Mapping[float, float], fan: Array) -> list[Scored]
 class HeldOutForecasts:
     """What models of the same kind forecast beyond what they were fitted to, and the `plain` members beside them.
 
-    `seed` draws the plain members' runs; the model's are drawn by whoever adds it. `other_days` is as in `Coverage`;
-    `machines` has that of each trace that was forecast.
+    `seed` draws the plain members' runs; the model's are drawn by whoever adds it. `other_days` is as in `Coverage`.
     """
 
     plain: Sequence[PlainMember]
@@ -135,7 +144,6 @@ class HeldOutForecasts:
     scored: list[Scored] = field(default_factory=list)
     of_plain: dict[str, list[Scored]] = field(default_factory=dict)
     other_days: bool = True
-    machines: list[str] = field(default_factory=list)
 
     def add(
         self,
@@ -147,7 +155,6 @@ class HeldOutForecasts:
         origins: int = FORECAST_COUNT,
     ) -> None:
         """Score the forecasts of a part (`score_forecasts`), the plain members' along the same traces."""
-        self.machines += [trace.machine for trace in traces]
         self.scored += score_forecasts(model, traces, since, rng, origins=origins)
         for number, member in enumerate(self.plain):
             own = np.random.default_rng((self.seed, number + 1, len(self.scored)))
@@ -173,27 +180,42 @@ class HeldOutForecasts:
         most. Forecasts of one unit err together: who was better on all of n is so on the next with odds of n + 1
         (Laplace's rule of succession), and no odds are above that.
         """
-        kinds = len(set(self.machines))
-        most = 1.0 + (kinds if kinds > 1 else len(self.machines))
-        least = 1.0 / most
-        if not self.other_days:
-            least = most = UNSEEN_ODDS / max(len(self.plain), 1)
+        unseen = UNSEEN_ODDS / max(len(self.plain), 1)
         independent = {row.horizon: row.independent for row in self.coverage}
         own = _mean_crps(self.scored)
         members = []
         for member in self.plain:
             scored = self.of_plain.get(member.name, [])
-            losses, odds = _mean_crps(scored), {}
-            for horizon in own.keys() & losses.keys():
+            losses, odds = _mean_crps(scored), {} if self.other_days else dict.fromkeys(HORIZONS_S, unseen)
+            for horizon in own.keys() & losses.keys() if self.other_days else ():
                 pair = np.array([own[horizon], losses[horizon]])
                 weight = member_weights(
                     np.ones(2), pair / max(pair.min(), 1e-3), min(independent[horizon], MAX_PRIOR_FORECASTS)
                 )
-                odds[horizon] = float(min(max(weight[1] / weight[0], least), most))
-            rows = (replace(row, other_days=self.other_days) for row in horizon_coverage(scored))
-            factors = {row.horizon: row.widening for row in rows}
-            members.append(replace(member, calibration=factors, odds=dict(sorted(odds.items()))))
+                most = 1.0 + _count_units([each for each in self.scored if each.horizon == horizon])
+                odds[horizon] = float(min(max(weight[1] / max(weight[0], 1e-9), 1.0 / most), most))
+            members.append(replace(member, calibration=self._factors(scored), odds=dict(sorted(odds.items()))))
         return tuple(members)
+
+    @property
+    def calibration(self) -> dict[float, float]:
+        """The model's factor at each horizon; {} where nothing was to be held out."""
+        return self._factors(self.scored)
+
+    def _factors(self, scored: Sequence[Scored]) -> dict[float, float]:
+        rows = [replace(row, other_days=self.other_days) for row in horizon_coverage(scored)]
+        factors = {row.horizon: row.widening for row in rows}
+        if not self.other_days:
+            # A recording too short to see a horizon through tells no more of it than a longer one.
+            cautious = max([UNSEEN_WIDENING * PRIOR_FACTOR, *factors.values()])
+            factors = dict.fromkeys(HORIZONS_S, cautious) | factors
+        return factors
+
+
+def _count_units(scored: Sequence[Scored]) -> int:
+    """How many units forecasts are of that err apart: machines where several are told apart, else traces."""
+    machines = {each.machine for each in scored}
+    return len(machines) if len(machines) > 1 else len({each.trace for each in scored})
 
 
 def _mean_crps(scored: Sequence[Scored]) -> dict[float, float]:

@@ -254,8 +254,7 @@ def learn_lsha(
         scores={name: value for name, value in figures.items() if np.isfinite(value)},
     )
     report_progress("done", 1.0)
-    calibration = {row.horizon: row.widening for row in coverage}
-    whole = replace(model, calibration=calibration, plain=forecasts.members, provenance=provenance)
+    whole = replace(model, calibration=forecasts.calibration, plain=forecasts.members, provenance=provenance)
     return LearnedLsha(whole, fitted.values, report, fitted.spread)
 
 
