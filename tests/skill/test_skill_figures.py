@@ -8,13 +8,14 @@ import pytest
 from scipy.special import ndtri
 
 from benchmarks.skill import ratio
+from gateway.lab.judging.figures import missing_horizons
 from sim.forecast.ensemble import DENSE_LEVELS
 from sim.lab.judge.past import persistence
 from sim.lab.judge.rows import NO_SKILL, SkillRow, common, difference, skill, stretch
 from sim.lab.judge.skill_picture import draw_skill
 from sim.lab.judge.worth import tables
 from sim.scores import crps_gaussian
-from sim.sha.trace import Array
+from sim.sha.trace import Array, Trace
 
 NORMAL = ndtri(np.array(DENSE_LEVELS))
 
@@ -42,6 +43,15 @@ def test_every_machine_counts_the_same_however_long_its_trace() -> None:
     assert (found.bias, found.mae, found.crps) == pytest.approx((-3.0, 3.0, 3.0))
     assert found.coverage == 0.0
     assert skill([]) is NO_SKILL
+
+
+def test_why_a_horizon_has_no_figure_is_that_it_was_too_long_or_that_nothing_was_read() -> None:
+    trace = Trace("a", np.arange(0.0, 4000.0, 10.0), {})
+    made = [row(np.nan), row(1.0, horizon=300.0)]
+    (unread,) = missing_horizons(trace, made, (60.0, 300.0))
+    assert unread.startswith("a: no forecast for 60 s has an outcome: nothing was read")
+    short, _ = missing_horizons(trace, made, (60.0, 300.0, 9000.0))
+    assert short == "a: no forecast for 9000 s came due; it lasts 3990 s"
 
 
 def test_methods_are_compared_only_at_the_moments_that_all_have() -> None:

@@ -137,6 +137,11 @@ CASES: dict[str, tuple[Callable[[], ModelVerdict], str, str]] = {
     "a compressor that cools a room": (lambda: judged(cold_room()), "limited", "or does it cool?"),
     "rows of an hour": (lambda: judged(rare_rows()), "fit", ""),
     "degrees Fahrenheit": (lambda: judged(spoiled(lambda value: 1.8 * value + 32.0)), "limited", "Fahrenheit (20 °C)?"),
+    "a unit that is too large": (
+        lambda: judged(spoiled(lambda value: 1e-4 * value)),
+        "limited",
+        "in all, and a thousandth of that unit is taken for nothing",
+    ),
     "one location for everything": (
         lambda: judged(model=one_place()),
         "unfit",

@@ -14,6 +14,7 @@ from gateway.machine.model import forecast_trace, recorded_scans
 from gateway.settings import ForecastSection
 from sim.lab.judge import (
     NEW,
+    NOTHING_READ,
     PRESENT,
     ForecastSkill,
     Past,
@@ -190,11 +191,17 @@ def other_methods(
 
 
 def missing_horizons(trace: Trace, rows: Sequence[SkillRow], horizons: Sequence[float]) -> list[str]:
-    """A sentence for the horizons (s) that no forecast along the trace has come due for."""
-    read = {row.horizon for row in rows if row.read}
-    missing = [f"{horizon:g}" for horizon in horizons if horizon not in read]
-    lasts = f"{trace.times[-1] - trace.times[0]:.4g} s" if trace.times.size else "no time: it has no rows"
-    return [f"{trace.name}: no forecast for {', '.join(missing)} s came due; it lasts {lasts}"] if missing else []
+    """Sentences for the horizons (s) for which no forecast along the trace came due, or none has an outcome."""
+    due, read = {row.horizon for row in rows}, {row.horizon for row in rows if row.read}
+    short = [f"{horizon:g}" for horizon in horizons if horizon not in due]
+    unread = [f"{horizon:g}" for horizon in horizons if horizon in due - read]
+    said = []
+    if short:
+        lasts = f"{trace.times[-1] - trace.times[0]:.4g} s" if trace.times.size else "no time: it has no rows"
+        said.append(f"{trace.name}: no forecast for {', '.join(short)} s came due; it lasts {lasts}")
+    if unread:
+        said.append(f"{trace.name}: no forecast for {', '.join(unread)} s has an outcome: {NOTHING_READ}")
+    return said
 
 
 @dataclass(frozen=True, slots=True)

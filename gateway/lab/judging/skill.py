@@ -63,7 +63,7 @@ def measure_skill(
 
     Rivals are fitted to `training`; None asks for none. A trace gets a forecast each `forecasts.period` s, or fewer,
     evenly, where those would be more than `moments`; `scan` is the scan period in s. Raises ValueError where no
-    forecast came due, for a trace that a model cannot follow, and for rivals that cannot be loaded.
+    forecast came due or has an outcome, for a trace that a model cannot follow, and for rivals that cannot be loaded.
     """
     first, horizons, seed = ours[0], forecasts.horizons, forecasts.seed
     if training is not None:
@@ -94,8 +94,10 @@ def measure_skill(
         if learned_offset is not None:
             mean, sigma = learned_offset
             offsets.append({"machine": trace_machine(trace), "trace": trace.name, "offset": mean, "sigma": sigma})
-    if not any(row.read for row in rows):
+    if not rows:
         raise ValueError(f"no forecast came due: {'; '.join(notes)}; give longer traces or shorter horizons")
+    if not any(row.read for row in rows):
+        raise ValueError(f"no forecast has an outcome: {'; '.join(notes)}")
     return SkillAlong(
         found=forecast_skill(rows, [OURS], seed=seed, notes=notes, unit=first.unit), rows=rows, offsets=offsets
     )

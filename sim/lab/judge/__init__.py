@@ -57,6 +57,6 @@ if TYPE_CHECKING:
     from sim.lab.judge.skill_picture import draw_skill
     from sim.lab.judge.stages import Prepared, Wanted, distinct_labels, load_stage, prepare
     from sim.lab.judge.verdicts import gain, summaries, verdict
-    from sim.lab.judge.worth import MAX_CRPS_RATIO, ForecastSkill, forecast_skill, tables
+    from sim.lab.judge.worth import MAX_CRPS_RATIO, NOTHING_READ, ForecastSkill, forecast_skill, tables
 else:
     __getattr__ = lazy_getattr(__name__)

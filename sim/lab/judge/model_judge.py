@@ -37,6 +37,8 @@ FAHRENHEIT_REST_RANGE = (50.0, 110.0)
 """Where a machine at rest settles if its degrees are Fahrenheit's (10 to 43 °C)."""
 MIXED_SHARE, MIXED_S = 0.1, 1800.0
 """A location mixes running and rest where both take this share of its time, and so many seconds, at least."""
+MIN_SPAN = 0.05
+"""Of its unit, by which readings must move in all: forecasts take a thousandth of it for nothing."""
 MAX_BORROWED_SHARE = 0.5
 """The share of locations that no data have shown from which a model knows less than it has to guess."""
 
@@ -279,6 +281,17 @@ def _judge_range(case: LearnedCase) -> Said:
     return True, f"its targets lie where its readings were ({low:.0f} to {high:.0f})"
 
 
+def _moves_in_its_unit(case: LearnedCase) -> Said:
+    """Forecasts and their mixture take a thousandth of the unit for nothing, whatever the unit is."""
+    values = np.concatenate([column for _, column in case.readings()] or [np.zeros(0)])
+    span = float(np.ptp(np.quantile(values, (0.01, 0.99)))) if values.size else 0.0
+    unit = display_unit(case.model.unit)
+    said = f"its readings move by {span:.2g} {unit} in all"
+    if span < MIN_SPAN:
+        return None, f"{said}, and a thousandth of that unit is taken for nothing"
+    return True, said
+
+
 CRITERIA: Mapping[str, tuple[Callable[[LearnedCase], Said], str]] = {
     "verified": (_judge_proof, "see what `decanter model prove` refutes, and learn with another --method or flow"),
     FORECAST_CRITERION: (_foresees, "learn with more starts and stops; `decanter diagnose` names what is missing"),
@@ -290,5 +303,6 @@ CRITERIA: Mapping[str, tuple[Callable[[LearnedCase], Said], str]] = {
     "degrees": (_degrees_are_celsius, "say the unit in the column map, or go on if the machine is kept so warm"),
     "locations": (_judge_places, "learn with --method bins, or with traces that show them"),
     "targets": (_judge_range, "learn with longer stays"),
+    "scale": (_moves_in_its_unit, "give the readings in a smaller unit, by the column map"),
 }
 """Every criterion by name: kept or not (None: limits the model, or not known), with its figure, and the next step."""

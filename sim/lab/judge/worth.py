@@ -155,6 +155,10 @@ def forecast_skill(
     return ForecastSkill(ours=tuple(ours), tables=found, worth=tuple(worth), notes=tuple(said), unit=unit)
 
 
+NOTHING_READ = "nothing was read: the recording has gaps there, or is stored on change and its map does not say so"
+"""Why a moment that came due has no outcome."""
+
+
 def _unread(every: Iterable[Sequence[SkillRow]], ours: Sequence[str]) -> list[str]:
     """A sentence for each horizon of the first of our methods with moments at which nothing was read."""
     said = []
@@ -162,8 +166,7 @@ def _unread(every: Iterable[Sequence[SkillRow]], ours: Sequence[str]) -> list[st
         read = sum(row.read for row in rows)
         if rows[0].method in ours[:1] and read < len(rows):
             said.append(
-                f"at {rows[0].horizon:g} s {read} of {len(rows)} moments have an outcome; at the others nothing was "
-                "read: the recording has gaps there, or is stored on change and its column map does not say so"
+                f"at {rows[0].horizon:g} s {read} of {len(rows)} moments have an outcome; at the others {NOTHING_READ}"
             )
     return said
 
