@@ -159,6 +159,17 @@ def test_a_quality_in_a_file_of_its_own_is_that_of_the_readings_in_the_others(tm
     assert unknown.tolist() == [0, 1, *range(7, 240, 40)]
 
 
+def test_the_quality_of_notes_beside_it_is_not_taken_for_that_of_the_readings(tmp_path: Path) -> None:
+    words = ["Bad" if at % 40 == 7 else "Good" for at in range(240)]
+    readings = {"Bearing temperature": PLANT.heat.tolist(), "Motor current": PLANT.current.tolist()}
+    export = tags(tmp_path / "plant", {**readings, "Quality": words})
+    notes = [f"{moment}.500,note {at},Good" for at, moment in enumerate(PLANT.moments[:40])]
+    written(export / "Notes.csv", "Time,Value,Quality", notes)
+    (trace,), _, said = mapped(export, tmp_path / "m.toml")
+    assert np.isfinite(trace.signals["Bearing_temperature"]).sum() == 240 - 6
+    assert any("Notes/Quality" in line and "rows without readings" in line for line in said["report"])
+
+
 def test_a_quality_that_is_named_after_one_tag_is_not_taken_for_that_of_all(tmp_path: Path) -> None:
     readings = {"TI101": PLANT.heat.tolist(), "II101": PLANT.current.tolist()}
     export = tags(tmp_path / "plant", {**readings, "TI101 quality": ["Good"] * 240})

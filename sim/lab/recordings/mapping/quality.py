@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from sim.lab.recordings import TraceError, list_names
 from sim.lab.recordings.mapping.answers import BLANK_IS_GOOD, NO_COLUMN, Answers, Undecided
-from sim.lab.recordings.mapping.table import FoundTable
+from sim.lab.recordings.mapping.table import FoundTable, has_numbers
 
 _NAMED = re.compile(
     r"quality|qualit(?:y|à|é|ät|aet)?$|qualität|calidad|(?:^|[._ ])q(?:ual|c)?$|opc.?status|g[üu]e?ltig|valid",
@@ -59,14 +59,19 @@ def find_quality(
         if place not in taken and is_quality(table, place)
     }
     named = [place for place, own in words.items() if 0 < len(own) <= _MAX_QUALITY_WORDS]
-    readings = [p for p in range(len(table.header)) if p not in taken and p not in named] if value is None else [value]
+    readings = [value] if value is not None else []
+    if value is None:
+        # What a person notes has no reading whose quality could be said.
+        others = [place for place in range(len(table.header)) if place not in taken and place not in named]
+        readings = [place for place in others if has_numbers(table, place)] or others
     beside = {place: _neighbour_cells(table, place, named, readings) for place in named}
     # One that stands in rows of its own, as in a file beside, says nothing of the others.
     places = tuple(place for place in named if any(beside[place]))
+    of_all = [place for place in named if _is_of_all(table, place)]
+    if not places and len(of_all) == 1:
+        places = (of_all[0],)
+        beside[of_all[0]] = [cell for cell in table.column(of_all[0]) if cell]
     apart = [table.header[place] for place in named if place not in places]
-    if not places and len(apart) == 1 and _is_of_all(table, named[0]):
-        places, apart = (named[0],), []
-        beside[named[0]] = [cell for cell in table.column(named[0]) if cell]
     if apart and not places:
         raise Undecided(
             table.path,
@@ -122,8 +127,10 @@ def is_quality(table: FoundTable, place: int) -> bool:
 def _is_of_all(table: FoundTable, place: int) -> bool:
     """Whether a quality is a file of its own, named after no other: then it is of the readings of all others."""
     own, _, value = table.header[place].partition("/")
-    others = {name.partition("/")[0].casefold() for name in table.header if "/" in name} - {own.casefold()}
-    return bool(table.parts and value) and not any(other in own.casefold() for other in others)
+    files = Counter(name.partition("/")[0].casefold() for name in table.header if "/" in name)
+    others = files.keys() - {own.casefold()}
+    alone = files[own.casefold()] == 1
+    return bool(table.parts and value) and alone and not any(other in own.casefold() for other in others)
 
 
 def _neighbour_cells(table: FoundTable, place: int, named: Sequence[int], readings: Sequence[int]) -> list[str]:

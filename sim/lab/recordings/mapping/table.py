@@ -244,6 +244,11 @@ def _is_dated(cell: str) -> bool:
     return digits.isdigit() and bool(dated_format(np.array([float(digits)]), named=False))
 
 
+def has_numbers(table: FoundTable, place: int) -> bool:
+    """Whether a column has readings, and not texts alone."""
+    return any(cell and _numeric(cell) for cell in table.column(place))
+
+
 def _numeric(cell: str) -> bool:
     return bool(np.isfinite(numbers([cell])[0][0])) or parse_quantity(cell, "auto")[1] != ""
 
