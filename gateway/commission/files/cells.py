@@ -19,6 +19,7 @@ HEADER_WITHIN = 40
 """So many lines of titles may stand above the header."""
 SHEET_ROWS = 1 << 20
 """Rows of the largest sheet that there is (ECMA-376, Excel 2007 and later)."""
+_FAR_ROW = re.compile(rb'<(?:\w+:)?row\b[^>]*?\sr\s*=\s*["\'](\d{7,18})')
 _DELIMITERS = ";,\t|"
 _PLAIN = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)(e[+-]?\d{1,2})?", re.IGNORECASE)
 _GROUPED = re.compile(r"[+-]?\d{1,3}(?:(?P<group>[.,'])\d{3})(?:(?P=group)\d{3})*(?P<rest>[.,]\d*)?")
@@ -255,15 +256,13 @@ def _xlsx_rows(path: Path, data: bytes, sheet: str | None) -> Iterator[tuple[int
         page = book[sheet] if sheet is not None else book.worksheets[0]
         # What the sheet says of its own size is not looked at: it would be believed, a row being filled up to it.
         page.reset_dimensions()
-        filled = lines = gap = 0
+        filled = lines = 0
         for number, row in enumerate(page.iter_rows(values_only=True), start=1):
-            # A sheet that was formatted to its end has a million rows of nothing, and none has more. Rows that are not
-            # even written have no cells: a sheet has no hundred thousand of them between two that have.
-            gap = gap + 1 if not row else 0
-            if row.count(None) == len(row) and number <= SHEET_ROWS and gap <= MOST_ROWS:
+            # A sheet that was formatted to its end has a million rows of nothing.
+            if row.count(None) == len(row):
                 continue
             filled, lines = filled + len(row), lines + 1
-            if gap > MOST_ROWS or number > SHEET_ROWS or lines > MOST_ROWS or filled > MOST_CELLS:
+            if lines > MOST_ROWS or filled > MOST_CELLS:
                 raise ListError(f"{path}: goes on beyond line {number}; a list has {MOST_ROWS} lines at most")
             # As it would be typed: XLSX knows no whole numbers, and 40101.0 is no address.
             cells = [
@@ -290,10 +289,16 @@ def _check_archive(path: Path, data: bytes) -> None:
                 f"{MOST_BYTES >> 20} MiB are the most; save the list alone as .xlsx or .csv"
             )
         for part in parts:
+            if not part.filename.endswith((".xml", ".rels")):
+                continue
             # No workbook has a document type, by which a few bytes of XML become gigabytes (ECMA-376-2, 9.1.4). It may
             # stand in UTF-16 as well, so zeros are passed over.
-            if part.filename.endswith((".xml", ".rels")) and b"<!DOCTYPE" in archive.read(part).replace(b"\0", b""):
+            body = archive.read(part).replace(b"\0", b"")
+            if b"<!DOCTYPE" in body:
                 raise ListError(f"{path}: its part {part.filename!r} has a document type, which no workbook has")
+            # A row's number makes the reader count up to it.
+            if (far := max(map(int, _FAR_ROW.findall(body)), default=0)) > SHEET_ROWS:
+                raise ListError(f"{path}: has a row {far}, and the largest sheet {SHEET_ROWS}; save it anew")
 
 
 def parse_decimal(text: str) -> float:

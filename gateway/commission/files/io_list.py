@@ -159,7 +159,7 @@ def _polled(path: Path, how: Reading) -> ListSheet | None:
 
 _SCALES = re.compile(
     r"scal|factor|fattor|faktor|skalier|gain|multipl|divis|resol|risol"
-    r"|coef|komma|dezim|decim|precis|prazis|echel|facteur|\bteil(?:er|ung)|divid|auflos|potenz"
+    r"|coef|komma|dezim|decim|precis|prazis|echel|facteur|\bteil(?:er|ung)|divid|auflos|potenz|wertig"
 )
 
 
