@@ -41,8 +41,6 @@ _SCRIPTS = ("js", "go")
 """Sources that compute by a program of their own."""
 _PART = "part"
 _USAGE = re.compile(r'\s*eq\s+\.usage\s+"(\w+)"\s*')
-
-
 _REGISTER_SOURCES = frozenset({"modbus", "sunspec"})
 """What evcc calls the sources that are read from registers."""
 

@@ -4,14 +4,14 @@ import numpy as np
 
 from sim.sha import Array
 
-POSSIBLE_CODES = (
+CODES = (
     -32768.0, 32767.0, 32768.0, 65535.0, 65536.0, 65534.0, -3276.8, 3276.7, 6553.5, -327.68, 327.67, 655.35,
     -127.0, 85.0, -200.0, 850.0, -242.0, 988.0, -99.0, -99.9, -999.0, 999.0, -999.9, 999.9, -9999.0, 9999.0, -9999.9,
     9999.9, 99999.0, -99999.0, 999999.0, -1e6, 2147483647.0, -2147483648.0, 4294967295.0, 1e30, -1e30,
     3.4028235e38, -3.4028235e38,
 )  # fmt: skip
 """Ends of integers (also in tenths and hundredths), of a Pt100 and of a float, DS18B20's -127 and 85, rows of nines."""
-POSSIBLE = frozenset({85.0, 850.0, 988.0, 999.0, 999.9})
+AMBIGUOUS_CODES = frozenset({85.0, 850.0, 988.0, 999.0, 999.9})
 """Codes that a speed, a valve or a pressure may well reach: they count only where they are rare."""
 _MAX_CODE_SHARE = 0.05
 """Share of the readings up to which a possible number is a code."""
@@ -20,15 +20,15 @@ _MIN_DISTINCT = 10
 _EQUAL_TOLERANCE = 1e-6
 _MIN_RANGE_SHARE = 0.25
 """Of the range of all other readings: so far a code lies from the readings beside it."""
-_ABSURD = 1e7
+_MAX_TIMES_USUAL = 1e7
 """Times the usual reading: no quantity of a plant is so large, but what a float holds that nobody has written is."""
-_BEYOND_ALL = 1e12
+_MAX_QUANTITY = 1e12
 """What no quantity of a plant is in any unit, however many different numbers of this size there are."""
 _MAX_CODES = 3
 """Different large numbers that may be codes; more are readings, as of a pressure in pascals."""
-_SLOW = (0.0, -1.0)
+_TEMPERATURE_CODES = (0.0, -1.0)
 """What programs write for a temperature that they do not have; it passes these numbers, and does not jump to them."""
-_MAX_VALUE_SHARE = 0.5
+_MAX_CODED_SHARE = 0.5
 """Share of the readings beyond which a value is what the plant does."""
 
 
@@ -41,18 +41,18 @@ def find_codes(values: Array, *, slow: bool = False) -> dict[float, int]:
     found: dict[float, int] = {}
     least, most = finite.min(initial=np.inf), finite.max(initial=-np.inf)
     known = np.zeros(finite.shape, dtype=bool)
-    if max(-least, most) > _ABSURD:
+    if max(-least, most) > _MAX_TIMES_USUAL:
         sizes = np.abs(finite)
         # What rests at 0 says nothing of how large its readings are.
-        moved = sizes[(sizes > 0.0) & (sizes <= _BEYOND_ALL)]
-        absurd = sizes > _ABSURD * max(1.0, float(np.median(moved)) if moved.size else 0.0)
-        known |= absurd if np.unique(finite[absurd]).size <= _MAX_CODES else absurd & (sizes > _BEYOND_ALL)
-    for code in (*POSSIBLE_CODES, *(_SLOW if slow else ())):
+        moved = sizes[(sizes > 0.0) & (sizes <= _MAX_QUANTITY)]
+        absurd = sizes > _MAX_TIMES_USUAL * max(1.0, float(np.median(moved)) if moved.size else 0.0)
+        known |= absurd if np.unique(finite[absurd]).size <= _MAX_CODES else absurd & (sizes > _MAX_QUANTITY)
+    for code in (*CODES, *(_TEMPERATURE_CODES if slow else ())):
         width = _EQUAL_TOLERANCE * max(1.0, abs(code))
         if least - width <= code <= most + width:
             known |= np.abs(finite - code) <= width
     others = finite[~known]
-    if not known.any() or others.size < 2 or known.mean() > _MAX_VALUE_SHARE:
+    if not known.any() or others.size < 2 or known.mean() > _MAX_CODED_SHARE:
         return {}
     span = float(np.ptp(np.quantile(others, (0.001, 0.999)))) or 1.0
     where = np.flatnonzero(~known)
@@ -63,7 +63,9 @@ def find_codes(values: Array, *, slow: bool = False) -> dict[float, int]:
     varied = np.unique(others).size >= _MIN_DISTINCT
     for code in np.unique(finite[known]).tolist():
         own = finite[known] == code
-        possible = code in POSSIBLE or code in _SLOW or (-1000.0 < code < 0.0 and others.min() < 0.0)
+        possible = (
+            code in AMBIGUOUS_CODES or code in _TEMPERATURE_CODES or (-1000.0 < code < 0.0 and others.min() < 0.0)
+        )
         if possible and not (varied and own.sum() <= _MAX_CODE_SHARE * finite.size):
             continue
         if np.all(away[own] > _MIN_RANGE_SHARE * span):
