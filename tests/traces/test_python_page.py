@@ -217,6 +217,19 @@ def test_each_argument_that_is_wrong_is_one_sentence_in_a_value_error(
     assert tried >= 5
 
 
+def test_numbers_and_names_may_be_numpys_and_pandas(frame: pd.DataFrame) -> None:
+    recording = decanter.read(frame)
+    for function in (decanter.forecast, decanter.judge):
+        with pytest.raises(ValueError, match="nowhere"):
+            function(
+                "nowhere", recording, seed=np.int64(3), moments=np.int32(5), scan=np.float64(1.0), period=np.int64(30)
+            )
+    with pytest.raises(ValueError, match="nowhere"):
+        decanter.forecast("nowhere", recording, limit=np.int64(80), since=np.float32(0.0))
+    with pytest.raises(ValueError, match="'no such signal' cannot drive"):
+        decanter.learn(recording, drivers=pd.Index(["no such signal"]), seed=np.int64(3))  # type: ignore[arg-type]
+
+
 def test_a_map_and_answers_are_one_too_many(frame: pd.DataFrame) -> None:
     with pytest.raises(ValueError, match="give either column_map or"):
         decanter.read(frame, "decanter", temperature="T")

@@ -13,6 +13,7 @@ from tempfile import TemporaryDirectory
 from time import time as now
 from typing import TYPE_CHECKING, get_args, overload
 
+import numpy as np
 import pandas as pd
 
 from drivers.settings import validate_section
@@ -60,7 +61,7 @@ _OPTION = re.compile(r"--([a-z][a-z-]*)")
 
 def _several(name: str, given: object) -> tuple[str, ...]:
     """One text or several. Raises ValueError for what is neither."""
-    several = (given,) if isinstance(given, str) else given
+    several = (given,) if isinstance(given, str) else tuple(given) if isinstance(given, pd.Index) else given
     if not isinstance(several, list | tuple) or not all(isinstance(each, str) for each in several):
         raise ValueError(f"{name}={_shown(given)}: give a text, or a list of texts")
     return tuple(filter(None, several))
@@ -71,16 +72,25 @@ def _check_choice(name: str, given: object, choices: Sequence[str]) -> None:
         raise ValueError(f"{name}={given!r}: is no answer; give {list_names(map(repr, choices))}")
 
 
-def _whole(name: str, given: object, least: int = 0) -> None:
-    """Raises ValueError for what is no whole number from `least` on."""
-    if not isinstance(given, int) or isinstance(given, bool) or given < least:
-        raise ValueError(f"{name}={given!r}: give a whole number from {least}")
+def _python(given: object) -> object:
+    """A NumPy number as Python's own; anything else as it is."""
+    return given.item() if isinstance(given, np.generic) else given
 
 
-def _seconds(name: str, given: object) -> None:
-    """Raises ValueError for what is no number, or none that can be compared."""
-    if not isinstance(given, int | float) or isinstance(given, bool) or isnan(given):
-        raise ValueError(f"{name}={given!r}: give a number")
+def _whole(name: str, given: object, least: int = 0) -> int:
+    """The number. Raises ValueError for what is no whole number from `least` on."""
+    plain = _python(given)
+    if not isinstance(plain, int) or isinstance(plain, bool) or plain < least:
+        raise ValueError(f"{name}={plain!r}: give a whole number from {least}")
+    return plain
+
+
+def _number(name: str, given: object) -> float:
+    """The number. Raises ValueError for what is none, or none that can be compared."""
+    plain = _python(given)
+    if not isinstance(plain, int | float) or isinstance(plain, bool) or isnan(plain):
+        raise ValueError(f"{name}={plain!r}: give a number")
+    return plain
 
 
 def _recorded(name: str, given: object) -> None:
@@ -407,7 +417,7 @@ def learn(
     """
     _recorded("recording", recording)
     _check_choice("method", method, get_args(Method))
-    _whole("seed", seed)
+    seed = _whole("seed", seed)
     if settings is not None and method != "lsha":
         raise ValueError('settings belong to method="lsha"; leave them out, or choose that method')
     lsha = (settings or LshaSettings()) if method == "lsha" else None
@@ -463,8 +473,8 @@ def forecast(
     ValueError for a trace without a signal that the model reads.
     """
     asked = _forecast_section(horizons, period, seed, moments=moments, scan=scan)
-    _seconds("since", since)
-    _seconds("limit", limit)
+    since = _number("since", since)
+    limit = _number("limit", limit)
     chosen = _runnable(model, recording)
     rows = []
     for trace in recording.traces:
@@ -491,10 +501,9 @@ def _forecast_section(
     horizons: Sequence[float], period: float, seed: int, *, moments: int, scan: float
 ) -> ForecastSection:
     _whole("moments", moments, 1)
-    _seconds("scan", scan)
-    if not 0 < scan < inf:
+    if not 0 < _number("scan", scan) < inf:
         raise ValueError(f"scan={scan!r}: no scan is so long; give its seconds, above 0")
-    wanted = {"horizons": horizons, "period": period, "seed": seed}
+    wanted = {"horizons": horizons, "period": _python(period), "seed": _python(seed)}
     return validate_section(ForecastSection, wanted, "forecast")
 
 
@@ -553,8 +562,8 @@ def diagnose(
     `most` effects are named at most. With `out` its folder gets report, pictures and the new model. Raises ValueError
     for a recording without what the model needs.
     """
-    _whole("most", most)
-    _whole("seed", seed)
+    most = _whole("most", most)
+    seed = _whole("seed", seed)
     chosen = _runnable(model, recording)
     with TemporaryDirectory() as folder:
         where = str(model) if isinstance(model, str | Path) else chosen.sha.name
@@ -597,8 +606,8 @@ def simulate(
     """
     _check_choice("policy", policy, get_args(Policy))
     _check_choice("start", start, get_args(Start))
-    _whole("runs", runs, 2)
-    _whole("seed", seed)
+    runs = _whole("runs", runs, 2)
+    seed = _whole("seed", seed)
     chosen = _runnable(model, recording)
     traces = [encode_trace(trace, chosen.alphabet) for trace in recording.traces]
     rows = simulate_traces(
@@ -633,8 +642,8 @@ def check(
     if not isinstance(start, str):
         raise ValueError(f"start={_shown(start)}: give a text such as 'initial'")
     if runs is not None:
-        _whole("runs", runs, 1)
-    _whole("seed", seed)
+        runs = _whole("runs", runs, 1)
+    seed = _whole("seed", seed)
     if recording is not None:
         _recorded("recording", recording)
     traces = () if recording is None else recording.traces
