@@ -121,7 +121,7 @@ def advance(model: Model | Tracker, belief: Belief, time: float) -> Belief:
         elif first.signals:
             belief = _take_signals(tracker, belief, first.signals)
         else:
-            belief = state_estimate.begun_to_fade(belief, first.jumps)
+            belief = state_estimate.fade_jumps(belief, first.jumps)
     return state_estimate.predict(tracker.plant, belief, time)
 
 
@@ -252,17 +252,34 @@ def _take_signals(tracker: Tracker, belief: Belief, news: Mapping[str, float]) -
     moved = replace(belief, signals=held, offset=tracker.modes[belief.location].offset(held))
     if tracker.plant is None or not tracker.plant.late:
         return moved
-    hidden, waiting = state_estimate.hidden_states(tracker.plant, belief, held)
+    hidden, waiting = state_estimate.hold_signals(tracker.plant, belief, held)
     moved = replace(moved, hidden=hidden)
     for each in waiting:
         moved = _take_delay(moved, each)
     return moved
 
 
+WAITING_PARTS = 256
+"""Into so many parts of its delay what is on its way is cut at most: of a current that is read ten times a second there
+would else be thousands of jumps, each of which a forecast looks at."""
+
+
 def _take_delay(belief: Belief, delayed: Delayed) -> Belief:
-    """The belief with what a dead time holds back; at one instant events act before signals, as along a schedule."""
+    """The belief with what a dead time holds back; at one instant events act before signals, as along a schedule.
+
+    A jump that follows another of the same effects within a part of its delay comes with that one.
+    """
     hidden = belief.hidden or Hidden((), ())
-    pending = sorted((*hidden.pending, delayed), key=lambda each: (each.due, not each.symbol))
+    waiting = list(hidden.pending)
+    last = next((place for place in reversed(range(len(waiting))) if waiting[place].jumps), None)
+    if delayed.jumps and last is not None:
+        before, part = waiting[last], (delayed.due - belief.time) / WAITING_PARTS
+        same = [bool(jump) for jump in before.jumps] == [bool(jump) for jump in delayed.jumps]
+        if same and 0.0 <= delayed.due - before.due < part:
+            jumps = tuple(one + other for one, other in zip(before.jumps, delayed.jumps, strict=True))
+            waiting[last] = replace(before, jumps=jumps)
+            return replace(belief, hidden=replace(hidden, pending=tuple(waiting)))
+    pending = sorted((*waiting, delayed), key=lambda each: (each.due, not each.symbol))
     return replace(belief, hidden=replace(hidden, pending=tuple(pending)))
 
 

@@ -257,7 +257,7 @@ def since_event(plant: Plant, belief: Belief, symbol: str) -> Hidden:
     return replace(hidden, since=since)
 
 
-def hidden_states(plant: Plant, belief: Belief, signals: Mapping[str, float]) -> tuple[Hidden, tuple[Delayed, ...]]:
+def hold_signals(plant: Plant, belief: Belief, signals: Mapping[str, float]) -> tuple[Hidden, tuple[Delayed, ...]]:
     """The hidden states when `signals` hold from now on, and what waits: what comes late jumps with its source."""
     hidden, _, _ = _states(belief)
     names = dict.fromkeys(name for effect in plant.late for name in effect.signals.values())
@@ -272,7 +272,7 @@ def hidden_states(plant: Plant, belief: Belief, signals: Mapping[str, float]) ->
     return replace(hidden, late=tuple(late.tolist())), tuple(waiting)
 
 
-def begun_to_fade(belief: Belief, jumps: tuple[float, ...]) -> Belief:
+def fade_jumps(belief: Belief, jumps: tuple[float, ...]) -> Belief:
     """The belief when jumps of what comes late have waited for their delay."""
     hidden, _, _ = _states(belief)
     late = tuple(deviation + jump for deviation, jump in zip(hidden.late, jumps, strict=True))

@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 
 from sim.effects.check import check_effect
 from sim.effects.late import late_jumps
-from sim.engine.belief import advance, on_event, start, with_inputs
+from sim.engine.belief import WAITING_PARTS, advance, on_event, start, with_inputs
 from sim.engine.belief_state import restore_belief
 from sim.engine.moment_equations import moments
 from sim.engine.plant import compile_plant
@@ -133,6 +133,23 @@ def test_the_filter_at_every_second_is_the_schedule_and_outlives_a_restart(delay
             belief = again
         found.append(belief.x)
     assert np.abs(np.array(found) - expected).max() < 1e-6
+
+
+def test_a_current_that_is_read_twice_a_second_leaves_no_more_on_its_way_than_a_forecast_can_look_at() -> None:
+    tracker, rng = compile_model(model(late(60.0, 600.0))), np.random.default_rng(2)
+    times = np.arange(0.0, 1500.0, 0.5)
+    inputs = Trace("t", times, {"I": np.where(times < 700.0, 200.0, 120.0) + 5.0 * rng.standard_normal(times.size)})
+    running = [Event(0.0, "W_ON")]
+    expected = moments(schedule(tracker.model, running, times, inputs=inputs), 20.0).mean
+    belief, found, most = on_event(tracker, start(tracker, 0.0, 20.0), running[0]), [], 0
+    for time, value in zip(times.tolist(), inputs.signals["I"].tolist(), strict=True):
+        belief = with_inputs(tracker, belief, time, {"I": value})
+        most = max(most, len(belief.hidden.pending if belief.hidden is not None else ()))
+        found.append(belief.x)
+    assert 100 < most <= WAITING_PARTS + 1
+    # As if it came earlier by two parts of the delay at most: the noise of the current adds to what it takes.
+    parts = 2 * 600.0 / WAITING_PARTS
+    assert np.abs(np.array(found) - expected).max() < parts * np.abs(np.diff(expected) / np.diff(times)).max()
 
 
 def test_a_belief_that_was_saved_before_there_were_late_heats_is_read() -> None:
