@@ -260,24 +260,26 @@ def _take_signals(tracker: Tracker, belief: Belief, news: Mapping[str, float]) -
 
 
 WAITING_PARTS = 256
-"""Into so many parts of its delay what is on its way is cut at most: of a current that is read ten times a second there
-would else be thousands of jumps, each of which a forecast looks at."""
+"""As many jumps are on their way one by one; from then on those within such a part of their delay come as one: of a
+current that is read ten times a second there would else be thousands, each of which a forecast looks at."""
 
 
 def _take_delay(belief: Belief, delayed: Delayed) -> Belief:
     """The belief with what a dead time holds back; at one instant events act before signals, as along a schedule.
 
-    A jump that follows another of the same effects within a part of its delay comes with that one.
+    Where many wait already, a jump that follows another of the same effects within a part of its delay comes with that
+    one: at most twice as many parts wait.
     """
     hidden = belief.hidden or Hidden((), ())
     waiting = list(hidden.pending)
-    last = next((place for place in reversed(range(len(waiting))) if waiting[place].jumps), None)
-    if delayed.jumps and last is not None:
+    jumps = [place for place, each in enumerate(waiting) if each.jumps]
+    if delayed.jumps and len(jumps) >= WAITING_PARTS:
+        last = jumps[-1]
         before, part = waiting[last], (delayed.due - belief.time) / WAITING_PARTS
         same = [bool(jump) for jump in before.jumps] == [bool(jump) for jump in delayed.jumps]
         if same and 0.0 <= delayed.due - before.due < part:
-            jumps = tuple(one + other for one, other in zip(before.jumps, delayed.jumps, strict=True))
-            waiting[last] = replace(before, jumps=jumps)
+            both = tuple(one + other for one, other in zip(before.jumps, delayed.jumps, strict=True))
+            waiting[last] = replace(before, jumps=both)
             return replace(belief, hidden=replace(hidden, pending=tuple(waiting)))
     pending = sorted((*waiting, delayed), key=lambda each: (each.due, not each.symbol))
     return replace(belief, hidden=replace(hidden, pending=tuple(pending)))

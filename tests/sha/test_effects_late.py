@@ -146,7 +146,7 @@ def test_a_current_that_is_read_twice_a_second_leaves_no_more_on_its_way_than_a_
         belief = with_inputs(tracker, belief, time, {"I": value})
         most = max(most, len(belief.hidden.pending if belief.hidden is not None else ()))
         found.append(belief.x)
-    assert 100 < most <= WAITING_PARTS + 1
+    assert WAITING_PARTS <= most <= 2 * WAITING_PARTS
     # As if it came earlier by two parts of the delay at most: the noise of the current adds to what it takes.
     parts = 2 * 600.0 / WAITING_PARTS
     assert np.abs(np.array(found) - expected).max() < parts * np.abs(np.diff(expected) / np.diff(times)).max()
