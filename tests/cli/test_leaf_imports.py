@@ -14,7 +14,6 @@ STEPS: tuple[tuple[frozenset[str], str], ...] = (
         alarm-return alarm-reset alarm-journal alarm-rates historian-export historian-query historian-tables
         plc-codegen plc-doctor plc-probe plc-read plc-scan plc-served trace-can""",
     ),
-    (frozenset({"rich", "argon2"}), "status top plc-watch user-add user-list user-password user-remove"),
     (frozenset({"tomlkit"}), "machine-add machine-list machine-remove plc-bind plc-import plc-soak"),
     (
         frozenset({"cryptography", "sqlite3"}),
@@ -23,15 +22,17 @@ STEPS: tuple[tuple[frozenset[str], str], ...] = (
     ),
     (
         frozenset({"numpy"}),
-        """historian-import init model-promote model-prove model-show model-simulate plc-guess plc-replay plc-verify
+        """historian-import init model-promote model-prove model-show model-simulate plc-guess
         trace-map trace-show trace-synth""",
     ),
-    (frozenset({"lark"}), "trace-ingest"),
+    (frozenset({"scipy"}), "diagnose model-correct model-cycles model-learn model-tune"),
     (
-        frozenset({"scipy"}),
-        """demo diagnose model-check model-correct model-cycles model-export model-fleet model-lineage model-learn
-        model-rank model-regress model-retrain model-shadow model-skill model-tune model-validate""",
+        frozenset({"lark"}),
+        """model-check model-export model-fleet model-lineage model-rank model-regress model-retrain model-shadow
+        model-skill model-validate trace-ingest""",
     ),
+    (frozenset({"structlog"}), "plc-replay plc-verify"),
+    (frozenset({"rich", "argon2"}), "demo status top plc-watch user-add user-list user-password user-remove"),
 )
 """What the commands of a step may load beside what those of the steps before may; their order is that of loading."""
 HEAVY = [
@@ -44,21 +45,28 @@ HEAVY = [
     "canopen",
     "cantools",
     "cryptography",
+    "fpdf",
+    "jinja2",
+    "joblib",
     "lark",
     "matplotlib",
     "numba",
     "numpy",
+    "openpyxl",
     "paho",
     "pandas",
     "psycopg",
     "pyarrow",
     "pydantic",
+    "pydot",
     "pymodbus",
     "rich",
     "scipy",
+    "scipy.stats",
     "sklearn",
     "sqlite3",
     "starlette",
+    "structlog",
     "tomlkit",
     "uvicorn",
     "xgboost",
