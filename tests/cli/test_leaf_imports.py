@@ -7,7 +7,11 @@ import subprocess
 import sys
 
 STEPS: tuple[tuple[frozenset[str], str], ...] = (
-    (frozenset(), "emulate docs completion"),
+    (
+        frozenset(),
+        """diagnose docs completion emulate model-check model-correct model-cycles model-export model-fleet model-learn
+        model-lineage model-rank model-regress model-retrain model-shadow model-skill model-tune model-validate""",
+    ),
     (
         frozenset({"pydantic", "asyncio"}),
         """reload run alarm-list alarm-show alarm-acknowledge alarm-shelve alarm-unshelve alarm-remove-from-service
@@ -25,14 +29,9 @@ STEPS: tuple[tuple[frozenset[str], str], ...] = (
         """historian-import init model-promote model-prove model-show model-simulate plc-guess
         trace-map trace-show trace-synth""",
     ),
-    (frozenset({"scipy"}), "diagnose model-correct model-cycles model-learn model-tune"),
-    (
-        frozenset({"lark"}),
-        """model-check model-export model-fleet model-lineage model-rank model-regress model-retrain model-shadow
-        model-skill model-validate trace-ingest""",
-    ),
+    (frozenset({"lark"}), "trace-ingest"),
     (frozenset({"structlog"}), "plc-replay plc-verify"),
-    (frozenset({"rich", "argon2"}), "demo status top plc-watch user-add user-list user-password user-remove"),
+    (frozenset({"rich", "argon2", "scipy"}), "demo status top plc-watch user-add user-list user-password user-remove"),
 )
 """What the commands of a step may load beside what those of the steps before may; their order is that of loading."""
 HEAVY = [
