@@ -29,6 +29,7 @@ Limits of fitness, judged on traces that were not in training where there are an
   coverage_high 0.99  largest
   persistence 1       MAE below so many times that of the first reading held
   largest 30          no error above this, degC
+  percent 70          no trace's mean error above this, in per cent of its readings
   clamps 0            clamps to the model's range at most
   rejecting 0         traces at most with an event that has no edge
   unseen 1            traces at least that were not in training

@@ -140,8 +140,20 @@ def rank(
 def _show(ranking: Ranking, page: Path | None, picture: Path | None) -> Iterator[Part]:
     weights = ranking.weights
     formula = f"S = {weights.mae:g} MAE + {weights.largest:g} max + {weights.scatter:g} sigma"
-    columns = ("rank", "model", "for deployment", "S", "MAE", "max", "sigma", "CRPS", "coverage 90 %", "persistence")
-    names = ("score", "mae", "largest", "scatter", "crps", "coverage", "persistence", "wins")
+    columns = (
+        "rank",
+        "model",
+        "for deployment",
+        "S",
+        "S %",
+        "MAE",
+        "max",
+        "sigma",
+        "CRPS",
+        "coverage 90 %",
+        "persistence",
+    )
+    names = ("score", "score_percent", "mae", "largest", "scatter", "crps", "coverage", "persistence", "wins")
     rows = [
         [row.rank or "–", row.entrant, row.fitness, *(getattr(row, name) for name in names), row.failed, row.in_sample]
         for row in ranking.standings

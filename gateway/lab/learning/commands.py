@@ -7,6 +7,7 @@ import click
 
 from gateway.console import json_option, map_option, seed_option
 from gateway.lab.options import method_option, traces_option
+from sim.lab.choices import SEARCHES
 from sim.lab.learning.lsha import FLOW_KINDS
 
 
@@ -104,6 +105,13 @@ def correct(**given: Any) -> None:
     default="crps",
     show_default=True,
     help="Of held-out traces, open loop: CRPS (in what is followed), or minus the log-likelihood per reading.",
+)
+@click.option(
+    "--search",
+    type=click.Choice(SEARCHES),
+    default="tpe",
+    show_default=True,
+    help="Settings by Parzen estimator, from a grid, or by crossing the best.",
 )
 @click.option("--prune", is_flag=True, help="Give a trial up when its first folds are worse than the median's.")
 @click.option("--out", type=click.Path(path_type=Path), help="Learn with the best settings from all traces; write it.")

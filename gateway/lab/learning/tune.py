@@ -9,6 +9,7 @@ from gateway.console import CommandResult, Part, Rows, conclude, progress
 from gateway.entry import Exit, interruptible, sentences
 from gateway.lab.traces.load import channel_warnings, load
 from sim.artefacts import VERDICT_FILE
+from sim.lab.choices import Search
 from sim.lab.formats import write_model_directory
 from sim.lab.judge import judge_learning
 from sim.lab.recordings import split_cycles
@@ -29,6 +30,7 @@ def tune(
     folds: int,
     jobs: int,
     objective: Objective,
+    search: Search,
     prune: bool,
     out: Path | None,
     name: str,
@@ -42,7 +44,7 @@ def tune(
         if cycles:
             traces = [piece for trace in traces for piece in split_cycles(trace, column_map.alphabet)]
         unit = signal_unit(traces, column_map.temperature)
-        plan = StudyPlan(method, objective, folds, seed)
+        plan = StudyPlan(method, objective, folds, seed, search)
         tuning = searched(
             traces,
             column_map.alphabet,
@@ -69,6 +71,7 @@ def tune(
     data = {
         "method": method,
         "objective": objective,
+        "search": search,
         "unit": unit,
         "warnings": warnings,
         "study": str(study),

@@ -17,6 +17,7 @@ from gateway.lab.options import policy_option, start_option, trace_option
 @map_option
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="The folder to write to.")
 @click.option("--query", "queries", multiple=True, help="One more query (docs/checking.md); may be given again.")
+@click.option("--template", type=click.Path(path_type=Path), help="A Jinja template for the .xml files, not our own.")
 @policy_option
 @start_option
 @click.option(

@@ -13,6 +13,7 @@ from gateway.console import CommandResult, Part, Rows, conclude, progress
 from gateway.entry import Exit, sentence, sentences
 from gateway.lab.traces.load import load
 from sim.engine import Policy, Start
+from sim.files import read_text
 from sim.lab.formats import FoundModel, find_model
 from sim.lab.formats.foreign import file_names, to_artefacts, write_artefacts
 from sim.lab.recordings import ColumnMap
@@ -40,6 +41,7 @@ class ExportOptions:
     start: Start
     tick: int
     engine: EngineOptions | None
+    template: str = ""
 
 
 def export_artefacts(where: str, out: Path) -> list[str]:
@@ -94,7 +96,13 @@ def _export_trace(
 ) -> dict[str, Any]:
     """The files of one trace, and where there is an engine its answers beside the native ones."""
     exported = export_trace(
-        model, trace, policy=order.policy, start=order.start, tick=order.tick, formulas=order.queries
+        model,
+        trace,
+        policy=order.policy,
+        start=order.start,
+        tick=order.tick,
+        formulas=order.queries,
+        xml_template=order.template,
     )
     files = [str(path) for path in write(order.out, exported)]
     rows: list[dict[str, Any]] = []
@@ -129,6 +137,7 @@ def export(
     map_name: str,
     out: Path,
     queries: Sequence[str],
+    template: Path | None,
     policy: Policy,
     start: Start,
     tick: int,
@@ -143,6 +152,8 @@ def export(
         raise click.UsageError("say what to write: --uppaal, --artefacts or both")
     if uppaal and not paths:
         raise click.UsageError("--uppaal needs the traces that the model replays: --trace FILE")
+    if template is not None and not uppaal:
+        raise click.UsageError("--template is that of the files of --uppaal")
     data: dict[str, Any] = {"model": model, "out": str(out), "artefacts": [], "traces": []}
     with sentences(), progress("exporting") as report:
         if artefacts:
@@ -150,7 +161,15 @@ def export(
         if uppaal:
             traces, column_map = load(paths, map_name)
             engine = EngineOptions(verifyta, timeout, seed) if wanted or verifyta else None
-            order = ExportOptions(out=out, queries=tuple(queries), policy=policy, start=start, tick=tick, engine=engine)
+            order = ExportOptions(
+                out=out,
+                queries=tuple(queries),
+                policy=policy,
+                start=start,
+                tick=tick,
+                engine=engine,
+                template="" if template is None else read_text(template),
+            )
             data["traces"] = export_uppaal(model, traces, column_map, order, report)
     failed = [str(row["error"]) for row in data["traces"] if "error" in row]
     missing = [str(row["engine"]) for row in data["traces"] if row.get("engine")]
