@@ -13,25 +13,28 @@ STEPS: tuple[tuple[frozenset[str], str], ...] = (
         model-lineage model-rank model-regress model-retrain model-shadow model-skill model-tune model-validate""",
     ),
     (
-        frozenset({"pydantic", "asyncio"}),
+        frozenset({"asyncio"}),
+        """plc-arm plc-audit plc-check plc-disarm plc-doctor plc-guess plc-plan plc-probe plc-replay
+        plc-report plc-served plc-soak plc-verify plc-watch""",
+    ),
+    (
+        frozenset({"pydantic"}),
         """reload run alarm-list alarm-show alarm-acknowledge alarm-shelve alarm-unshelve alarm-remove-from-service
         alarm-return alarm-reset alarm-journal alarm-rates historian-export historian-query historian-tables
-        plc-codegen plc-doctor plc-probe plc-read plc-scan plc-served trace-can""",
+        plc-codegen plc-read plc-scan trace-can""",
     ),
-    (frozenset({"tomlkit"}), "machine-add machine-list machine-remove plc-bind plc-import plc-soak"),
+    (frozenset({"tomlkit"}), "machine-add machine-list machine-remove plc-bind plc-import"),
     (
         frozenset({"cryptography", "sqlite3"}),
-        """certificates config-diff config-history config-rollback backup restore support plc-arm plc-audit plc-check
-        plc-disarm plc-plan plc-report plc-test""",
+        "certificates config-diff config-history config-rollback backup restore support plc-test",
     ),
     (
         frozenset({"numpy"}),
-        """historian-import init model-promote model-prove model-show model-simulate plc-guess
-        trace-map trace-show trace-synth""",
+        """historian-import init model-promote model-prove model-show model-simulate trace-map trace-show
+        trace-synth""",
     ),
     (frozenset({"lark"}), "trace-ingest"),
-    (frozenset({"structlog"}), "plc-replay plc-verify"),
-    (frozenset({"rich", "argon2", "scipy"}), "demo status top plc-watch user-add user-list user-password user-remove"),
+    (frozenset({"rich", "argon2", "scipy"}), "demo status top user-add user-list user-password user-remove"),
 )
 """What the commands of a step may load beside what those of the steps before may; their order is that of loading."""
 HEAVY = [
