@@ -53,6 +53,9 @@ MIN_SCATTER = 1e-5
 """The relative scatter of the friction below which there is none."""
 SETTLED_LOG_STEP = 0.05
 """The fit ends when no part of the noise moves by more than this (log)."""
+WORSE_NATS = 1.0
+"""Nats by which a round may be worse than the one before it: the two parts of a round do not share one objective, and
+where they only differ by that no nat is lost."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -265,11 +268,16 @@ def fit(
             break
         first = _clip_strengths(named, np.concatenate([own, _halve_strengths(named, first[own.size :])]))
         point = _tangent(frame, run_frame(frame, first, start, named), start, reading)
+    cost = np.inf
     for _ in range(rounds):
-        point = _newton_steps(frame, point, start=start, reading=reading, noise=noise, prior=prior)
-        before = noise
-        noise, cost = fit_local_noise(point, frame, belief, noise, iterations)
-        if largest_change(before, noise) < SETTLED_LOG_STEP:
+        moved_point = _newton_steps(frame, point, start=start, reading=reading, noise=noise, prior=prior)
+        fitted_noise, moved_cost = fit_local_noise(moved_point, frame, belief, noise, iterations)
+        # Where the linear problem does not describe the plant, further rounds only lead further astray.
+        if moved_cost > cost + WORSE_NATS:
+            break
+        settled = largest_change(noise, fitted_noise) < SETTLED_LOG_STEP
+        point, noise, cost = moved_point, fitted_noise, moved_cost
+        if settled:
             break
     return _finish_fit(frame, point, start=start, noise=noise, prior=prior, cost=cost)
 
@@ -285,6 +293,16 @@ def given_model_fit(fitted: Fitted) -> Fitted:
     belief = window_belief(record)
     noise, cost = fit_local_noise(point, frame, belief, fitted.noise, 12)
     return _finish_fit(frame, point, start=fitted.start, noise=noise, prior=prior, cost=cost)
+
+
+def without_last(fitted: Fitted) -> Fitted:
+    """The linear problem at a fit's parameters and noise without the last of its effects; nothing of it is fitted."""
+    frame, named = fitted.frame, fitted.state.named[:-1]
+    numbers = fitted.state.parameters[: fitted.state.parameters.size - len(fitted.state.named[-1].free)]
+    state = run_frame(frame, numbers, fitted.start, named)
+    point = _tangent(frame, state, fitted.start, frame.record.reading)
+    prior = fitted.prior[: numbers.size]
+    return _finish_fit(frame, point, start=fitted.start, noise=fitted.noise, prior=prior, cost=np.inf)
 
 
 def slim(fitted: Fitted) -> Fitted:
