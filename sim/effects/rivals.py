@@ -190,8 +190,14 @@ def _cooling_words(p: Params) -> str:
 
 MAX_CLOCK_DAYS = 2.0
 """Days beyond which a record shows what comes with the time of day: an hour that came once is a moment."""
-CHANGES_AT_A_MOMENT = ("less-cooling", "other-surroundings", "heat-since-a-moment", "sensor-offset-step")
-"""What makes a machine warmer from one moment on: under one load that never stops they look alike."""
+CHANGES_AT_A_MOMENT = (
+    "less-cooling",
+    "less-cooling-twice",
+    "other-surroundings",
+    "heat-since-a-moment",
+    "sensor-offset-step",
+)
+"""What makes a machine warmer from a moment on: under one load that never stops they look alike."""
 UNMEASURED_NEIGHBOUR = "unmeasured-neighbour"
 """The rival that has no course along a record: a heat that wanders, which a fit has in its noise."""
 

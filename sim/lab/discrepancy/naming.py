@@ -46,6 +46,8 @@ TWINS_OF_LOSS = frozenset({"less-cooling", "other-surroundings"})
 """What is lost to the surroundings is less in both, from a moment on; a lower loss makes the machine slower, too."""
 LOOKED_AGAIN_SHARE = 0.5
 """Of the best gain, that of a change at a moment from which on such changes are looked for again where it has led."""
+HOPELESS_NATS = 50.0
+"""By which a refit is less likely than the fit without its effect where nobody waits for it to settle."""
 NEIGHBOUR_RIVALS = 2
 """The likeliest of the others that an unmeasured neighbour is held against together."""
 
@@ -370,7 +372,15 @@ def confirm(before: Fitted, evidence: EffectEvidence, around: Fitted | None = No
             tried = [fit(before.frame, together, start, moved=moved, rounds=1, iterations=8) for start in starts]
             best = max(tried, key=lambda each: each.likelihood)
             together, starts, moved, left = list(best.state.named), (best,), np.zeros(before.own), 2
-        fitted = fit(before.frame, together, starts[0], moved=moved, rounds=left, iterations=8)
+        fitted = fit(
+            before.frame,
+            together,
+            starts[0],
+            moved=moved,
+            rounds=left,
+            iterations=8,
+            hopeless=before.likelihood - HOPELESS_NATS,
+        )
         last = fitted.state.named[-1]
         shape = Shape(evidence.entry, shape.signals, _without_strength(last))
         gain = fitted.likelihood - before.likelihood - evidence.entry.burden

@@ -295,7 +295,7 @@ def _must_stay(runs: FreeRuns) -> Mask:
 
 def _thinning_size(runs: FreeRuns) -> tuple[int, int, float]:
     """(knots that must stay, readings, seconds) of runs."""
-    readings = np.count_nonzero(np.isfinite(runs.reading))
+    readings = int(np.count_nonzero(np.isfinite(runs.reading)))
     return int(_must_stay(runs).sum()), readings, float(runs.dt.sum())
 
 

@@ -53,9 +53,6 @@ MIN_SCATTER = 1e-5
 """The relative scatter of the friction below which there is none."""
 SETTLED_LOG_STEP = 0.05
 """The fit ends when no part of the noise moves by more than this (log)."""
-WORSE_NATS = 1.0
-"""Nats by which a round may be worse than the one before it: the two parts of a round do not share one objective, and
-where they only differ by that no nat is lost."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -243,10 +240,12 @@ def fit(
     moved: Array | None = None,
     rounds: int = ROUNDS,
     iterations: int = 12,
+    hopeless: float = -np.inf,
 ) -> Fitted:
     """The fit with the effects `named`, from another fit on the same frame or from the belief.
 
-    `moved` (p + r,) is by how much the other fit's own parameters are moved before.
+    `moved` (p + r,) is by how much the other fit's own parameters are moved before. A fit that is no likelier than
+    `hopeless` ends with the first round that is worse than the one before it.
     """
     record = frame.record
     reading = record.reading
@@ -273,7 +272,7 @@ def fit(
         moved_point = _newton_steps(frame, point, start=start, reading=reading, noise=noise, prior=prior)
         fitted_noise, moved_cost = fit_local_noise(moved_point, frame, belief, noise, iterations)
         # Where the linear problem does not describe the plant, further rounds only lead further astray.
-        if moved_cost > cost + WORSE_NATS:
+        if moved_cost > cost > -hopeless:
             break
         settled = largest_change(noise, fitted_noise) < SETTLED_LOG_STEP
         point, noise, cost = moved_point, fitted_noise, moved_cost
