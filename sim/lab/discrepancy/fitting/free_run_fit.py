@@ -446,8 +446,11 @@ def _newton_steps(
             )
             residual = reading - frame.record.window_means(moved.mean)
             off = point.off + np.where(np.arange(step.size) < sum(frame.count), step, 0.0)
-            after = float(whitener.gram(residual[:, None])[0, 0] + off @ (prior * off))
-            lost = not np.isfinite(after) or _diverges(residual, reading)
+            # Squares of what has run away would overflow.
+            lost, after = _diverges(residual, reading), np.inf
+            if not lost:
+                after = float(whitener.gram(residual[:, None])[0, 0] + off @ (prior * off))
+                lost = not np.isfinite(after)
             if not lost and after <= before + 1e-6:
                 break
             step = 0.5 * step
