@@ -158,28 +158,46 @@ def _surroundings_words(p: Params) -> str:
 
 
 def _less_cooling(effect: Effect, view: RecordView) -> tuple[Array, Array]:
-    """Heat loss s (X - sink): s goes from 0 to 1 at `at`, or grows from there by 1 each `over` s (not 0); all the time,
-    or while the machine runs, as what it drives itself cools."""
+    """Heat loss s (X - sink): s goes from 0 to 1 at `at`, and by 1 more at `again` if there is one, or grows from `at`
+    by 1 each `over` s (not 0); all the time, or while the machine runs, as what it drives itself cools."""
     p = effect.params
-    since = view.time - p["at"]
-    lost = np.maximum(since, 0.0) / p["over"] if p["over"] > 0 else 1.0 * (since >= 0)
+    lost = np.zeros_like(view.time)
+    for since in (view.time - p[name] for name in ("at", SECOND_MOMENT) if name in p):
+        lost += np.maximum(since, 0.0) / p["over"] if p["over"] > 0 else 1.0 * (since >= 0)
     loss = np.asarray(-p["loss"] * lost * (view.running if p["turning"] else 1.0))
     return loss * p["sink"], loss
 
 
+SINK_SHARES = (0.25, 1.0)
+"""Of what the temperature of a machine that never rests spans, by how much colder what cools it may be."""
+
+
 def _sinks(log: MachineLog) -> Sequence[float]:
-    """degC that a cooling may draw to: what is read at rest. A machine that never rests was never as cold as that."""
-    return (log.cold,) if not log.running.all() else (log.cold, log.cold - float(np.ptp(log.smooth)))
+    """degC that a cooling may draw to: what is read at rest. A machine that never rests was never as cold as that, and
+    the nearer to it a cooling would draw, the less of it is seen there, and so of its moment."""
+    if not log.running.all():
+        return (log.cold,)
+    return tuple(log.cold - share * float(np.ptp(log.smooth)) for share in SINK_SHARES)
 
 
 def _cooling_words(p: Params) -> str:
     way = "less" if p["loss"] >= 0 else "more"
     while_ = "while the machine runs, " if p["turning"] else ""
-    return f"{way} cooling {while_}{'more and more ' if p['over'] > 0 else ''}since {moment_words(p['at'])}"
+    first, *further = sorted(p[name] for name in ("at", SECOND_MOMENT) if name in p)
+    again = "".join(f" and {way} again since {moment_words(each)}" for each in further)
+    return f"{way} cooling {while_}{'more and more ' if p['over'] > 0 else ''}since {moment_words(first)}{again}"
 
 
 MAX_CLOCK_DAYS = 2.0
 """Days beyond which a record shows what comes with the time of day: an hour that came once is a moment."""
+CHANGES_AT_A_MOMENT = (
+    "less-cooling",
+    "less-cooling-twice",
+    "other-surroundings",
+    "heat-since-a-moment",
+    "sensor-offset-step",
+)
+"""What makes a machine warmer from a moment on: under one load that never stops they look alike."""
 UNMEASURED_NEIGHBOUR = "unmeasured-neighbour"
 """The rival that has no course along a record: a heat that wanders, which a fit has in its noise."""
 
@@ -249,21 +267,29 @@ def _rival(
     )
 
 
-def _cooling(name: str, meaning: str, shapes: Callable[[MachineLog], Sequence[Params]]) -> EffectKind:
-    """A loss that becomes smaller at a moment, or from it on."""
+def _cooling(
+    name: str,
+    meaning: str,
+    shapes: Callable[[MachineLog], Sequence[Params]],
+    moments: tuple[str, ...] = ("at",),
+    special: tuple[str, ...] = (),
+) -> EffectKind:
+    """A loss that becomes smaller at one or two moments, or from one on."""
     return _rival(
         name,
         meaning,
         RecordedLaw(_less_cooling),
         _cooling_words,
-        parameters=("loss", "sink", "at", "over", "turning"),
+        parameters=("loss", "sink", *moments, "over", "turning"),
         shapes=lambda log: [
             {**shape, "sink": sink, "turning": turning}
             for shape, sink, turning in product(shapes(log), _sinks(log), (0.0, 1.0))
         ],
         acts="anywhere",
-        refine={"at": IN_RECORD},
-        widths={"at": 4 * HOUR},
+        refine=dict.fromkeys(moments, IN_RECORD),
+        widths=dict.fromkeys(moments, 4 * HOUR),
+        burden=len(moments) * SEARCH_COST_NATS,
+        special=special,
         experiment="clean the cooler or open the air's way, and compare the same load before and after",
         look="what carries heat away: cooler, fan, filter, flow of oil and water, dirt on the housing",
     )
@@ -406,6 +432,16 @@ RIVAL_KINDS = (
         "less-cooling",
         "less cooling from some moment on",
         lambda log: [{"at": at, "over": 0.0} for at in _moments(log)],
+    ),
+    _cooling(
+        "less-cooling-twice",
+        "less cooling from some moment on, and less again from a later one on",
+        lambda log: [
+            {"at": first, SECOND_MOMENT: second, "over": 0.0}
+            for first, second in combinations(_moments(log, MAX_PAIR_MOMENTS // 2), 2)
+        ],
+        ("at", SECOND_MOMENT),
+        special=("less-cooling",),
     ),
     _cooling(
         "less-and-less-cooling",

@@ -69,6 +69,11 @@ def cooler(time: Array, on: Array, current: Array) -> tuple[Array, Array]:
     return 0.0 * time, -2e-4 * np.clip((time - BEGIN - 2.3 * DAY) / 1800.0, 0.0, 1.0)
 
 
+def slowly_warmer(time: Array, on: Array, current: Array) -> tuple[Array, Array]:
+    """A hall that is warmer by two degrees after the first day."""
+    return 2.0 / 1500.0 * (time >= BEGIN + DAY), 0.0 * time
+
+
 def dirt(time: Array, on: Array, current: Array) -> tuple[Array, Array]:
     """Less and less cooling from the first day's end on."""
     return 0.0 * time, -6e-5 * np.maximum((time - BEGIN) / DAY - 1.0, 0.0)
@@ -172,3 +177,26 @@ def test_an_events_running_hours_run_on_through_cuts() -> None:
     found, _ = heat_and_loss(cut, effect, np.zeros(len(cut.runs)))
     inside = ~cut.runs.first
     assert np.array_equal(found[inside], whole[later][inside]) and 0.0 < found.max() < 1e-3 * np.exp(-1.0)
+
+
+CHANGES = [entry for entry in rivals() if entry.name in {"less-cooling", "other-surroundings"}]
+"""What is lost to the surroundings is less with either, from a moment on."""
+
+
+@pytest.mark.parametrize("seed", [1, 4])
+@pytest.mark.parametrize(("more", "words"), [(weather, "warmer surroundings"), (cooler, "less cooling")])
+def test_a_cooler_that_fails_and_surroundings_that_step_are_told_apart(more: Plant, words: str, seed: int) -> None:
+    record = build_record(model(), [plant(seed, days=4, more=more)], ())
+    base = fit(with_priors(move_frame(build_frame(record), record)))
+    found = step(base, CHANGES, {}, rules=RULES)
+    said = description(NamingResult(base, base, ((found, dubious(found)),)))
+    assert re.fullmatch(words + r" since 2023-11-17 0[0-9]:\d\d UTC", said)
+
+
+def test_of_a_machine_that_never_rests_both_are_said_where_nothing_tells_them_apart() -> None:
+    """One load that never changes, and a level that is reached before any course shows how fast."""
+    record = build_record(model(), [plant(2, days=2, runs_on=True, more=slowly_warmer)], ())
+    base = fit(with_priors(move_frame(build_frame(record), record)))
+    found = step(base, CHANGES, {}, rules=RULES)
+    said = description(NamingResult(base, base, ((found, dubious(found)),)))
+    assert "less cooling" in said and "warmer surroundings" in said and " or " in said

@@ -1,7 +1,7 @@
 """The free-run fitter on known truths: exact without noise, honest errors with it, unmoved by spikes and gaps."""
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -10,10 +10,10 @@ from sim.lab.learning.bins.candidates import BinsCandidate, build, build_basis
 from sim.lab.learning.data import resolution, without_spikes
 from sim.lab.learning.free_run import FreeRunFit, fit_free_run, predict
 from sim.lab.learning.refit import refit
-from sim.lab.learning.runs import FreeRuns, free_runs, pieces, sample_runs, thin_runs
+from sim.lab.learning.runs import FreeRuns, free_runs, pieces, sample_runs, thin_free_runs, thin_runs
 from sim.lab.learning.structure import LearningError, bare_sha
 from sim.sha.automaton import SHA, Distribution, Edge, Flow, Location
-from sim.sha.events import DECANTER
+from sim.sha.events import DECANTER, encode
 from sim.sha.trace import UNKNOWN, Event, Trace
 from tests.learning.plants import Truth, simulate, with_signal, without_rows
 
@@ -105,6 +105,20 @@ def test_merged_steps_give_the_same_free_run_where_inputs_are_steady() -> None:
     values, _ = fitted(runs, BinsCandidate("constant", "switch"))
     fewer, _ = fitted(few, BinsCandidate("constant", "switch"))
     assert fewer["tau ON"] == pytest.approx(values["tau ON"], rel=0.02)
+
+
+@pytest.mark.parametrize("budget", [150, 10_000])
+def test_traces_thinned_one_by_one_are_those_thinned_together(budget: int) -> None:
+    traces = [
+        replace(trace, times=trace.times + 1e6 * number)
+        for number, trace in enumerate(simulate(EXACT, 6, cycles=3, rows=400, period=2.0))
+    ]
+    traces = [replace(trace, events=encode(trace, DECANTER)) for trace in traces]
+    sha = bare_sha(DECANTER)
+    together = thin_runs(free_runs(traces, sha, "T", signals=["Assorbimento"]), budget)
+    apart = thin_free_runs(traces, sha, "T", budget, signals=["Assorbimento"])
+    for each in fields(FreeRuns):
+        np.testing.assert_array_equal(getattr(apart, each.name), getattr(together, each.name))
 
 
 def test_too_many_changes_are_sampled_in_windows_that_span_the_whole_time() -> None:

@@ -4,7 +4,7 @@ import re
 from collections.abc import Sequence
 from itertools import combinations
 
-from sim.lab.discrepancy.diagnosis import CandidateLaw, Diagnosis, HeatPlace, ProposedExperiment, Shift
+from sim.lab.discrepancy.diagnosis import CANNOT_TELL, CandidateLaw, Diagnosis, HeatPlace, ProposedExperiment, Shift
 from sim.lab.discrepancy.fitting import catalogue, rivals
 from sim.lab.discrepancy.heat_maps import span
 from sim.sha import display_unit
@@ -37,8 +37,10 @@ def advice_lines(diagnosis: Diagnosis) -> tuple[str, ...]:
             lines.append(f"what the machine does in {place.location}{after}{with_}")
         lines += [f"what goes with {law.words or in_words(law.expression)}: {law.experiment}" for law in diagnosis.laws]
         if diagnosis.description:
-            best = next((tried.name for tried in diagnosis.candidates if tried.step == 1), "")
-            lines = [f"{looks_of_rivals[best]} ({diagnosis.description})", *lines]
+            first = [tried for tried in diagnosis.candidates if tried.step == 1]
+            alike = [tried.name for tried in first[1:] if tried.fate == CANNOT_TELL and tried.name in looks_of_rivals]
+            looks_at = "; ".join(dict.fromkeys(looks_of_rivals[name] for name in (first[0].name, *alike)))
+            lines = [f"{looks_at} ({diagnosis.description})", *lines]
         if not lines:
             lines.append("what is not recorded yet: no measured signal goes with the gap")
     if not lines and diagnosis.shifts:

@@ -29,6 +29,10 @@ class Shift:
     sigma: float
 
 
+CANNOT_TELL = "these data cannot tell it from the best"
+"""The fate of what explains as much as the best does."""
+
+
 @dataclass(frozen=True, slots=True)
 class TriedEffect:
     """An effect of the catalogue against these data, and what became of it.

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from sim.lab.discrepancy.diagnosis import NamedEffect, TraceOfEffect, TriedEffect
+from sim.lab.discrepancy.diagnosis import CANNOT_TELL, NamedEffect, TraceOfEffect, TriedEffect
 from sim.lab.discrepancy.fitting import Fitted
 from sim.lab.discrepancy.judging import NamingResult, immaterial
 from sim.lab.discrepancy.naming import EffectEvidence, NamingStep
@@ -47,8 +47,8 @@ def fate(evidence: EffectEvidence, step: NamingStep, refusal: str, kept: bool) -
         return refusal or ("named" if kept else "the best of all, but the name is withheld")
     if evidence.visible < step.rules.invisible_most_share:
         return "not visible in these data: the model's own parameters imitate it"
-    if evidence.entry.name in step.members:
-        return "these data cannot tell it from the best"
+    if evidence.entry.name in step.members or any(evidence is each for each in step.alike):
+        return CANNOT_TELL
     if step.best is not None and not refusal:
         return f"explains {step.best.gain - evidence.gain:.1f} nats less than the best"
     return "adds nothing that chance does not"

@@ -10,7 +10,7 @@ from sim.lab.discrepancy.fitting import CatalogueEntry, Fitted, Named, automaton
 from sim.lab.discrepancy.gap import Excess, sensor_noise
 from sim.lab.discrepancy.heat import HOUR_S
 from sim.lab.discrepancy.held_out import HeldOutRun
-from sim.lab.discrepancy.naming import NamingStep, likeness
+from sim.lab.discrepancy.naming import EffectEvidence, NamingStep, likeness
 from sim.lab.discrepancy.rules import DecisionRules
 from sim.lab.discrepancy.screen import TIME_PARAMETERS, shortest_visible, smooth_course
 from sim.sha import Array, display_unit
@@ -154,8 +154,12 @@ def description(path: NamingResult) -> str:
     best = path.steps[0][0].best if path.steps and not path.accepted_steps else None
     if best is None or best.fitted is None or not best.entry.rival or insignificant(path.steps[0][0]):
         return ""
-    words = best.entry.candidate.words
-    return words(best.fitted.state.named[-1].params) if words is not None else best.entry.plain
+    return " or ".join(_plant_words(each) for each in (best, *path.steps[0][0].alike))
+
+
+def _plant_words(evidence: EffectEvidence) -> str:
+    words, fitted = evidence.entry.candidate.words, evidence.fitted
+    return words(fitted.state.named[-1].params) if words is not None and fitted is not None else evidence.entry.plain
 
 
 def systematic(ceiling: Ceiling | None, rules: DecisionRules) -> bool:

@@ -1,13 +1,13 @@
 """One step towards a name: the catalogue screened, the likeliest confirmed by joint refits and weighed."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
 
 import numpy as np
 import scipy
 
-from sim.effects import UNMEASURED_NEIGHBOUR
+from sim.effects import CHANGES_AT_A_MOMENT, UNMEASURED_NEIGHBOUR
 from sim.lab.discrepancy.fitting import (
     CatalogueEntry,
     Fitted,
@@ -19,6 +19,7 @@ from sim.lab.discrepancy.fitting import (
     rivals,
     slim,
     with_heats,
+    without_last,
 )
 from sim.lab.discrepancy.rules import DecisionRules
 from sim.lab.discrepancy.screen import (
@@ -41,6 +42,12 @@ ONE_CHAIN = frozenset({"dead-time", "sensor-lag", "late-current-heating"})
 """What lies between what is done and the reading is named once: a second name would mend the first one's shape."""
 EXTRA_CONFIRMED = 2
 """Entries that would lead under less scatter of cycles, which are confirmed as well."""
+TWINS_OF_LOSS = frozenset({"less-cooling", "other-surroundings"})
+"""What is lost to the surroundings is less in both, from a moment on; a lower loss makes the machine slower, too."""
+LOOKED_AGAIN_SHARE = 0.5
+"""Of the best gain, that of a change at a moment from which on such changes are looked for again where it has led."""
+HOPELESS_NATS = 50.0
+"""By which a refit is less likely than the fit without its effect where nobody waits for it to settle."""
 NEIGHBOUR_RIVALS = 2
 """The likeliest of the others that an unmeasured neighbour is held against together."""
 
@@ -106,6 +113,14 @@ class NamingStep:
         return (self.best.entry.name, *near)
 
     @property
+    def alike(self) -> tuple[EffectEvidence, ...]:
+        """What else from a moment on, without a name as the best is, explains as much as that, to within the margin."""
+        if self.best is None or not self.best.entry.rival:
+            return ()
+        near = self.best.gain - margin_of_class(self.best.gain, self.rules)
+        return tuple(each for each in self.evidence[1:] if each.gain > near and _are_twins(self.best, each))
+
+    @property
     def margin(self) -> float:
         """Nats by which the best beats every entry outside its members."""
         if self.best is None:
@@ -145,8 +160,10 @@ def step(
         for each in differing[EXTRA_CONFIRMED:]
         if each.entry.name not in done and leading & {*each.entry.candidate.special}
     ]
+    fitted_shapes = {each.entry.name: each.shape for each in likely}
     for each in (*differing[:EXTRA_CONFIRMED], *wider):
-        if each.gain >= WORTH:
+        # A refit from the very shape ends where the one before did, whatever scatter it begins with.
+        if each.gain >= WORTH and fitted_shapes.get(each.entry.name) != each.shape:
             told(each.entry.name)
             confirmed = _slim_but_best(_replace_evidence(confirmed, confirm(quieter(before), each)))
     # What could win is weighed against its special cases: they are fitted too, wherever the screen has them.
@@ -157,6 +174,8 @@ def step(
     for each in behind:
         if each.entry.name not in {own.entry.name for own in confirmed}:
             confirmed = _slim_but_best([*confirmed, confirm(before, each)])
+    for each in changes_at_a_moment(before, screened.shapes, confirmed, rules, told):
+        confirmed = _slim_but_best(_replace_evidence(confirmed, each))
     done = {each.entry.name for each in confirmed}
     rest = [other for other in evidence if other.entry.name not in done]
     everything = [*confirmed, *rest, *_neighbour_evidence(before, confirmed, entries, rules.least_gain_nats)]
@@ -166,6 +185,34 @@ def step(
     nameless = {each.entry.name: each.gain for each in everything if each.entry.rival}
     tried = frozenset(each.entry.name for each in everything)
     return NamingStep(before, order, _cosines(before, order), rules, nameless, tried)
+
+
+def changes_at_a_moment(
+    before: Fitted,
+    shapes: Sequence[Shape],
+    confirmed: Sequence[EffectEvidence],
+    rules: DecisionRules,
+    told: Callable[[str], None],
+) -> Iterator[EffectEvidence]:
+    """The refits of all that makes a machine warmer or cooler from a moment on, looked for once more where the best of
+    these that has no name has led, if that explains much of what the best of all does.
+
+    Before it the model's own parameters and the noise have made up for the change, and no moment stands out; once it is
+    known about when, and where the parameters lie, the others are told from it.
+    """
+    top = max((each.gain for each in confirmed), default=0.0)
+    dated = [each for each in confirmed if each.entry.rival and each.entry.name in CHANGES_AT_A_MOMENT]
+    best = max(dated, key=lambda each: each.gain, default=None)
+    if best is None or best.fitted is None or best.gain < max(rules.least_gain_nats, LOOKED_AGAIN_SHARE * top):
+        return
+    around = without_last(best.fitted)
+    smooth = smooth_course(around)
+    for name in CHANGES_AT_A_MOMENT:
+        some = tuple(shape for shape in shapes if shape.entry.name == name)
+        if some:
+            told(name)
+            again = screen_shapes(around, some, shape_columns(around, some, smooth))
+            yield confirm(before, _evidence(again, int(np.argmax(again.gain))), around)
 
 
 def _replace_evidence(confirmed: Sequence[EffectEvidence], again: EffectEvidence) -> list[EffectEvidence]:
@@ -243,15 +290,27 @@ def margin_of_class(gain: float, rules: DecisionRules) -> float:
 
 
 def without_idle(evidence: Sequence[EffectEvidence], rules: DecisionRules) -> list[EffectEvidence]:
-    """The evidence without what does no better than a special case of itself, and a rival no better than the names."""
-    names = [each for each in evidence if not each.entry.rival]
+    """The evidence without what does no better than a special case of itself, and a rival no better than the names, but
+    for one that the best rival cannot be told from."""
 
     def idle(wider: EffectEvidence) -> bool:
         special = wider.entry.candidate.special
-        of = [each.gain for each in names if wider.entry.rival or each.entry.name in special]
+        of = [
+            each.gain for each in evidence if each.entry.name in special or (wider.entry.rival and not each.entry.rival)
+        ]
         return wider.gain - max(of, default=-np.inf) < margin_of_class(wider.gain, rules)
 
-    return [each for each in evidence if not idle(each)]
+    left = [each for each in evidence if not idle(each)]
+    best = max(left, key=lambda each: each.gain, default=None)
+    if best is None or not best.entry.rival:
+        return left
+    near = best.gain - margin_of_class(best.gain, rules)
+    return [each for each in evidence if not idle(each) or (each.gain > near and _are_twins(best, each))]
+
+
+def _are_twins(best: EffectEvidence, other: EffectEvidence) -> bool:
+    """Whether they are twins under one load that never stops, both refitted."""
+    return {best.entry.name, other.entry.name} == TWINS_OF_LOSS and other.is_joint
 
 
 def _evidence(screened: Screen, number: int) -> EffectEvidence:
@@ -287,29 +346,41 @@ def _evidence(screened: Screen, number: int) -> EffectEvidence:
     )
 
 
-def confirm(before: Fitted, evidence: EffectEvidence) -> EffectEvidence:
-    """The evidence with its shape refined and everything fitted anew together: the likeliest of its alternatives."""
+def confirm(before: Fitted, evidence: EffectEvidence, around: Fitted | None = None) -> EffectEvidence:
+    """The evidence with its shape refined and everything fitted anew together: the likeliest of its alternatives.
+
+    The search begins `around` another point than the fit `before`, where there is one; the gain is over that fit.
+    """
+    around = before if around is None else around
     shapes = _alternatives(before, evidence)
-    # The three answers below are all taken in the linear problem around `before`: strength, shape, and how far the
+    # The three answers below are all taken in the linear problem around a point: strength, shape, and how far the
     # model's own parameters move to make room. The joint refit starts from there.
-    smooth, projector = smooth_course(before), Projector(before)
+    smooth, projector = smooth_course(around), Projector(around)
     rates = before.own - before.frame.count[1]
     alternatives = []
     for shape in shapes:
-        strength = float(screen_shapes(before, (shape,), shape_columns(before, (shape,), smooth)).strength[0])
-        named = refine_shape(before, shape, strength)
+        strength = float(screen_shapes(around, (shape,), shape_columns(around, (shape,), smooth)).strength[0])
+        named = refine_shape(around, shape, strength)
         unit = Shape(named.entry, named.signals, _without_strength(named))
-        column = shape_columns(before, (unit,), smooth)[:, 0] * (1.0 if named.entry.whole else named.strength)
+        column = shape_columns(around, (unit,), smooth)[:, 0] * (1.0 if named.entry.whole else named.strength)
         moved = projector.made_room(column)[: before.own]
         # The linear problem does not hold for a rate that changes by more than a factor e; Newton's steps go on.
         moved[rates:] = np.clip(moved[rates:], -1.0, 1.0)
-        together, starts, left = [*before.state.named, named], begins(before), 3
+        together, starts, left = [*before.state.named, named], begins(around), 3
         if len(starts) > 1:
             # Where there are two, one round tells which of them leads to the higher top.
             tried = [fit(before.frame, together, start, moved=moved, rounds=1, iterations=8) for start in starts]
             best = max(tried, key=lambda each: each.likelihood)
             together, starts, moved, left = list(best.state.named), (best,), np.zeros(before.own), 2
-        fitted = fit(before.frame, together, starts[0], moved=moved, rounds=left, iterations=8)
+        fitted = fit(
+            before.frame,
+            together,
+            starts[0],
+            moved=moved,
+            rounds=left,
+            iterations=8,
+            hopeless=before.likelihood - HOPELESS_NATS,
+        )
         last = fitted.state.named[-1]
         shape = Shape(evidence.entry, shape.signals, _without_strength(last))
         gain = fitted.likelihood - before.likelihood - evidence.entry.burden

@@ -62,7 +62,7 @@ if TYPE_CHECKING:
         with_events,
         with_range,
     )
-    from sim.lab.learning.runs import FreeRuns, Indices, first_switch, free_runs, pieces, sample_runs, thin_runs
+    from sim.lab.learning.runs import FreeRuns, Indices, first_switch, free_runs, pieces, sample_runs, thin_free_runs
     from sim.lab.learning.semi_markov import fit_stays, with_inputs
     from sim.lab.learning.shape import ParameterNames, Prior, build_shape, with_parameters
     from sim.lab.learning.structure import (

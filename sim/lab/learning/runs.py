@@ -1,6 +1,6 @@
 """Traces cut into free runs: exact steps from reading to reading, with location, inputs and stay, as flat arrays."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
@@ -200,10 +200,60 @@ def free_runs(
 
     Raises LearningError when an event has no edge or no run is left, ValueError when `sha` is not deterministic.
     """
+    return _concatenate_runs(
+        list(
+            _runs_of_each(
+                traces,
+                sha,
+                temperature,
+                signals=signals,
+                modelled=modelled,
+                rising=rising,
+                cycle=cycle,
+                jumps=jumps,
+            )
+        )
+    )
+
+
+def thin_free_runs(
+    traces: Sequence[Trace],
+    sha: SHA,
+    temperature: str,
+    budget: int,
+    *,
+    signals: Sequence[str] = (),
+    modelled: Mask | None = None,
+) -> FreeRuns:
+    """`thin_runs` of all `free_runs`, which are never together: of months of fast rows they take hundreds of MB.
+
+    Raises what `free_runs` raises.
+    """
+    sizes = [
+        _thinning_size(part)
+        for part in _runs_of_each(traces, sha, temperature, signals=signals, modelled=modelled)
+        if len(part)
+    ]
+    window = _thinning_window(sizes, budget)
+    parts = _runs_of_each(traces, sha, temperature, signals=signals, modelled=modelled)
+    return _concatenate_runs([_thin_to_window(part, window) if len(part) else part for part in parts])
+
+
+def _runs_of_each(
+    traces: Sequence[Trace],
+    sha: SHA,
+    temperature: str,
+    *,
+    signals: Sequence[str],
+    modelled: Mask | None,
+    rising: str | None = None,
+    cycle: float = 3600.0,
+    jumps: bool = False,
+) -> Iterator[FreeRuns]:
+    """The free runs of each trace that has a reading, numbered for itself."""
     if modelled is None:
         modelled = np.array([location.name != sha.initial or len(sha.locations) == 1 for location in sha.locations])
     moves = transitions(sha)
-    parts = []
     for trace in traces:
         reading = trace.signal_course(temperature) if temperature in trace.signals else np.empty(0)
         if not np.isfinite(reading).any():
@@ -225,8 +275,7 @@ def free_runs(
             reading=cleaned,
             cycle=cycle,
         )
-        parts.append(_trim_runs(runs))
-    return _concatenate_runs(parts)
+        yield _trim_runs(runs)
 
 
 def thin_runs(runs: FreeRuns, budget: int) -> FreeRuns:
@@ -236,11 +285,30 @@ def thin_runs(runs: FreeRuns, budget: int) -> FreeRuns:
     locations are exact, and what is lost is the scatter of the inputs inside a window (of second order in rate x
     window). Knots without a reading inside a stay are merged as well.
     """
-    ends = np.append((np.diff(runs.stay) != 0) | runs.first[1:], True)
-    known = np.isfinite(runs.reading)
-    must = runs.first | ends
-    room = max(budget - int(must.sum()), budget // 4)
-    window = float(runs.dt.sum()) / room if np.count_nonzero(known) > room else 0.0
+    return _thin_to_window(runs, _thinning_window([_thinning_size(runs)], budget))
+
+
+def _must_stay(runs: FreeRuns) -> Mask:
+    """(n,) the knots that begin a run or end a stay."""
+    return np.asarray(runs.first | np.append((np.diff(runs.stay) != 0) | runs.first[1:], True))
+
+
+def _thinning_size(runs: FreeRuns) -> tuple[int, int, float]:
+    """(knots that must stay, readings, seconds) of runs."""
+    readings = int(np.count_nonzero(np.isfinite(runs.reading)))
+    return int(_must_stay(runs).sum()), readings, float(runs.dt.sum())
+
+
+def _thinning_window(sizes: Sequence[tuple[int, int, float]], budget: int) -> float:
+    """s of the windows to which runs of these sizes are thinned, so that about `budget` knots are left; 0: none."""
+    must, readings, seconds = (sum(column) for column in zip(*sizes, strict=True)) if sizes else (0, 0, 0.0)
+    room = max(budget - int(must), budget // 4)
+    return seconds / room if readings > room else 0.0
+
+
+def _thin_to_window(runs: FreeRuns, window: float) -> FreeRuns:
+    """The runs with one reading each `window` (s; 0: all of them), and all that must stay."""
+    must, known = _must_stay(runs), np.isfinite(runs.reading)
     keep = must | known
     if window > 0:
         start = runs.time[runs.first][np.cumsum(runs.first) - 1]

@@ -34,6 +34,7 @@ from sim.lab.discrepancy.fitting.free_run_fit import (
     slim,
     with_column,
     with_heats,
+    without_last,
 )
 from sim.lab.discrepancy.fitting.named import Named, automaton_effects, model_effects
 from sim.lab.discrepancy.fitting.noise import NoiseModel, Whitener, decay_and_pull

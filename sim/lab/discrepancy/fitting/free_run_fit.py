@@ -240,10 +240,12 @@ def fit(
     moved: Array | None = None,
     rounds: int = ROUNDS,
     iterations: int = 12,
+    hopeless: float = -np.inf,
 ) -> Fitted:
     """The fit with the effects `named`, from another fit on the same frame or from the belief.
 
-    `moved` (p + r,) is by how much the other fit's own parameters are moved before.
+    `moved` (p + r,) is by how much the other fit's own parameters are moved before. A fit that is no likelier than
+    `hopeless` ends with the first round that is worse than the one before it.
     """
     record = frame.record
     reading = record.reading
@@ -265,11 +267,16 @@ def fit(
             break
         first = _clip_strengths(named, np.concatenate([own, _halve_strengths(named, first[own.size :])]))
         point = _tangent(frame, run_frame(frame, first, start, named), start, reading)
+    cost = np.inf
     for _ in range(rounds):
-        point = _newton_steps(frame, point, start=start, reading=reading, noise=noise, prior=prior)
-        before = noise
-        noise, cost = fit_local_noise(point, frame, belief, noise, iterations)
-        if largest_change(before, noise) < SETTLED_LOG_STEP:
+        moved_point = _newton_steps(frame, point, start=start, reading=reading, noise=noise, prior=prior)
+        fitted_noise, moved_cost = fit_local_noise(moved_point, frame, belief, noise, iterations)
+        # Where the linear problem does not describe the plant, further rounds only lead further astray.
+        if moved_cost > cost > -hopeless:
+            break
+        settled = largest_change(noise, fitted_noise) < SETTLED_LOG_STEP
+        point, noise, cost = moved_point, fitted_noise, moved_cost
+        if settled:
             break
     return _finish_fit(frame, point, start=start, noise=noise, prior=prior, cost=cost)
 
@@ -285,6 +292,16 @@ def given_model_fit(fitted: Fitted) -> Fitted:
     belief = window_belief(record)
     noise, cost = fit_local_noise(point, frame, belief, fitted.noise, 12)
     return _finish_fit(frame, point, start=fitted.start, noise=noise, prior=prior, cost=cost)
+
+
+def without_last(fitted: Fitted) -> Fitted:
+    """The linear problem at a fit's parameters and noise without the last of its effects; nothing of it is fitted."""
+    frame, named = fitted.frame, fitted.state.named[:-1]
+    numbers = fitted.state.parameters[: fitted.state.parameters.size - len(fitted.state.named[-1].free)]
+    state = run_frame(frame, numbers, fitted.start, named)
+    point = _tangent(frame, state, fitted.start, frame.record.reading)
+    prior = fitted.prior[: numbers.size]
+    return _finish_fit(frame, point, start=fitted.start, noise=fitted.noise, prior=prior, cost=np.inf)
 
 
 def slim(fitted: Fitted) -> Fitted:
@@ -429,8 +446,11 @@ def _newton_steps(
             )
             residual = reading - frame.record.window_means(moved.mean)
             off = point.off + np.where(np.arange(step.size) < sum(frame.count), step, 0.0)
-            after = float(whitener.gram(residual[:, None])[0, 0] + off @ (prior * off))
-            lost = not np.isfinite(after) or _diverges(residual, reading)
+            # Squares of what has run away would overflow.
+            lost, after = _diverges(residual, reading), np.inf
+            if not lost:
+                after = float(whitener.gram(residual[:, None])[0, 0] + off @ (prior * off))
+                lost = not np.isfinite(after)
             if not lost and after <= before + 1e-6:
                 break
             step = 0.5 * step

@@ -13,7 +13,7 @@ import numpy as np
 import scipy
 
 from sim.lab.discrepancy.fitting.noise import Grid
-from sim.lab.learning import FreeRuns, Indices, LearningError, first_switch, free_runs, thin_runs
+from sim.lab.learning import FreeRuns, Indices, LearningError, first_switch, thin_free_runs
 from sim.sha import UNKNOWN, Alphabet, Array, Mask, Model, Switch, Trace, encode_trace
 
 KNOTS, WINDOWS = 64_000, 4_000
@@ -309,8 +309,8 @@ def build_record(
     having = [_each_time_once(trace) for trace in traces if _is_followable(trace, model)]
     if not having:
         raise LearningError(f"no trace has a reading of {model.temperature!r}, the model's temperature")
-    runs = thin_runs(
-        free_runs(having, model.sha, model.temperature, signals=tuple(signals), modelled=known_locations(model)), knots
+    runs = thin_free_runs(
+        having, model.sha, model.temperature, knots, signals=tuple(signals), modelled=known_locations(model)
     )
     running, since, whole = _machine(runs, having, first_switch(model.alphabet))
     rates = np.array([location.flow.params.get("k", 0.0) for location in model.sha.locations])
