@@ -5,7 +5,9 @@ are read, then a block of two is written once. A register that is not written ho
 that a good reading is held against what the device told between the sample's two moments. A share of readings is of
 those that the device does not refuse for ever; "at last" is the last quarter of the scans, when what was looked for is
 found. A block is accepted where the device holds it and the driver says so; held and not said counts apart, said and
-not held is wrong. Time is virtual (`benchmarks.virtual_time`), but for the serial port, whose kernel has its own. The habits' table and the device are those of the tests (`tests/rig/device_habits.py`,
+not held is wrong. Time is virtual (`benchmarks.virtual_time`), but for the serial port, whose kernel has its own: where
+this process stood still for longer than an answer may take there, its devices were later than they say, and a good
+reading may be an older one. The habits' table and the device are those of the tests (`tests/rig/device_habits.py`,
 `habit_wires.py`).
 """
 
@@ -34,6 +36,7 @@ TOGETHER = 6
 LONGEST_S = 30.0
 """A device costs no more than this, whatever it does."""
 POOR_SHARE = 0.9
+_TICK_S = 0.02
 
 
 @dataclass
@@ -107,10 +110,6 @@ def wrong_values(habit: Habit, samples: list[Sample], written: set[int]) -> int:
         value = int(sample.value) if isinstance(sample.value, int | float) else -1
         ours = habit.held(place, value, sample.sent, sample.time) if place in MOVING else value in {place} | written
         wrong += not ours
-        if not ours:
-            import sys
-
-            print("WRONG", place, value, sample, habit.times[-6:], len(habit.times), file=sys.stderr)
     return wrong
 
 
@@ -144,8 +143,19 @@ async def scan(together: Together, link: str, scans: int, folder: Path) -> Tally
     return tally
 
 
-async def walk(drawn: list[Together], link: str, scans: int, folder: Path) -> dict[tuple[int, str], Tally]:
-    """Each combination that there is over the link."""
+async def _note_pauses(pauses: list[float]) -> None:
+    """Add by how much each wait was longer than it was to be (s), until it is cancelled."""
+    loop = asyncio.get_running_loop()
+    while True:
+        begin = loop.time()
+        await asyncio.sleep(_TICK_S)
+        pauses.append(loop.time() - begin - _TICK_S)
+
+
+async def walk(
+    drawn: list[Together], link: str, scans: int, folder: Path, pauses: list[float]
+) -> dict[tuple[int, str], Tally]:
+    """Each combination that there is over the link; `pauses` takes how long the process stood still."""
     gate = asyncio.Semaphore(TOGETHER if link == PTY else len(drawn))
 
     async def one(together: Together) -> Tally:
@@ -153,7 +163,9 @@ async def walk(drawn: list[Together], link: str, scans: int, folder: Path) -> di
             return await scan(together, link, scans, folder)
 
     numbers = [number for number, together in enumerate(drawn) if link in together.links]
+    noting = asyncio.ensure_future(_note_pauses(pauses))
     done = await asyncio.gather(*(one(drawn[number]) for number in numbers))
+    noting.cancel()
     return {(number, link): tally for number, tally in zip(numbers, done, strict=True)}
 
 
@@ -169,13 +181,16 @@ def main(*, combinations: int, scans: int, quick: bool, seed: int, as_json: bool
     combinations, scans = (6, 4) if quick else (combinations, scans)
     drawn = [draw_habits(rng) for _ in range(combinations)]
     tallies: dict[tuple[int, str], Tally] = {}
+    pauses: dict[str, list[float]] = {link: [0.0] for link in LINKS}
     with tempfile.TemporaryDirectory() as folder:
         for link in LINKS:
             with asyncio.Runner(loop_factory=None if link == PTY else virtual_loop) as runner:
-                tallies |= runner.run(walk(drawn, link, scans, Path(folder)))
+                tallies |= runner.run(walk(drawn, link, scans, Path(folder), pauses[link]))
     figures: list[Figure] = []
     for link in LINKS:
         figures += total(tally for (_, over), tally in tallies.items() if over == link).figures(link)
+    latest = Together(()).settings(PTY)["longest_reply"]
+    figures.append(Figure(f"{PTY}: this process stood still", max(pauses[PTY]), "s", "an answer may take", latest))
     for row in WALKED:
         theirs = total(tally for (number, _), tally in tallies.items() if row in drawn[number].rows)
         if theirs.devices:

@@ -153,7 +153,8 @@ HABITS: tuple[DeviceHabit, ...] = (
     DeviceHabit(
         habit="serves one client, and others need it between two scans",
         found="it refuses the second connection",
-        done="with the setting the connection is closed after each scan and made for the next",
+        done="with the setting the connection is closed after each scan and made for the next; without `identity` a "
+        "tag's `period` is idle then, which `check` says, since another device may answer the next time",
         setting="close_between_scans",
         threads=("BiancoRoyal/node-red-contrib-modbus#538", "influxdata/telegraf#11919"),
         test=f"{_DEVICES}::test_a_connection_is_left_to_others_between_two_scans",

@@ -6,6 +6,7 @@ are possible an option asks for the one.
 
 import csv
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -137,7 +138,7 @@ def _structured(path: Path, how: Reading, page: str | None) -> ListSheet | None:
         raise ListError(f"{path}: byte {error.start} is not UTF-8; save the file as UTF-8") from None
     try:
         if kind != ".json":
-            return ListSheet(path, 0, {}, (), _of_one_unit(read_yaml(text, page), how.unit))
+            return _of_one_unit(ListSheet(path, 0, {}, (), ()), read_yaml(text, page), how.unit)
         rows, left_out = read_model(text, how.repeats)
     except (ModelError, TemplateError) as error:
         raise ListError(f"{path}: {error}") from None
@@ -153,7 +154,7 @@ def _polled(path: Path, how: Reading) -> ListSheet | None:
     """A configuration of modpoll; None for any other file."""
     with suppress(OSError, csv.Error):
         if (listed := read_polls(contents(path).decode("utf-8-sig", errors="replace"))) is not None:
-            return ListSheet(path, 0, {}, (), _of_one_unit(listed, how.unit))
+            return _of_one_unit(ListSheet(path, 0, {}, (), ()), listed, how.unit)
     return None
 
 
@@ -178,24 +179,43 @@ def _of_units(sheet: ListSheet, how: Reading) -> ListSheet:
     own = is_iobroker(headers)
     rows = [replace(row, cells=of_iobroker(row.cells)) if own else row for row in sheet.lines]
     if "unit_id" in sheet.columns:
-        return replace(sheet, lines=_of_one_unit([ListedUnit(row, row.get("unit_id")) for row in rows], how.unit))
+        return _of_one_unit(sheet, [ListedUnit(row, row.get("unit_id")) for row in rows], how.unit)
     return replace(sheet, lines=tuple(rows)) if own else sheet
 
 
-def _of_one_unit(listed: Sequence[ListedUnit], unit: int | None) -> tuple[ListRow, ...]:
-    """The rows of the unit that is meant; where it is not said and there are several each row of them is refused."""
+def _of_one_unit(sheet: ListSheet, listed: Sequence[ListedUnit], unit: int | None) -> ListSheet:
+    """The list with the rows of the unit that is meant, and a note on the others and on keys that were not taken.
+
+    Where the unit is not said and there are several each row of them is refused.
+    """
     units = sorted({one.unit for one in listed if one.unit})
+    notes: list[str] = []
     if unit is not None and len(units) > 1:
+        others = Counter(one.unit for one in listed if one.unit not in ("", str(unit)))
+        notes += [
+            f"{_count(number, 'row')} of unit {other} {'was' if number == 1 else 'were'} left out (--unit {unit})"
+            for other, number in sorted(others.items())
+        ]
         listed = [one for one in listed if one.unit in ("", str(unit))]
+        if not any(one.unit for one in listed):
+            raise ListError(f"{sheet.path}: has no row of unit {unit}; it has {', '.join(units)}: give --unit")
         units = [str(unit)]
+    untaken = Counter(key for one in listed for key in one.untaken)
+    notes += [f"{key} is not taken ({_count(number, 'row')})" for key, number in sorted(untaken.items())]
     if len(units) < 2:
         said = f"unit {units[0]}" if units else ""
-        return tuple(replace(one.row, cells=_beside(one.row.cells, said if one.unit else "")) for one in listed)
-    several = f"is of unit {{}}, and the list has {', '.join(units)}: give --unit"
-    return tuple(
-        replace(one.row, cells={"refused": several.format(one.unit), **one.row.cells}) if one.unit else one.row
-        for one in listed
-    )
+        rows = [replace(one.row, cells=_beside(one.row.cells, said if one.unit else "")) for one in listed]
+    else:
+        several = f"is of unit {{}}, and the list has {', '.join(units)}: give --unit"
+        rows = [
+            replace(one.row, cells={"refused": several.format(one.unit), **one.row.cells}) if one.unit else one.row
+            for one in listed
+        ]
+    return replace(sheet, lines=tuple(rows), notes=tuple(notes))
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number} {what}" + ("" if number == 1 else "s")
 
 
 def _beside(cells: Mapping[str, str], said: str) -> dict[str, str]:
