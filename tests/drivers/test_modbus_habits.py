@@ -69,6 +69,28 @@ async def test_silence_at_one_register_of_a_line_costs_that_register_too() -> No
         assert found[5] is None
 
 
+@pytest.mark.parametrize("serial", [False, True], ids=["tcp", "line"])
+@pytest.mark.parametrize(("even", "left_out"), [(True, ()), (False, (6,))], ids=["a block", "a tag by itself"])
+async def test_silence_to_all_of_a_block_costs_that_block_alone(
+    serial: bool, even: bool, left_out: tuple[int, ...]
+) -> None:
+    # With `even` a block of two is asked as a whole whichever of them is meant; without a neighbour a tag is a block.
+    place, limits = (5, {"aligned": 2, "max_registers": 4, "max_write_registers": 8}) if even else (7, {"max_gap": 0})
+    habit = Habit(serial=serial, silent_at=place, even=even)
+    tags = [tag for number, tag in enumerate(TAGS) if number not in left_out]
+    more = {"longest_reply": 0.2} if serial else {}
+    async with asyncio.timeout(60), driven(habit, refused_first=600.0, refused_cap=600.0, **limits, **more) as driver:
+        while not any(sample.quality is Quality.CONFIGURATION_ERROR for sample in await driver.read(tags)):
+            pass
+        asked = len(habit.requests)
+        samples = await driver.read(tags)
+        refused = {sample.tag for sample in samples if sample.quality is Quality.CONFIGURATION_ERROR}
+        assert refused == ({"T4", "T5"} if even else {"T7"})
+        assert all(sample.quality.is_good for sample in samples if sample.tag not in refused)
+        assert all("no reply" in sample.reason for sample in samples if sample.tag in refused)
+        assert not any(start <= place < start + count for _, start, count in habit.requests[asked:])
+
+
 async def test_a_search_by_silence_takes_no_reading_longer_than_its_time() -> None:
     loop = asyncio.get_running_loop()
     async with driven(Habit(silent_at=5), timeout=0.3, attempts=1) as driver:
@@ -153,6 +175,7 @@ async def test_a_device_that_is_not_there_is_said_to_be_silent() -> None:
 
 
 # ---------------------------------------------------------------- the table of habits
+
 
 async def walk(together: Together, link: str, folder: Path) -> None:
     """A device with these habits is read, all but what it refuses, and takes a block; nothing wrong is good."""
