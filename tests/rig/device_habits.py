@@ -47,9 +47,10 @@ HABITS: tuple[DeviceHabit, ...] = (
         wire={"quiet": 0.4},
     ),
     DeviceHabit(
-        habit="is silent at one register, instead of refusing it",
+        habit="is silent at registers, instead of refusing them",
         found="the device answers at another place while a block has no answer",
-        done="silence is bisected as a refusal is, over several readings, and the place waits in quarantine",
+        done="silence is bisected as a refusal is, over several readings; what is silent while a place elsewhere answers "
+        "waits in quarantine",
         threads=("yaacov/node-modbus-serial#505",),
         wire={"silent_at": 5},
     ),
