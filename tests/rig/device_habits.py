@@ -49,7 +49,7 @@ HABITS: tuple[DeviceHabit, ...] = (
     DeviceHabit(
         habit="is silent at registers, instead of refusing them",
         found="the device answers at another place while a block has no answer",
-        done="silence is bisected as a refusal is, over several readings; what is silent while a place elsewhere answers "
+        done="silence is bisected as a refusal is, over several readings; what is silent while another place answers "
         "waits in quarantine",
         threads=("yaacov/node-modbus-serial#505",),
         wire={"silent_at": 5},

@@ -78,8 +78,8 @@ def _neighbours(tags: Sequence[Listed]) -> Iterator[tuple[Listed, Listed]]:
         table, _, number = str(tag.keys.get("address")).partition(":")
         if tag.keys.get("dtype") in ("int16", "uint16") and number.isdecimal():
             at.setdefault((table, int(number)), tag)
-    for (table, number), tag in at.items():
-        if (other := at.get((table, number + 1))) is not None:
+    for (area, first), tag in at.items():
+        if (other := at.get((area, first + 1))) is not None:
             yield tag, other
 
 

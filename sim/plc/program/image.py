@@ -115,7 +115,7 @@ class ProcessImage:
 
         Tags that share a factor with one that is frozen stand with it.
         """
-        moved = set()
+        moved = set[str]()
         for place, names in self.registers.factors.items():
             cell, power = self._tables[place.table], self._powers[place] & 0xFFFF
             if any(map(frozen, names)):
