@@ -7,7 +7,8 @@ CAN), `benchmarks.broken_starts` (starts by damaged file), `benchmarks.commissio
 `benchmarks.discrepancy` (hidden effects), `benchmarks.engines` (pairs of engines), `benchmarks.resident` (memory over
 hours), `benchmarks.kills`, `benchmarks.record_kills` and `benchmarks.power_cuts` (what the records lose),
 `benchmarks.hostile_northbound` (peers that mean ill), `benchmarks.attack_matrix` (what was tried),
-`benchmarks.hostile_exchanges` (replies of other requests), `benchmarks.demo_seeds` (the demonstration's alarms),
+`benchmarks.hostile_exchanges` (replies of other requests), `benchmarks.device_habits` (devices with several habits),
+`benchmarks.demo_seeds` (the demonstration's alarms),
 `benchmarks.machine_rates` (what is not modelled of other machines), `benchmarks.hollow` (thresholds on other data),
 `benchmarks.first_hour` (from a wheel to a prediction), `benchmarks.installed` (the Debian package under systemd),
 `benchmarks.mistakes` (what they are answered) and `benchmarks.house` (the code itself).

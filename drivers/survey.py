@@ -56,7 +56,8 @@ class ReadPlan:
     """The requests of one scan and of one write of the block, and the longest that either can take (s).
 
     `problems` are sentences: a tag without a place, a block that is no one write; `overlaps` are tags that share
-    registers; `written_by` says by which function a block is written, and whether it is read back.
+    registers; `written_by` says by which function a block is written, and whether it is read back; `cautions` are
+    settings that come to nothing.
     """
 
     requests: tuple[PlannedRequest, ...]
@@ -66,6 +67,7 @@ class ReadPlan:
     write_seconds: float
     overlaps: tuple[str, ...] = ()
     written_by: str = ""
+    cautions: tuple[str, ...] = ()
 
 
 class AsksRegisters(Protocol):

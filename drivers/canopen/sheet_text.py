@@ -6,7 +6,7 @@ looked at; of an object only the keys that it needs are, each number as a file m
 
 import re
 from collections.abc import Iterator, Mapping, MutableMapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from xml.etree import ElementTree
 
 _OBJECT = re.compile(r"([0-9A-F]{2,4})(?:SUB([0-9A-F]{1,2})|NAME|VALUE)?", re.IGNORECASE)
@@ -146,7 +146,18 @@ def format_sections(sections: Mapping[str, SheetSection]) -> str:
 # ---------------------------------------------------------------- XDD
 
 
-_ACCESS_OF_XDD = {"readonly": "ro", "writeonly": "wo", "readwrite": "rw", "readwriteinput": "rwr"}
+_ACCESS_OF_XDD = {
+    **{"readonly": "ro", "writeonly": "wo", "readwrite": "rw", "readwriteinput": "rwr", "readwriteoutput": "rww"},
+    **{"read": "ro", "write": "wo"},
+}
+_MEMBER_OF_XDD = "CANopenSubObject"
+_OBJECTS_OF_XDD = ("CANopenObject", _MEMBER_OF_XDD)
+_TYPES_OF_XDD = {
+    **{"BOOL": "1", "SINT": "2", "INT": "3", "DINT": "4", "USINT": "5", "BYTE": "5", "UINT": "6", "WORD": "6"},
+    **{"UDINT": "7", "DWORD": "7", "REAL": "8", "STRING": "9", "WSTRING": "B", "LREAL": "11", "LINT": "15"},
+    **{"ULINT": "1B", "LWORD": "1B"},
+}
+"""Types of IEC 61131-3, of which a parameter is, as numbers of CiA 301 (7.4.7)."""
 _MAPPABLE = ("default", "optional", "TPDO", "RPDO")
 
 
@@ -158,26 +169,61 @@ def sections_of_xml(text: str) -> tuple[dict[str, SheetSection], list[str]]:
         root = ElementTree.fromstring(text)  # noqa: S314 - without a document type nothing in it expands
     except (ElementTree.ParseError, LookupError) as error:
         raise ValueError(f"it is no XML ({error})") from None
+    # What a device's profile says of an object may stand in its application process, which the object refers to.
+    said = {item.get("uniqueID", ""): _parameter(item) for item in root.iter() if _local(item) == "parameter"}
     lines: list[str] = []
+    at: list[int] = []
+    places, index = _object_lines(text), ""
     for item in root.iter():
-        if item.tag.rpartition("}")[2] != "CANopenObject":
+        kind = _local(item)
+        if kind not in _OBJECTS_OF_XDD:
             continue
-        index = item.get("index", "").upper().removeprefix("0X")
-        lines += _xdd_section(index, item)
-        for member in item:
-            if member.tag.rpartition("}")[2] == "CANopenSubObject":
-                lines += _xdd_section(f"{index}sub{member.get('subIndex', '')}", member)
-    return parse_sections("\n".join(lines))
+        name = item.get("index", "").upper().removeprefix("0X")
+        index = index if kind == _MEMBER_OF_XDD else name
+        own = _xdd_section(f"{index}sub{item.get('subIndex', '')}" if kind == _MEMBER_OF_XDD else name, item, said)
+        at += [next(places, 0)] * len(own)
+        lines += own
+    sections, left = parse_sections("\n".join(lines))
+    # The lines of the file in the place of those of the sections.
+    sections = {name: replace(section, line=at[section.line - 1]) for name, section in sections.items()}
+    return sections, [re.sub(r"^line (\d+)", lambda found: f"line {at[int(found[1]) - 1]}", one) for one in left]
 
 
-def _xdd_section(name: str, item: ElementTree.Element) -> list[str]:
+def _object_lines(text: str) -> Iterator[int]:
+    """The lines of the objects and their members in the order of the file."""
+    bare = re.sub(r"<!--.*?-->", lambda comment: "\n" * comment[0].count("\n"), text, flags=re.DOTALL)
+    end = line = 0
+    for found in re.finditer(r"<(?:[\w.-]+:)?CANopen(?:Sub)?Object\b", bare):
+        line += bare.count("\n", end, found.start())
+        end = found.start()
+        yield line + 1
+
+
+def _local(item: ElementTree.Element) -> str:
+    return item.tag.rpartition("}")[2]
+
+
+def _parameter(item: ElementTree.Element) -> dict[str, str]:
+    """A parameter of an application process, by the attributes that an object may have instead (CiA 311)."""
+    parts = {_local(part): part for part in item}
+    return {
+        "dataType": next((_TYPES_OF_XDD[name] for name in parts if name in _TYPES_OF_XDD), ""),
+        "accessType": item.get("access", "read"),
+        "defaultValue": parts["defaultValue"].get("value", "") if "defaultValue" in parts else "",
+        "actualValue": parts["actualValue"].get("value", "") if "actualValue" in parts else "",
+    }
+
+
+def _xdd_section(name: str, item: ElementTree.Element, said: Mapping[str, Mapping[str, str]]) -> list[str]:
+    own = {**said.get(item.get("uniqueIDRef", ""), {}), **item.attrib}
+    access = own.get("accessType", "")
     keys = {
-        "ParameterName": item.get("name", name),
-        "ObjectType": item.get("objectType", "7"),
-        "DataType": f"0x{item.get('dataType')}" if item.get("dataType") else "",
-        "AccessType": _ACCESS_OF_XDD.get(item.get("accessType", "").casefold(), item.get("accessType", "")),
-        "PDOMapping": "1" if item.get("PDOmapping") in _MAPPABLE else "0",
-        "DefaultValue": item.get("defaultValue", ""),
-        "ParameterValue": item.get("actualValue", ""),
+        "ParameterName": own.get("name", name),
+        "ObjectType": own.get("objectType", "7"),
+        "DataType": f"0x{own['dataType']}" if own.get("dataType") else "",
+        "AccessType": _ACCESS_OF_XDD.get(access.casefold(), access),
+        "PDOMapping": "1" if own.get("PDOmapping") in _MAPPABLE else "0",
+        "DefaultValue": own.get("defaultValue", ""),
+        "ParameterValue": own.get("actualValue", ""),
     }
     return [f"[{name}]", *(f"{key}={' '.join(value.split())}" for key, value in keys.items() if value)]

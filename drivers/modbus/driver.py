@@ -101,7 +101,8 @@ class Failure:
 class BlockSearch:
     """The search for the refused addresses of a block, over several readings where it must be.
 
-    `part` is asked next, and before it `checks`, of which one must answer before silence is believed.
+    `part` is asked next, and before it `checks`, of which one must answer before silence is believed. `elsewhere`: one
+    that lies outside the block has answered, so that silence to all of the block is no absence.
     """
 
     def __init__(self, block: AddressBlock, refusal: Failure) -> None:
@@ -110,7 +111,7 @@ class BlockSearch:
         self.checks: list[AddressBlock] = []
         self.part: AddressBlock | None = None
         self.refusals: tuple[RefusedRange, ...] = ()
-        self.answered = self.silent = False
+        self.answered = self.silent = self.elsewhere = False
         self.silences = 0
         self.forgotten_at = 0.0
         self._steps = bisect(block)
@@ -576,13 +577,15 @@ class ModbusDriver:
         if not (outcome.asked and self._may_refuse(outcome) and self._refused.may_bisect(block, _now())):
             return samples
         silent = outcome.quality is Quality.TIMEOUT
-        if silent and len(block.spans) < 2:
+        checks = self._places_to_check(block) if silent else []
+        if silent and not checks:
             return samples
         self._counts["bisections"] += 1
         search = BlockSearch(block, outcome)
         if silent:
-            search.checks = self._places_to_check(block)
-            search.silent = True
+            search.checks, search.silent = checks, True
+            if len(block.spans) == 1:
+                search.part, search.silences = block, 1
         else:
             search.advance(refused=True)
         return samples | await self._continue_search(search)
@@ -625,7 +628,9 @@ class ModbusDriver:
             if check is not None:
                 if isinstance(outcome, WireReply) or outcome.code:
                     search.checks, self._known_good = [], check
-                    search.advance(refused=True)
+                    search.elsewhere |= _lies_outside(check, block)
+                    if not self._is_to_ask_again(search):
+                        search.advance(refused=True)
                 else:
                     search.checks = search.checks[1:]
                     if not search.checks:  # it is not there at all, and nothing is concluded
@@ -647,7 +652,7 @@ class ModbusDriver:
                     continue
                 search.silent = True
                 search.silences += alone
-                if alone and self._settings.on_line and search.silences < _MIN_SILENCES_ON_LINE:
+                if self._is_to_ask_again(search):
                     continue
                 search.checks = self._places_to_check(part)
                 if not search.checks:
@@ -655,12 +660,17 @@ class ModbusDriver:
         self._refused.found(
             block,
             search.refusals,
-            answered=search.answered,
+            answered=search.answered or search.elsewhere,
             reasons=search.reasons,
             now=_now(),
             silent=search.silent,
         )
         return samples
+
+    def _is_to_ask_again(self, search: BlockSearch) -> bool:
+        """Whether a part that cannot be halved has been silent too seldom: on a line each question is asked once."""
+        alone = search.part is not None and len(search.part.spans) == 1
+        return alone and self._settings.on_line and search.silences < _MIN_SILENCES_ON_LINE
 
     def _keep_search(self, search: BlockSearch) -> dict[int, Sample]:
         """Keep a search for the next reading; what its block has no values for."""
@@ -924,6 +934,10 @@ def _now() -> float:
 
 def _with_values(samples: Mapping[int, Sample]) -> dict[int, Sample]:
     return {key: sample for key, sample in samples.items() if sample.value is not None}
+
+
+def _lies_outside(one: AddressBlock, other: AddressBlock) -> bool:
+    return one.area is not other.area or one.stop <= other.start or other.stop <= one.start
 
 
 def _words(spans: Iterable[TagSpan]) -> int:

@@ -61,6 +61,20 @@ def plan_requests(settings: Mapping[str, Any], tags: Sequence[Tag], written: Seq
         write_seconds=sum(request.seconds for request in writes),
         overlaps=_overlaps(spans),
         written_by=_write_functions(written, checked),
+        cautions=_idle_periods(tags, checked),
+    )
+
+
+def _idle_periods(tags: Sequence[Tag], checked: ModbusSettings) -> tuple[str, ...]:
+    """That a tag's period saves nothing: behind each new connection there may be another device."""
+    paced = [tag.name for tag in tags if tag.period]
+    if not paced or not checked.close_between_scans or checked.identity:
+        return ()
+    others = f" and {len(paced) - 1} others" if len(paced) > 1 else ""
+    return (
+        f"period: {paced[0]}{others} {'are' if others else 'is'} read with every scan all the same, as with "
+        "close_between_scans what was read over one connection is not kept for the next: give identity (plc probe "
+        "--write --pin), or take period or close_between_scans out",
     )
 
 

@@ -9,9 +9,11 @@ length and checksum, and taken out of what arrives. That holds across reconnecti
 
 import asyncio
 import os
+import stat
 import termios
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Protocol, cast
 
 import serial
@@ -35,6 +37,8 @@ _MAX_NOISE_BYTES = 8
 """Bytes before a reply that are passed over: what a transceiver makes as it turns round, no frame (V1.02, 2.5.1.1)."""
 _TURN_ROUND = (b"\0", b"\xff")
 """Of such bytes the first; no device has these numbers."""
+_PSEUDO_TERMINALS = range(136, 144)
+"""Major numbers of devices (Linux, Documentation/admin-guide/devices.txt)."""
 _FLOOD = 65536
 _CHUNK = 4096
 
@@ -391,12 +395,14 @@ class _SerialPort:
 
     def __init__(self, settings: ModbusSettings, wire: LineWire) -> None:
         self._wire = wire
+        # A pseudo-terminal (socat, ser2net) carries bytes: it takes a parity the first time and refuses it the second.
+        bare = _is_pseudo_terminal(settings.serial)
         self._serial = serial.Serial(
             settings.serial,
             settings.baud,
-            parity=settings.parity,
+            parity="N" if bare else settings.parity,
             stopbits=settings.stopbits,
-            bytesize=settings.bytesize,
+            bytesize=8 if bare else settings.bytesize,
             timeout=0,
             write_timeout=0,
             exclusive=True,
@@ -541,6 +547,14 @@ class _Datagrams(asyncio.DatagramProtocol):
 def add_header(number: int, plain: bytes) -> bytes:
     """Unit and PDU behind a header of Modbus TCP."""
     return number.to_bytes(2, "big") + b"\0\0" + len(plain).to_bytes(2, "big") + plain
+
+
+def _is_pseudo_terminal(path: str) -> bool:
+    try:
+        state = Path(path).stat()
+    except OSError:
+        return False
+    return stat.S_ISCHR(state.st_mode) and os.major(state.st_rdev) in _PSEUDO_TERMINALS
 
 
 def _now() -> float:

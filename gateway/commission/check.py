@@ -147,7 +147,8 @@ def _places(site: Site) -> list[CheckStep]:
     if problems:
         return [failed_step("places", problem) for problem in problems]
     count = sum(request.count for request in plan.requests)
-    return [ok("places", f"{len(plan.requests)} requests for {count} addresses; none is used twice")]
+    places = ok("places", f"{len(plan.requests)} requests for {count} addresses; none is used twice")
+    return [places, *(warning("places", caution) for caution in plan.cautions)]
 
 
 def _models(config: Config, models: ModelsAtStart) -> list[CheckStep]:

@@ -163,6 +163,7 @@ def import_outcome(
         "columns": dict(io_list.sheet.columns),
         "ignored_columns": list(io_list.sheet.ignored),
         "left_out": list(io_list.sheet.left_out),
+        "not_taken": list(io_list.sheet.notes),
         "tags": [
             {
                 "name": tag.name,
@@ -179,6 +180,7 @@ def import_outcome(
         sentence = f"{count} rows cannot be used, nothing was written: correct them, or give --skip-bad"
         return CommandResult({**data, "diff": "", "written": False, "files": [], "backups": []}, sentence)
     done = apply_change(files, wanted, template, dry_run=dry_run)
-    left = [f"import: a row was left out: {problem}" for problem in io_list.problems]
+    left = [f"import: {note}" for note in io_list.sheet.notes]
+    left += [f"import: a row was left out: {problem}" for problem in io_list.problems]
     left += [f"import: {tag.unread}" for tag in io_list.tags if tag.unread]
     return CommandResult({**data, **done, "open_points": left})

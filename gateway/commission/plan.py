@@ -35,6 +35,7 @@ async def plan_scan(site: Site, given_period: float | None) -> CommandResult:
         heard = {"sentences": sentences, "tags": len(device.tags), "period_s": period, "problems": problems}
         complaint = f"{len(problems)} tags cannot be read, the first: {problems[0]}" if problems else ""
         return CommandResult(heard, complaint)
+    site.notes.extend(scan_plan.cautions)
     total = scan_plan.seconds + scan_plan.write_seconds
     data: dict[str, Any] = {
         "requests": [

@@ -143,6 +143,7 @@ def test_the_semantics_benchmark_holds_each_trace_out_once_and_gives_the_gain_wi
         ("units", ("--quick",)),
         ("isolation", ("--quick",)),
         ("unit_faults", ("--quick",)),
+        ("device_habits", ("--quick",)),
     ],
 )
 def test_a_benchmark_prints_its_figures_as_json(name: str, options: Sequence[str]) -> None:

@@ -237,3 +237,47 @@ def test_a_scale_of_the_list_takes_the_place_of_a_factor_in_a_register(tmp_path:
 @pytest.mark.parametrize("header", ["Bauteil", "Teilenummer", "Verteiler"])
 def test_a_part_is_no_divisor(tmp_path: Path, header: str) -> None:
     assert not listed(tmp_path, f"Tag;Address;Type;{header}\nV;40001;INT;7\n").problems
+
+
+def test_the_two_words_of_a_number_are_no_two_numbers(tmp_path: Path) -> None:
+    head = "Name;Description;Address;Type;Scale;Unit\n"
+    rows = (
+        "Energy high word;;40001;UINT16;0,1;kWh\nEnergy low word;;40002;UINT16;0,1;kWh\n"
+        "A;meter, LSW;40011;;;kWh\nB;meter, MSW;40012;;;kWh\nC;raw high word;40021;;;\nD;raw low word;40022;;;\n"
+        "T high;;40031;INT16;0,1;°C\nT low;;40032;INT16;0,1;°C\nHigh;;40041;UINT16;;A\nLow wind;;40042;UINT16;;A\n"
+    )
+    found = listed(tmp_path, head + rows)
+    assert [tag.name for tag in found.tags] == ["C", "D", "T high", "T low", "High", "Low wind"]
+    assert len(found.problems) == 4
+    assert (
+        "line 2: 'Energy high word' is one word of a number of 32 bits, and the other is in line 3" in found.problems[0]
+    )
+    assert "order ABCD" in found.problems[0] and "order CDAB" in found.problems[2]
+    # Raw words are what they say, and two limits may be named as two words are.
+    (note,) = found.sheet.notes
+    assert note.startswith("1 pair of rows may be the two words of one number of 32 bits, as 'T high' and 'T low'")
+
+
+def test_a_bit_has_no_factor_and_no_unit_of_a_number(tmp_path: Path) -> None:
+    head = "Name;Address;Type;Scale;Unit\n"
+    for row in ("A;40001.2;UINT16;;0,01 Ah", "A;40001.2;UINT16;;mV", "A;40001.2;BOOL;0,1;", "A;40001.2;;10;V"):
+        found = listed(tmp_path, head + row)
+        assert not found.tags and "is bit 2 of a register, and has the " in found.problems[0], row
+    for row in (
+        "A;40001.2;UINT16;;",
+        "A;40001.2;BOOL;1;bool",
+        "A;40001.2;UINT16;;0=off,1=on",
+        "A;40001.2;UINT16;1;0/1",
+    ):
+        assert keys(listed(tmp_path, head + row), "A")["bit"] == 2, row
+
+
+def test_int_beside_types_of_c_is_asked_about(tmp_path: Path) -> None:
+    head = "Name;Address;Type;Registers\n"
+    plain = listed(tmp_path, head + "A;40001;INT;\nB;40002;UINT;\n")
+    assert [tag.keys["dtype"] for tag in plain.tags] == ["int16", "uint16"]
+    found = listed(tmp_path, head + "A;40001;INT;\nB;40002;USHORT;\nC;40003;UINT;2\nD;40005;INT;1\nE;40006;UINT16;\n")
+    assert {tag.name: tag.keys["dtype"] for tag in found.tags} == {
+        "B": "uint16", "C": "uint32", "D": "int16", "E": "uint16"
+    }  # fmt: skip
+    assert len(found.problems) == 1 and "'INT' has 16 bits in a PLC, and 32 where SHORT has 16" in found.problems[0]

@@ -83,6 +83,22 @@ def test_a_sensor_of_home_assistant_that_is_not_understood_is_refused(text: str,
     assert isinstance(found, str) and said in found and "line 5" in found
 
 
+def test_a_key_that_nothing_is_made_of_is_said_once_with_its_count(tmp_path: Path) -> None:
+    first = "{name: A, address: 1, virtual_count: 1, lazy_error_count: 3, precision: 1}"
+    rows = first + ", {name: B, address: 9, reverse_order: yes}"
+    text = f"modbus:\n  - name: hub\n    sensors: [{rows}, {{name: C, address: 20, lazy_error_count: 3}}]\n"
+    text += "    binary_sensors: [{name: D, address: 1, device_class: door, verify: x}]\n"
+    found = read(tmp_path, "m.yml", text)
+    notes = [
+        "lazy_error_count is not taken (2 rows)",
+        "reverse_order is not taken (1 row)",
+        "verify is not taken (1 row)",
+    ]
+    assert list(found.sheet.notes) == notes and len(found.tags) == 5
+    taken = answer(tmp_path, "import", tmp_path / "m.yml", "--device", tmp_path / "d.toml", "--dry-run")
+    assert taken["not_taken"] == notes and taken["open_points"] == [f"import: {note}" for note in notes]
+
+
 HOUSE = """
 template: []
 modbus:
@@ -117,7 +133,11 @@ def test_entities_of_several_units_and_connections_are_kept_apart(tmp_path: Path
     }  # fmt: skip
     assert keys(first)["E"]["bit"] == 0 and keys(first)["D"]["period"] == 5
     assert len(first.problems) == 1 and "switches, which Home Assistant writes" in first.problems[0]
+    assert first.sheet.notes == ("1 row of unit 2 was left out (--unit 1)",)
     second = read(tmp_path, "m.yml", HOUSE, Reading(unit=2), "roof")
+    assert second.sheet.notes == ("6 rows of unit 1 were left out (--unit 2)",)
+    with pytest.raises(ListError, match="no row of unit 3; it has 1, 2"):
+        read(tmp_path, "m.yml", HOUSE, Reading(unit=3), "roof")
     assert keys(second)["B"]["period"] == 5 and second.tags[0].taken == "unit 2"
 
 

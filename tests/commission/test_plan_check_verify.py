@@ -87,6 +87,20 @@ def test_tags_that_share_registers_are_named(tmp_path: Path) -> None:
     assert data["exit"] == 1 and "A and B overlap" in data["problems"][0]
 
 
+def test_a_period_that_comes_to_nothing_is_said(tmp_path: Path) -> None:
+    path = tmp_path / "plc.toml"
+    head = '[device]\nname = "a"\ndriver = "modbus"\nhost = "10.0.0.1"\nclose_between_scans = true\n'
+    tags = '[[tags]]\nname = "A"\naddress = "holding:1"\nperiod = 60\n[[tags]]\nname = "B"\naddress = "holding:2"\n'
+    path.write_text(head + tags, encoding="utf-8")
+    (note,) = answer(tmp_path, "plan", "--device", path)["notes"]
+    assert note.startswith("period: A is read with every scan all the same") and "give identity" in note
+    data = answer(tmp_path, "check", "--device", path, "--offline")
+    assert data["ok"] and [one["sentence"] for one in data["steps"] if one["state"] == "warning"].count(note) == 1
+    for text in (head + '[device.identity]\n"server id" = "x"\n' + tags, head.replace("true", "false") + tags):
+        path.write_text(text, encoding="utf-8")
+        assert not answer(tmp_path, "plan", "--device", path)["notes"]
+
+
 @pytest.mark.parametrize("link", ["canopen", "can"])
 def test_a_device_that_speaks_by_itself_shows_its_messages(
     device: tuple[Process, Path], tmp_path: Path, link: str

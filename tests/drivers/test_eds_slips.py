@@ -74,6 +74,36 @@ def test_an_xdd_gives_the_objects_that_it_has(tmp_path: Path) -> None:
             read(tmp_path, text)
 
 
+PROFILE = """<?xml version="1.0"?>
+<ISO15745ProfileContainer xmlns="http://www.canopen.org/xml/1.1"><!-- <CANopenObject index="9"/>
+--><CANopenObjectList>
+<CANopenObject index="1000" name="Device type" objectType="7" uniqueIDRef="A"/>
+<CANopenObject index="2100" name="T" objectType="9" uniqueIDRef="B">
+<CANopenSubObject subIndex="00" name="n" objectType="7" uniqueIDRef="C"/>
+<CANopenSubObject subIndex="01" name="Bearing" objectType="7" PDOmapping="TPDO" uniqueIDRef="D"/>
+<CANopenSubObject subIndex="02" name="Bits" objectType="7" uniqueIDRef="E"/>
+</CANopenObject></CANopenObjectList><q:ApplicationProcess xmlns:q="urn:q"><q:parameterList>
+<q:parameter uniqueID="A"><UDINT/><q:defaultValue value="0x191"/></q:parameter>
+<q:parameter uniqueID="B"><q:dataTypeIDRef uniqueIDRef="X"/></q:parameter>
+<q:parameter uniqueID="C" access="const"><USINT/><q:defaultValue value="2"/></q:parameter>
+<q:parameter uniqueID="D" access="readWriteInput"><INT/></q:parameter>
+<q:parameter uniqueID="E" access="read"><BITSTRING/></q:parameter>
+</q:parameterList></q:ApplicationProcess></ISO15745ProfileContainer>"""
+
+
+def test_an_xdd_may_say_of_an_object_elsewhere_what_it_is(tmp_path: Path) -> None:
+    sheet = read(tmp_path, PROFILE)
+    assert sheet.value(ObjectPlace(0x1000)) == 0x191 and sheet.value(ObjectPlace(0x2100, 0)) == 2
+    first, number, bearing = (sheet.objects[ObjectPlace(*at)] for at in ((0x1000, 0), (0x2100, 0), (0x2100, 1)))
+    assert [(one.size, one.readable, one.writable) for one in (first, number, bearing)] == [
+        (4, True, False), (1, True, False), (2, True, True)
+    ]  # fmt: skip
+    assert sheet.bits(ObjectPlace(0x2100, 1)) == 16
+    # What is of no type that is known here costs itself, with the line of the file.
+    (said,) = sheet.left_out
+    assert "line 8: [2100sub2] is left out" in said
+
+
 def test_the_shared_sheet_is_read() -> None:
     path = Path(__file__).parents[3] / "shared" / "cases" / "devices" / "eds_vendor_number" / "device.eds"
     if not path.is_file():

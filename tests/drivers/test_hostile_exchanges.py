@@ -29,7 +29,7 @@ def test_the_judge_sees_ids_that_begin_at_one_with_each_connection(monkeypatch: 
         plain(self, ids, *others)  # type: ignore[arg-type]
 
     monkeypatch.setattr(ReplyStream, "__init__", begin_anew)
-    assert suffer("tcp", 3000, seed=7).wrong > 0
+    assert suffer("tcp", 3000, seed=36).wrong > 0
 
 
 def test_the_judge_sees_a_reply_that_was_cut_short_and_made_whole(monkeypatch: pytest.MonkeyPatch) -> None:

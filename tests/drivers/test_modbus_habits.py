@@ -1,16 +1,9 @@
 """Habits of real devices: each is read good, or named in one sentence with the setting that reads it."""
 
 import asyncio
-import os
-import pty
 import random
 import re
-import struct
-import tty
-from collections.abc import AsyncIterator, Callable, Sequence
-from contextlib import asynccontextmanager
-from dataclasses import dataclass, field
-from itertools import count
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -18,152 +11,12 @@ import pytest
 
 from drivers.device_file import DeviceFile, TagTable
 from drivers.errors import DeviceException, LinkDown, NotAsked, ReplyTimeout, WriteUnverified
-from drivers.modbus import rtu
 from drivers.modbus.driver import ModbusDriver, open_modbus
 from drivers.modbus.settings import ModbusSettings
 from drivers.modbus.survey import open_survey
-from drivers.tag import DType, Quality, Tag
-from tests.drivers.certified import folder as certificates
-from tests.drivers.certified import server_context
-from tests.rig.device_habits import HABITS, LINE, PAGE, PTY, TCP, TLS, DeviceHabit, page
-
-TAGS = [Tag(f"T{number}", f"holding:{number}", DType.INT16, writable=True) for number in range(8)]
-SOON = {"timeout": 0.15, "backoff_first": 0.01, "backoff_cap": 0.02}
-"""Short waits; a machine that is loaded makes them longer, which costs the tests nothing but time."""
-
-
-@dataclass
-class Habit:
-    """A device with one habit or several: registers 0 to 7 hold their own numbers."""
-
-    quiet: float = 0.0
-    silent_at: int = -1
-    busy: int = 0
-    stale: int = 0
-    transaction: int | None = None
-    unit: int | None = None
-    lead: bytes = b""
-    late: float = 0.0
-    echo: bool = False
-    hidden: bool = False
-    single: bool = False
-    ends_connections: bool = False
-    even: bool = False
-    most: int = 125
-    serial: bool = False
-    registers: dict[int, int] = field(default_factory=lambda: {number: number for number in range(8)})
-    requests: list[tuple[int, int, int]] = field(default_factory=list)
-    _former: list[dict[int, int]] = field(default_factory=list)
-    _asked: Any = field(default_factory=count)
-
-    def answer(self, pdu: bytes) -> bytes | None:
-        function, start, number = struct.unpack(">BHH", pdu[:5])
-        self.requests.append((function, start, number))
-        if self.busy and next(self._asked) % 3 < self.busy:
-            return bytes((function | 0x80, 6))
-        if function == 16 and self.single:
-            return bytes((16 | 0x80, 1))
-        if function == 6:
-            self._former = [dict(self.registers)] * self.stale
-            self.registers[start] = number
-            return pdu[:5]
-        if function == 3 and (number > self.most or (self.even and (start % 2 or number % 2))):
-            return bytes((3 | 0x80, 3))
-        if function == 3 and start <= self.silent_at < start + number:
-            return None
-        if function == 16:
-            self._former = [dict(self.registers)] * self.stale
-            self.registers |= dict(
-                zip(range(start, start + number), struct.unpack(f">{number}H", pdu[6:]), strict=True)
-            )
-            return pdu[:5]
-        shown = self._former.pop() if self._former else self.registers
-        if self.hidden:
-            shown = {number: number for number in range(8)}
-        return struct.pack(f">BB{number}H", function, 2 * number, *(shown[at] for at in range(start, start + number)))
-
-    async def serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        born = asyncio.get_running_loop().time()
-        try:
-            while True:
-                head = await reader.readexactly(1 if self.serial else 7)
-                size = 7 if self.serial else int.from_bytes(head[4:6], "big") - 1
-                request = await reader.readexactly(size)
-                if self.serial and request[0] == 16:
-                    request += await reader.readexactly(request[5] + 1)
-                if self.echo:
-                    writer.write(head + request)
-                pdu = self.answer(request[:-2] if self.serial else request)
-                if pdu is None or asyncio.get_running_loop().time() < born + self.quiet:
-                    continue
-                await asyncio.sleep(self.late)
-                unit = bytes((head[-1] if self.unit is None else self.unit,))
-                if self.serial:
-                    writer.write(self.lead + unit + pdu + rtu.crc(unit + pdu))
-                    continue
-                number = head[:2] if self.transaction is None else self.transaction.to_bytes(2, "big")
-                writer.write(number + b"\0\0" + (len(pdu) + 1).to_bytes(2, "big") + unit + pdu)
-                if self.ends_connections:
-                    writer.close()
-                    return
-        except (asyncio.IncompleteReadError, OSError, asyncio.CancelledError):
-            writer.close()
-
-
-@asynccontextmanager
-async def served(habit: Habit, link: str = "", folder: Path = Path(), **settings: Any) -> AsyncIterator[dict[str, Any]]:
-    """The settings of a driver for the device, over `link`; `folder` is for certificates."""
-    link = link or (LINE if habit.serial else TCP)
-    if link == PTY:
-        async with on_a_pty(habit) as path:
-            yield {"transport": PTY, "serial": path, **SOON, **settings}
-        return
-    context = server_context(folder / "server") if link == TLS else None
-    server = await asyncio.start_server(habit.serve, "127.0.0.1", 0, ssl=context)
-    own = {"certificates": str(certificates(folder / "client"))} if link == TLS else {}
-    try:
-        port = server.sockets[0].getsockname()[1]
-        yield {"transport": link, "host": "127.0.0.1", "port": port, **SOON, **own, **settings}
-    finally:
-        server.close()
-
-
-@asynccontextmanager
-async def on_a_pty(habit: Habit) -> AsyncIterator[str]:
-    """The device at the other end of a serial port, whose path it is."""
-    loop, (near, far) = asyncio.get_running_loop(), pty.openpty()
-    tty.setraw(far)
-    reader = asyncio.StreamReader()
-    receiving, _ = await loop.connect_read_pipe(
-        lambda: asyncio.StreamReaderProtocol(reader),
-        open(near, "rb", buffering=0, closefd=False),  # noqa: SIM115
-    )
-    sending, protocol = await loop.connect_write_pipe(
-        asyncio.streams.FlowControlMixin,
-        open(near, "wb", buffering=0, closefd=False),  # noqa: SIM115
-    )
-    writer = asyncio.StreamWriter(sending, protocol, reader, loop)
-    task = asyncio.ensure_future(habit.serve(reader, writer))
-    try:
-        yield os.ttyname(far)
-    finally:
-        task.cancel()
-        await asyncio.gather(task, return_exceptions=True)
-        receiving.close()
-        await asyncio.sleep(0)
-        os.close(near)
-        os.close(far)
-
-
-@asynccontextmanager
-async def driven(habit: Habit, link: str = "", folder: Path = Path(), **settings: Any) -> AsyncIterator[ModbusDriver]:
-    async with served(habit, link, folder, **settings) as given:
-        driver = open_modbus(given, clock=asyncio.get_running_loop().time, write_map=TAGS)
-        try:
-            await driver.open()
-            yield driver
-        finally:
-            await driver.close()
+from drivers.tag import Quality
+from tests.rig.device_habits import HABITS, PAGE, PTY, DeviceHabit, page
+from tests.rig.habit_wires import TAGS, WALKED, Habit, Together, draw_habits, driven, served
 
 
 async def values(driver: ModbusDriver, done: Callable[[list[int | None]], bool]) -> list[int | None]:
@@ -216,6 +69,28 @@ async def test_silence_at_one_register_of_a_line_costs_that_register_too() -> No
         assert found[5] is None
 
 
+@pytest.mark.parametrize("serial", [False, True], ids=["tcp", "line"])
+@pytest.mark.parametrize(("even", "left_out"), [(True, ()), (False, (6,))], ids=["a block", "a tag by itself"])
+async def test_silence_to_all_of_a_block_costs_that_block_alone(
+    serial: bool, even: bool, left_out: tuple[int, ...]
+) -> None:
+    # With `even` a block of two is asked as a whole whichever of them is meant; without a neighbour a tag is a block.
+    place, limits = (5, {"aligned": 2, "max_registers": 4, "max_write_registers": 8}) if even else (7, {"max_gap": 0})
+    habit = Habit(serial=serial, silent_at=place, even=even)
+    tags = [tag for number, tag in enumerate(TAGS) if number not in left_out]
+    more = {"longest_reply": 0.2} if serial else {}
+    async with asyncio.timeout(60), driven(habit, refused_first=600.0, refused_cap=600.0, **limits, **more) as driver:
+        while not any(sample.quality is Quality.CONFIGURATION_ERROR for sample in await driver.read(tags)):
+            pass
+        asked = len(habit.requests)
+        samples = await driver.read(tags)
+        refused = {sample.tag for sample in samples if sample.quality is Quality.CONFIGURATION_ERROR}
+        assert refused == ({"T4", "T5"} if even else {"T7"})
+        assert all(sample.quality.is_good for sample in samples if sample.tag not in refused)
+        assert all("no reply" in sample.reason for sample in samples if sample.tag in refused)
+        assert not any(start <= place < start + count for _, start, count in habit.requests[asked:])
+
+
 async def test_a_search_by_silence_takes_no_reading_longer_than_its_time() -> None:
     loop = asyncio.get_running_loop()
     async with driven(Habit(silent_at=5), timeout=0.3, attempts=1) as driver:
@@ -265,6 +140,15 @@ async def test_without_its_setting_the_habit_is_named() -> None:
             assert not sample.quality.is_good and word in sample.reason
 
 
+async def test_a_pseudo_terminal_is_opened_again_whatever_its_parity() -> None:
+    async with served(Habit(serial=True), PTY, parity="E", timeout=1.0) as settings:
+        for _ in range(2):
+            driver = open_modbus(settings, clock=asyncio.get_running_loop().time)
+            await driver.open()
+            assert await values(driver, lambda found: None not in found) == list(range(8))
+            await driver.close()
+
+
 async def test_waiting_on_a_line_says_what_went_wrong_before() -> None:
     async with driven(Habit(serial=True, echo=True)) as driver:
         await driver.read(TAGS)
@@ -292,20 +176,12 @@ async def test_a_device_that_is_not_there_is_said_to_be_silent() -> None:
 
 # ---------------------------------------------------------------- the table of habits
 
-WALKED = [row for row in HABITS if row.wire]
-_APART = ({"quiet", "ends_connections"}, {"hidden", "stale"})
-"""Habits that no device has together: one that is quiet after each connection and ends each would never be read."""
 
-
-async def walk(rows: Sequence[DeviceHabit], link: str, folder: Path) -> None:
+async def walk(together: Together, link: str, folder: Path) -> None:
     """A device with these habits is read, all but what it refuses, and takes a block; nothing wrong is good."""
-    needs = {key: value for row in rows for key, value in row.needs.items()}
-    line = link in (LINE, PTY)
-    habit = Habit(serial=line, **{key: value for row in rows for key, value in row.wire.items()})
-    own = {"timeout": 0.5, "longest_reply": 0.6} if line else {"timeout": 0.5}
-    silent = set() if habit.silent_at < 0 else {habit.silent_at}
-    lost = {4, 5} if silent and habit.even else silent
-    async with driven(habit, link, folder, **own, **needs) as driver:
+    habit = together.device(link)
+    lost = together.lost(habit)
+    async with driven(habit, link, folder, **together.settings(link)) as driver:
         found = await values(driver, lambda found: found.count(None) == len(lost))
         assert {place for place, value in enumerate(found) if value is None} == lost
         async with asyncio.timeout(60):
@@ -327,22 +203,13 @@ async def walk(rows: Sequence[DeviceHabit], link: str, folder: Path) -> None:
     ("row", "link"), [(row, link) for row in WALKED for link in row.over], ids=lambda of: getattr(of, "habit", of)
 )
 async def test_each_habit_is_read_alone(row: DeviceHabit, link: str, tmp_path: Path) -> None:
-    await walk([row], link, tmp_path)
-
-
-def drawn(rng: random.Random) -> tuple[list[DeviceHabit], str]:
-    """Two or three habits that a device may have together, and its link."""
-    while True:
-        link = rng.choice((TCP, LINE, TLS, PTY))
-        rows = rng.sample([row for row in WALKED if link in row.over], rng.choice((2, 3)))
-        wires = {key for row in rows for key in row.wire}
-        if not any(apart <= wires for apart in _APART):
-            return rows, link
+    await walk(Together((row,)), link, tmp_path)
 
 
 async def test_drawn_habits_together_leave_every_other_register_readable(tmp_path: Path) -> None:
     rng = random.Random(39)
-    await asyncio.gather(*(walk(*drawn(rng), tmp_path) for _ in range(60)))
+    drawn = [draw_habits(rng) for _ in range(60)]
+    await asyncio.gather(*(walk(together, rng.choice(together.links), tmp_path) for together in drawn))
 
 
 def test_the_page_of_habits_is_the_table() -> None:

@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 from click.testing import CliRunner
 from pymodbus.client import AsyncModbusTcpClient
+from pymodbus.pdu import ExceptionResponse
 
 from drivers.settings import ConfigError
 from drivers.tag import Quality, Sample
@@ -200,6 +201,65 @@ def test_a_client_that_knows_of_no_units_reads_the_first_machine() -> None:
     several = PeerServer("127.0.0.1", 0, {3: Numbers(), 5: Numbers()})
     assert several.answer(1, request_) == bytes((0x83, 10)), "of several machines none is unit 1"
     assert server.answer(4, request_) == bytes((0x83, 10))
+
+
+async def test_every_function_of_a_foreign_master_is_answered_as_the_specification_says(tmp_path: Path) -> None:
+    """V1.1b3, 6: function, then quantity, then address. V1.0b, page 23: units 0 and 255 are the server's own."""
+    config, now = config_in(tmp_path), [EPOCH]
+    gone = {CURRENT, "Coppia"}
+    tags = tuple(tag for tag in config.map.tags if tag.name not in gone)
+    image = image_of(replace(config, links=(replace(config.links[0], map=replace(config.map, tags=tags)),)), now)
+    image.take(scan_of({name: value for name, value in at_rest(config).items() if name not in gone}, EPOCH))
+    server = PeerServer("127.0.0.1", 0, {5: image})
+    task = await serving(server)
+    peer = AsyncModbusTcpClient("127.0.0.1", port=server.port, retries=0, timeout=60)
+    end = max(row.start + row.count for row in image.rows)
+    try:
+        assert await peer.connect()
+        for unit in (0, 1, 5, 255, 6):
+            own = {"device_id": unit}
+            there = unit != 6
+            block = await peer.read_holding_registers(100, count=end - 100, **own)
+            whole = await peer.read_input_registers(STATE, count=4 + 2 * len(image.rows), **own)
+            assert block.isError() != there and whole.isError() != there
+            assert not there or block.registers[1:3] == [0, 0], "a hole is 0"
+            asked = {
+                "coils": (peer.read_coils(0, count=1, **own), 2),
+                "discrete inputs": (peer.read_discrete_inputs(0, count=1, **own), 2),
+                "input registers that are not there": (peer.read_input_registers(100, count=1, **own), 2),
+                "a hole alone": (peer.read_holding_registers(101, count=1, **own), 2),
+                "over the end": (peer.read_holding_registers(100, count=end - 99, **own), 2),
+                "before the beginning": (peer.read_holding_registers(99, count=2, **own), 2),
+                "over the state's end": (peer.read_input_registers(STATE, count=len(whole.registers) + 1, **own), 2),
+                "beyond 65535": (peer.read_holding_registers(65535, count=2, **own), 2),
+                "one coil": (peer.write_coil(0, True, **own), 1),
+                "one register": (peer.write_register(100, 1, **own), 1),
+                "coils, written": (peer.write_coils(0, [True, False], **own), 1),
+                "registers, written": (peer.write_registers(100, [1, 2], **own), 1),
+                "a mask": (peer.mask_write_register(address=100, **own), 1),
+                "both": (peer.readwrite_registers(read_address=100, read_count=1, values=[1], **own), 1),
+                "identity": (peer.read_device_information(**own), 1),
+            }  # fmt: skip
+            # pymodbus asks for none of these itself.
+            for function, most in ((1, 2000), (2, 2000), (3, 125), (4, 125)):
+                for count in (0, most + 1, 0xFFFF):
+                    asked[f"{count} of function {function}"] = (plain_request(server, unit, function, 0, count), 3)
+            for what, (reply, code) in asked.items():
+                assert (await reply).exception_code == (code if there else 10), (unit, what)
+    finally:
+        peer.close()
+        task.cancel()
+        await asyncio.wait({task})
+
+
+async def plain_request(server: PeerServer, unit: int, function: int, start: int, count: int) -> ExceptionResponse:
+    """The exception that a request is answered with over a connection of its own."""
+    reader, writer = await asyncio.open_connection("127.0.0.1", server.port)
+    writer.write(struct.pack(">HHHBBHH", 7, 0, 6, unit, function, start, count))
+    transaction, _, length, answers, refused, code = struct.unpack(">HHHBBB", await reader.readexactly(9))
+    writer.close()
+    assert (transaction, length, answers, refused) == (7, 3, unit, function | 0x80)
+    return ExceptionResponse(function, code)
 
 
 async def test_a_foreign_master_reads_from_the_gateway_what_it_has_read_of_a_plc_with_one_connection(

@@ -6,6 +6,7 @@ import pytest
 
 from drivers.tag import Order
 from sim.plc.program.checks import InputError
+from sim.plc.program.image import ProcessImage
 from sim.plc.program.registers import Place, read_map
 from tests.plc.bench import DECANTER
 
@@ -104,3 +105,64 @@ def test_two_bits_may_share_a_register_but_not_a_bit(tmp_path: Path) -> None:
     path.write_text(head + bit.format("A", 1) + bit.format("B", 1))
     with pytest.raises(InputError, match="belongs to 'A'"):
         read_map(path)
+
+
+SCALED = """
+[device]
+name = "inverter"
+driver = "modbus"
+[[tags]]
+name = "V"
+address = "holding:10"
+dtype = "int16"
+scale_from = "holding:12"
+sentinel = -32768
+[[tags]]
+name = "I"
+address = "holding:11"
+dtype = "int16"
+scale_from = "holding:12"
+"""
+
+
+def test_values_are_served_with_the_factor_by_which_they_all_fit(tmp_path: Path) -> None:
+    (tmp_path / "map.toml").write_text(SCALED)
+    image = ProcessImage(read_map(tmp_path / "map.toml"))
+
+    def served() -> tuple[float, float]:
+        image.serve()
+        volts, amperes, power = (word - (word >> 15 << 16) for word in image.read("holding", 10, 3))
+        return volts * 10.0**power, amperes * 10.0**power
+
+    image.learn({"V": 3.123456, "I": 0.5})
+    assert image.read("holding", 10, 3) == [0, 0, 0]
+    assert served() == pytest.approx((3.1235, 0.5), abs=1e-12)
+    image.learn({"V": 230.46})
+    assert served() == pytest.approx((230.46, 0.5), abs=1e-12)
+    # A factor that grows rounds what shares it; what is true is what the registers say.
+    changed = image.learn({"I": 1000.26})
+    assert changed == pytest.approx({"V": 230.5, "I": 1000.3}) and served() == pytest.approx((230.5, 1000.3))
+    assert image.learn({"V": None}) == {"V": None}
+    image.serve()
+    assert image.read("holding", 10, 1) == [0x8000]
+    # With a tag that is frozen its factor stands, and what is told by it.
+    image.learn({"V": 231.0, "I": 9000.0})
+    image.serve(lambda name: name == "V")
+    assert image.read("holding", 10, 3) == [0x8000, 10003, 0xFFFF]
+    assert served() == pytest.approx((231.0, 9000.0))
+
+
+def test_a_tag_at_a_factors_register_says_the_factor(tmp_path: Path) -> None:
+    own = '[[tags]]\nname = "SF"\naddress = "holding:12"\ndtype = "int16"\n'
+    (tmp_path / "map.toml").write_text(SCALED + own)
+    image = ProcessImage(read_map(tmp_path / "map.toml"))
+    image.learn({"V": 230.4})
+    image.serve()
+    assert image.truth["SF"] == -2 and image.read("holding", 10, 3) == [23040, 0, 0xFFFE]
+    for wrong in (own.replace("int16", "uint16"), own + "scale = 0.1\n", own.replace(":12", ":11")):
+        (tmp_path / "map.toml").write_text(SCALED + wrong)
+        with pytest.raises(InputError, match=r"factor of 'V'|belongs to 'I'"):
+            read_map(tmp_path / "map.toml")
+    (tmp_path / "map.toml").write_text(SCALED.replace('scale_from = "holding:12"', 'scale_from = "coil:12"'))
+    with pytest.raises(InputError, match="is one bit; give a register"):
+        read_map(tmp_path / "map.toml")

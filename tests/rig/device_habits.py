@@ -47,9 +47,10 @@ HABITS: tuple[DeviceHabit, ...] = (
         wire={"quiet": 0.4},
     ),
     DeviceHabit(
-        habit="is silent at one register, instead of refusing it",
+        habit="is silent at registers, instead of refusing them",
         found="the device answers at another place while a block has no answer",
-        done="silence is bisected as a refusal is, over several readings, and the place waits in quarantine",
+        done="silence is bisected as a refusal is, over several readings; what is silent while another place answers "
+        "waits in quarantine",
         threads=("yaacov/node-modbus-serial#505",),
         wire={"silent_at": 5},
     ),
@@ -153,7 +154,8 @@ HABITS: tuple[DeviceHabit, ...] = (
     DeviceHabit(
         habit="serves one client, and others need it between two scans",
         found="it refuses the second connection",
-        done="with the setting the connection is closed after each scan and made for the next",
+        done="with the setting the connection is closed after each scan and made for the next; without `identity` a "
+        "tag's `period` is idle then, which `check` says, since another device may answer the next time",
         setting="close_between_scans",
         threads=("BiancoRoyal/node-red-contrib-modbus#538", "influxdata/telegraf#11919"),
         test=f"{_DEVICES}::test_a_connection_is_left_to_others_between_two_scans",

@@ -60,7 +60,8 @@ class ListRow:
 class ListSheet:
     """A list as it was read: which header each column was recognised by, those that were not, and the rows.
 
-    `left_out` is what of a list without columns is no row of it by its own rules.
+    `left_out` is what of a list without columns is no row of it by its own rules, `notes` are sentences on what was not
+    read of the whole.
     """
 
     path: Path
@@ -69,6 +70,7 @@ class ListSheet:
     ignored: tuple[str, ...]
     lines: tuple[ListRow, ...]
     left_out: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
     def where(self, line: ListRow, column: str = "") -> str:
         """File, line and the column's own header, to begin a sentence with."""

@@ -82,6 +82,7 @@ def _view(data: Mapping[str, Any]) -> Iterator[Part]:
             yield f"no tags: {', '.join(data['left_out'])}"
         if data["ignored_columns"]:
             yield f"columns without use: {', '.join(map(repr, data['ignored_columns']))}"
+        yield from (Line(note, "yellow") for note in data["not_taken"])
         keys = [key for key in _COLUMNS if any(tag.get(key) not in (None, "") for tag in data["tags"])]
         rows = [
             {key: f"{cell:.10g}" if isinstance(cell, float) else cell for key, cell in tag.items()}

@@ -6,11 +6,11 @@ are possible an option asks for the one.
 
 import csv
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 from drivers.codec import integer_range
 from drivers.named_files import contents
@@ -24,6 +24,7 @@ from gateway.commission.files.cells import (
     parse_decimal,
     read_sheet,
 )
+from gateway.commission.files.io_halves import Listed, part_halves
 from gateway.commission.files.io_models import ModelError, read_model
 from gateway.commission.files.io_places import SIEMENS, AddressCell, ListedPlace, Numbering, parse_place
 from gateway.commission.files.io_polls import by_formula, is_iobroker, of_iobroker, read_polls
@@ -52,6 +53,11 @@ _MOST_DIGITS = 20
 _SCALE_DECIMALS = 9
 _RANGE_TOLERANCE = 1e-3
 """A range ends where a type does if they differ by less, as a part of it."""
+_SHORTS = frozenset({"short", "ushort", "unsigned short", "signed short"})
+_INTS = frozenset({"int", "uint", "unsigned int", "signed int"})
+_UNITS_OF_BITS = frozenset(
+    {"bit", "bits", "bool", "boolean", "flag", "on off", "off on", "0 1", "state", "status", "1"}
+)
 _SINGLE = frozenset({"bool", "int8", "uint8", "int16", "uint16", "bcd16", "string"})
 
 
@@ -78,21 +84,6 @@ class Reading:
 
 
 @dataclass(frozen=True, slots=True)
-class Listed:
-    """A tag of the list: its keys as the device file has them (None: not written there), its line, how it was taken.
-
-    `written` is its address as the list has it; `unread` says what of the row may change its numbers and is not read.
-    """
-
-    name: str
-    keys: Mapping[str, Any]
-    line: int
-    taken: str = ""
-    written: str = ""
-    unread: str = ""
-
-
-@dataclass(frozen=True, slots=True)
 class IoList:
     """A list as it was understood. `problems` are sentences, one for each row that is no tag."""
 
@@ -112,16 +103,19 @@ def read_io_list(path: Path, how: Reading, columns: Mapping[str, str] | None = N
     how = replace(how, gain=how.gain or _gain_of_the_list(sheet))
     tags: list[Listed] = []
     problems: list[str] = []
+    shorts = any(header_key(line.get("dtype")) in _SHORTS for line in sheet.lines)
     for line in sheet.lines:
         try:
-            tags.append(_read_row(_ListedRow(sheet, line, how, numbering), tags))
+            tags.append(_read_row(_ListedRow(sheet, line, how, numbering, shorts), tags))
         except RowError as error:
             problems.append(f"{sheet.where(line, error.column)}: {error}")
     if not tags and not problems and not sheet.columns:
         raise ListError(f"{path}: has no registers; give a list with one entry a tag")
     if not tags and not problems:
         raise ListError(f"{path}: has a header in line {sheet.header_line} and no row under it; give one row a tag")
-    return IoList(sheet, tuple(tags), tuple(problems))
+    tags, torn, note = part_halves(sheet, tags)
+    sheet = replace(sheet, notes=(*sheet.notes, note)) if note else sheet
+    return IoList(sheet, tuple(tags), (*problems, *torn))
 
 
 def _structured(path: Path, how: Reading, page: str | None) -> ListSheet | None:
@@ -137,7 +131,7 @@ def _structured(path: Path, how: Reading, page: str | None) -> ListSheet | None:
         raise ListError(f"{path}: byte {error.start} is not UTF-8; save the file as UTF-8") from None
     try:
         if kind != ".json":
-            return ListSheet(path, 0, {}, (), _of_one_unit(read_yaml(text, page), how.unit))
+            return _of_one_unit(ListSheet(path, 0, {}, (), ()), read_yaml(text, page), how.unit)
         rows, left_out = read_model(text, how.repeats)
     except (ModelError, TemplateError) as error:
         raise ListError(f"{path}: {error}") from None
@@ -153,7 +147,7 @@ def _polled(path: Path, how: Reading) -> ListSheet | None:
     """A configuration of modpoll; None for any other file."""
     with suppress(OSError, csv.Error):
         if (listed := read_polls(contents(path).decode("utf-8-sig", errors="replace"))) is not None:
-            return ListSheet(path, 0, {}, (), _of_one_unit(listed, how.unit))
+            return _of_one_unit(ListSheet(path, 0, {}, (), ()), listed, how.unit)
     return None
 
 
@@ -178,24 +172,43 @@ def _of_units(sheet: ListSheet, how: Reading) -> ListSheet:
     own = is_iobroker(headers)
     rows = [replace(row, cells=of_iobroker(row.cells)) if own else row for row in sheet.lines]
     if "unit_id" in sheet.columns:
-        return replace(sheet, lines=_of_one_unit([ListedUnit(row, row.get("unit_id")) for row in rows], how.unit))
+        return _of_one_unit(sheet, [ListedUnit(row, row.get("unit_id")) for row in rows], how.unit)
     return replace(sheet, lines=tuple(rows)) if own else sheet
 
 
-def _of_one_unit(listed: Sequence[ListedUnit], unit: int | None) -> tuple[ListRow, ...]:
-    """The rows of the unit that is meant; where it is not said and there are several each row of them is refused."""
+def _of_one_unit(sheet: ListSheet, listed: Sequence[ListedUnit], unit: int | None) -> ListSheet:
+    """The list with the rows of the unit that is meant, and a note on the others and on keys that were not taken.
+
+    Where the unit is not said and there are several each row of them is refused.
+    """
     units = sorted({one.unit for one in listed if one.unit})
+    notes: list[str] = []
     if unit is not None and len(units) > 1:
+        others = Counter(one.unit for one in listed if one.unit not in ("", str(unit)))
+        notes += [
+            f"{_count(number, 'row')} of unit {other} {'was' if number == 1 else 'were'} left out (--unit {unit})"
+            for other, number in sorted(others.items())
+        ]
         listed = [one for one in listed if one.unit in ("", str(unit))]
+        if not any(one.unit for one in listed):
+            raise ListError(f"{sheet.path}: has no row of unit {unit}; it has {', '.join(units)}: give --unit")
         units = [str(unit)]
+    untaken = Counter(key for one in listed for key in one.untaken)
+    notes += [f"{key} is not taken ({_count(number, 'row')})" for key, number in sorted(untaken.items())]
     if len(units) < 2:
         said = f"unit {units[0]}" if units else ""
-        return tuple(replace(one.row, cells=_beside(one.row.cells, said if one.unit else "")) for one in listed)
-    several = f"is of unit {{}}, and the list has {', '.join(units)}: give --unit"
-    return tuple(
-        replace(one.row, cells={"refused": several.format(one.unit), **one.row.cells}) if one.unit else one.row
-        for one in listed
-    )
+        rows = [replace(one.row, cells=_beside(one.row.cells, said if one.unit else "")) for one in listed]
+    else:
+        several = f"is of unit {{}}, and the list has {', '.join(units)}: give --unit"
+        rows = [
+            replace(one.row, cells={"refused": several.format(one.unit), **one.row.cells}) if one.unit else one.row
+            for one in listed
+        ]
+    return replace(sheet, lines=tuple(rows), notes=tuple(notes))
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number} {what}" + ("" if number == 1 else "s")
 
 
 def _beside(cells: Mapping[str, str], said: str) -> dict[str, str]:
@@ -206,12 +219,13 @@ def _beside(cells: Mapping[str, str], said: str) -> dict[str, str]:
 
 @dataclass(frozen=True, slots=True)
 class _ListedRow:
-    """A row with what is known of its list."""
+    """A row with what is known of its list; `shorts`: it has types of C, whose INT is no PLC's."""
 
     sheet: ListSheet
     line: ListRow
     how: Reading
     numbering: Numbering
+    shorts: bool = False
 
     def get(self, column: str) -> str:
         return self.line.get(column)
@@ -249,6 +263,8 @@ def _read_row(row: _ListedRow, before: Sequence[Listed]) -> Listed:
     address, place = _address(row, cell)
     dtype, length = _type(row, cell, place, address)
     numeric = dtype not in ("bool", "string")
+    if place.bit is not None:
+        _check_bit(row, cell, place.bit)
     scaling = _scaling(row, dtype) if numeric else _Scaling()
     order, said = _order(row, cell, dtype, place)
     shared = _share_note(before, row, address, place)
@@ -272,6 +288,19 @@ def _read_row(row: _ListedRow, before: Sequence[Listed]) -> Listed:
     if numeric and scaling.scale is None and _SCALE_IN_WORDS.search(remark := line.get("remark")):
         unread = f"{row.sheet.where(line, 'remark')}: {remark!r} may say a scale, which is not read: give it a column"
     return Listed(name, keys, line.number, taken, line.get("address"), unread)
+
+
+def _check_bit(row: _ListedRow, cell: TypeCell, bit: int) -> None:
+    """Raises RowError for a number's factor or unit beside the address of one bit: one of them is something else."""
+    try:
+        factor = _scale_cell(row.line) or (None if row.line.get("exact") else parse_unit(row.get("unit"))[1])
+    except (RowError, ValueError):
+        factor = None  # such as `0=off, 1=on`, which is of no use for a bit
+    unit = "" if row.get("unit") in _EMPTY else row.get("unit")
+    unit = "" if header_key(unit) in _UNITS_OF_BITS or _NAMES_OF_VALUES.fullmatch(unit) else unit
+    if (factor is not None and factor.number != 1) or (unit and cell.dtype not in ("", "bool")):
+        what = f"the unit {unit!r}" if unit else f"the scale {row.get('scale')!r}"
+        raise RowError("address", f"{row.get('address')!r} is bit {bit} of a register, and has {what}; correct one")
 
 
 _SCALE_IN_WORDS = re.compile(
@@ -618,6 +647,14 @@ def _type(row: _ListedRow, cell: TypeCell, place: ListedPlace, address: str) -> 
         if length <= 0:
             raise RowError("dtype", "a string needs its length in bytes: write STRING[16], or give a column Length")
         return dtype, length
+    if row.shorts and dtype in ("int16", "uint16") and header_key(text) in _INTS:
+        if count in (1, 2):
+            return f"{dtype[:-2]}{16 * count}", length
+        raise RowError(
+            "dtype",
+            f"{text!r} has 16 bits in a PLC, and 32 where SHORT has 16, as in this list; write INT16, UINT16, INT32 or "
+            "UINT32",
+        )
     if place.bit is not None:
         if dtype in ("bool", "uint16") or (dtype == "int16" and line.get("bit")):
             return "bool", 0

@@ -16,6 +16,15 @@ MOST_NODES = 200_000
 _MOST_DEPTH = 60
 _WRITTEN = ("switches", "climates", "covers", "fans", "lights")
 """Entities of Home Assistant that write."""
+_UNIT_KEYS = ("device_address", "slave", "unit")
+_TAKEN = frozenset({
+    *_UNIT_KEYS, "name", "address", "input_type", "data_type", "count", "swap", "structure", "unit_of_measurement",
+    "scale", "offset", "nan_value", "min_value", "max_value", "scan_interval", "virtual_count", "slave_count",
+    "zero_suppress",
+})  # fmt: skip
+"""What a sensor of Home Assistant is read by; of `zero_suppress` its own row speaks."""
+_SHOWN = frozenset({"unique_id", "device_class", "state_class", "precision", "icon"})
+"""How Home Assistant shows a value, which changes nothing of it."""
 _SWAPS = {"": "ABCD", "none": "ABCD", "byte": "BADC", "word": "CDAB", "word_byte": "DCBA"}
 _BY_COUNT = {"1": "16", "2": "32", "4": "64"}
 """Home Assistant's older types, int, uint and float, have their registers beside them."""
@@ -51,11 +60,15 @@ class TemplateError(OneLineError, ValueError):
 
 @dataclass(frozen=True, slots=True)
 class ListedUnit:
-    """A row with the unit that it is of and its connection's name, "" where the list says none."""
+    """A row with the unit that it is of and its connection's name, "" where the list says none.
+
+    `untaken` are keys of it that nothing is made of.
+    """
 
     row: ListRow
     unit: str = ""
     hub: str = ""
+    untaken: tuple[str, ...] = ()
 
 
 @dataclass(slots=True)
@@ -148,10 +161,11 @@ def _of_hub(nodes: _Nodes, hub: Any) -> Iterator[ListedUnit]:
     for key, read in (("sensors", _sensor), ("binary_sensors", _binary_sensor)):
         for entity in nodes.items(table.get(key)):
             own = nodes.table(entity)
-            unit = next((text for at in ("device_address", "slave", "unit") if (text := _scalar(own.get(at)))), "")
-            line = entity.start_mark.line + 1
+            unit = next((text for at in _UNIT_KEYS if (text := _scalar(own.get(at)))), "")
+            line, untaken = entity.start_mark.line + 1, tuple(sorted(set(own) - _TAKEN - _SHOWN))
             for cells in read(own):
-                yield ListedUnit(ListRow(line, {"order": "ABCD", "exact": "1", **cells}), unit, name)
+                yield ListedUnit(ListRow(line, {"order": "ABCD", "exact": "1", **cells}), unit, name, untaken)
+                untaken = ()  # once for an entity that counts up further ones
     for key in _WRITTEN:
         for entity in nodes.items(table.get(key)):
             cells = {"name": _scalar(nodes.table(entity).get("name")) or key, "address": "-"}

@@ -3,6 +3,7 @@
 import math
 import struct
 from collections.abc import Sequence
+from dataclasses import replace
 
 from drivers.tag import DType, Order, Tag, Value
 
@@ -21,6 +22,8 @@ _FORMATS = {
 _BCD_DIGITS = {DType.BCD16: 4, DType.BCD32: 8}
 _EPSILON = {DType.FLOAT32: 2.0**-23, DType.FLOAT64: 2.0**-52}
 FLOATS = (DType.FLOAT32, DType.FLOAT64)
+LEAST_POWER, GREATEST_POWER = -10, 10
+"""Of ten, in a register of its own (SunSpec Information Model Specification, 4.3.4, sunssf)."""
 
 
 class Unrepresentable(ValueError):
@@ -53,6 +56,11 @@ def limits(dtype: DType) -> tuple[int, int]:
 def is_bool(tag: Tag) -> bool:
     """True if the tag reads as true or false: a bool, or one bit of a register."""
     return tag.dtype is DType.BOOL or tag.bit is not None
+
+
+def with_power(tag: Tag, power: int) -> Tag:
+    """The tag while its factor's register holds this power of ten; a tag without one as it is."""
+    return replace(tag, scale=tag.scale * 10.0**power, scale_from="") if tag.scale_from else tag
 
 
 def sentinel_fits(tag: Tag) -> bool:
@@ -144,6 +152,8 @@ def resolution(tag: Tag) -> tuple[float, float]:
         return 0.0, 0.0
     if tag.dtype in FLOATS:
         return abs(tag.offset) * _EPSILON[tag.dtype], _EPSILON[tag.dtype]
+    if tag.scale_from:  # the image's truth is what the register holds (`ProcessImage.learn`)
+        return 1e-12 * abs(tag.offset), 1e-12
     return 0.5 * (1 + 1e-9) * abs(tag.scale), 1e-12
 
 

@@ -14,7 +14,15 @@ from sim.plc.program import pdu as modbus
 from sim.plc.program import writeback
 from sim.plc.program.checks import InputError, list_words
 from sim.plc.program.clock import EmulatorClock
-from sim.plc.program.encoding import Unrepresentable, encode, is_bool, resolution, value_at_rest
+from sim.plc.program.encoding import (
+    GREATEST_POWER,
+    Unrepresentable,
+    encode,
+    is_bool,
+    resolution,
+    value_at_rest,
+    with_power,
+)
 from sim.plc.program.faults import ALL_TAGS, FaultEffect, OrderedFault, merge_effects, refusal
 from sim.plc.program.image import ProcessImage, Undefined
 from sim.plc.program.live import LivePlant
@@ -94,6 +102,7 @@ class Plc:
         self._row: tuple[int, Mapping[str, Value | None]] = (-1, MappingProxyType({}))
         self._at_rest = {name: value_at_rest(tag) for name, tag in registers.tags.items()}
         self._own = {registers.heartbeat, writeback.PERMIT}
+        self._own |= {name for name, place in registers.places.items() if place in registers.factors}
         self._own |= {f"{name}{suffix}" for name in writeback.STATUS_TAGS for suffix in self.acknowledged}
         for fault in faults:
             self.check_fault(fault)
@@ -326,7 +335,7 @@ class Plc:
         if value is None and self._at_rest[name] is not None:
             raise InputError(f'{name} has no way to say "not available"; give a value')
         try:
-            encode(tag, 0 if value is None else value)
+            encode(with_power(tag, GREATEST_POWER), 0 if value is None else value)
         except (Unrepresentable, OverflowError):
             raise InputError(f"{name} cannot hold {value!r}; give a value within its type ({tag.dtype})") from None
         self.forced[name] = bool(value) if is_bool(tag) and value is not None else value

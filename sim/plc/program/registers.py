@@ -1,14 +1,14 @@
 """The register map (TOML) as the PLC reads it: which tag lies where, and where the gateway's block is taken in."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import product
 from pathlib import Path
 
 from pydantic import ConfigDict, Field
 
 from drivers.device_file import BlockField
-from drivers.tag import DType, Tag
+from drivers.tag import DType, Order, Tag
 from sim.plc.program.checks import FileTable, InputError, read_device, validate_entry
 from sim.plc.program.encoding import sentinel_fits, words_of_type
 
@@ -61,7 +61,10 @@ class BlockLayout:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RegisterMap:
-    """A device: its tags, where each lies, its limits, and the blocks that the gateway may write."""
+    """A device: its tags, where each lies, its limits, and the blocks that the gateway may write.
+
+    `factors` are the registers with powers of ten, and the tags that have theirs there (`scale_from`).
+    """
 
     path: Path
     device: str
@@ -72,6 +75,7 @@ class RegisterMap:
     tags: Mapping[str, Tag]
     places: Mapping[str, Place]
     blocks: tuple[BlockLayout, ...]
+    factors: Mapping[Place, tuple[str, ...]] = field(default_factory=dict)
 
     @property
     def block(self) -> BlockLayout | None:
@@ -133,6 +137,9 @@ def read_map(path: Path) -> RegisterMap:
         (f"[writeback] {block.suffix}".strip(), block.place, None) for block in blocks
     ]
     covered += [(name, places[name], tag.bit) for name, tag in tags.items()]
+    factors = _factors(tags, places, str(path))
+    covered += [(f"the factor of {names[0]}", place, None) for place, names in factors.items()]
+    covered = [one for one in covered if one[1] not in factors or one[0] not in tags]
     for name, place, bit in covered:
         for spot in product((place.table,), place.addresses(), range(16) if bit is None else (bit,)):
             if spot in owners:
@@ -156,6 +163,7 @@ def read_map(path: Path) -> RegisterMap:
         heartbeat=device.heartbeat,
         tags=tags,
         places=places,
+        factors=factors,
         blocks=tuple(blocks),
     )
 
@@ -179,6 +187,26 @@ def tag_place(tag: Tag, where: str) -> Place:
     return place
 
 
+def _factors(tags: Mapping[str, Tag], places: Mapping[str, Place], where: str) -> dict[Place, tuple[str, ...]]:
+    """The registers of powers of ten with the tags that have theirs there. Raises InputError."""
+    factors: dict[Place, tuple[str, ...]] = {}
+    for name, tag in tags.items():
+        if tag.scale_from:
+            table, address = parse_address(tag.scale_from, f"{where}: tag {name!r}: scale_from")
+            if table in BIT_TABLES:
+                raise InputError(f"{where}: tag {name!r}: scale_from: {tag.scale_from} is one bit; give a register")
+            place = Place(table, address)
+            factors[place] = (*factors.get(place, ()), name)
+    for name, tag in tags.items():
+        plain = (tag.dtype, tag.order, tag.scale, tag.offset, tag.bit) == (DType.INT16, Order.ABCD, 1.0, 0.0, None)
+        if places[name] in factors and (not plain or tag.scale_from or tag.writable):
+            raise InputError(
+                f"{where}: tag {name!r}: dtype: it is the factor of {factors[places[name]][0]!r}, a plain int16 that "
+                "is not written; correct it"
+            )
+    return factors
+
+
 def _check_tag(tag: Tag, where: str) -> None:
     table = tag.address.partition(":")[0]
     for key, wrong, remedy in (
@@ -189,7 +217,6 @@ def _check_tag(tag: Tag, where: str) -> None:
         ("length", tag.length > _MAX_STRING_BYTES, f"a string has {_MAX_STRING_BYTES} bytes at most; give fewer"),
         ("length", tag.dtype is not DType.STRING and tag.length > 0, "only a string has one; leave it out"),
         ("sentinel", not sentinel_fits(tag), f"{tag.sentinel} is no {tag.dtype}; give a raw number that is"),
-        ("scale_from", bool(tag.scale_from), "the emulated PLC keeps no factors; give the scale itself"),
         ("writable", tag.writable and table in ("input", "discrete"), f"a {table} is read-only; leave it out"),
     ):
         if wrong:

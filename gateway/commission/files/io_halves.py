@@ -1,0 +1,96 @@
+"""Rows of a list that are the two words of one number: each by itself reads as a number that the plant does not have.
+
+A row that names its word ("high word", "LSW") is believed; `Ppv H` above `Ppv L` may be two limits as well.
+"""
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from gateway.commission.files.cells import ListSheet
+
+_WORD = r"(?:[ _-]?order)?[ _-]?(?:word|16[ _-]?bits?)"
+_HIGH = re.compile(
+    rf"\b(?:high|hi|upper|most[ _-]significant){_WORD}\b|(?<![a-z])msw(?![a-z])|h(?:ö|oe)herwertig\w*|\bhigh-?wort\b"
+    r"|\bparola alta\b|\bpoids fort\b|\bpalabra alta\b",
+    re.IGNORECASE,
+)
+_LOW = re.compile(
+    rf"\b(?:low|lo|lower|least[ _-]significant){_WORD}\b|(?<![a-z])lsw(?![a-z])|niederwertig\w*|\blow-?wort\b"
+    r"|\bparola bassa\b|\bpoids faible\b|\bpalabra baja\b",
+    re.IGNORECASE,
+)
+_MAYBE_HIGH = re.compile(r"(?:(?<=[ _.-])|\()(?:h|hi|high)\)?$", re.IGNORECASE)
+_MAYBE_LOW = re.compile(r"(?:(?<=[ _.-])|\()(?:l|lo|low)\)?$", re.IGNORECASE)
+
+
+@dataclass(frozen=True, slots=True)
+class Listed:
+    """A tag of the list: its keys as the device file has them (None: not written there), its line, how it was taken.
+
+    `written` is its address as the list has it; `unread` says what of the row may change its numbers and is not read.
+    """
+
+    name: str
+    keys: Mapping[str, Any]
+    line: int
+    taken: str = ""
+    written: str = ""
+    unread: str = ""
+
+
+def part_halves(sheet: ListSheet, tags: Sequence[Listed]) -> tuple[list[Listed], list[str], str]:
+    """(the tags that stay, a sentence for each word that has a unit or a scale, a note on what may be words)."""
+    remarks = {line.number: line.get("remark") for line in sheet.lines}
+    torn: dict[int, str] = {}
+    doubted: list[tuple[Listed, Listed]] = []
+    for first, second in _neighbours(tags):
+        for certain, high, low in ((True, _HIGH, _LOW), (False, _MAYBE_HIGH, _MAYBE_LOW)):
+            order = _order(first, second, remarks, high, low)
+            if not order:
+                continue
+            if not certain:
+                doubted.append((first, second))
+            elif any(tag.keys.get(key) for tag in (first, second) for key in ("scale", "unit")):
+                for tag, other in ((first, second), (second, first)):
+                    torn[tag.line] = (
+                        f"{sheet.path}: line {tag.line}: {tag.name!r} is one word of a number of 32 bits, and the "
+                        f"other is in line {other.line}: give both one row of two registers, UINT32 or INT32, order "
+                        f"{order}"
+                    )
+            break
+    note = ""
+    if doubted:
+        first, second = doubted[0]
+        pairs = "1 pair of rows" if len(doubted) == 1 else f"{len(doubted)} pairs of rows"
+        note = (
+            f"{pairs} may be the two words of one number of 32 bits, as {first.name!r} and {second.name!r} (lines "
+            f"{first.line} and {second.line}): where they are, give both one row of two registers"
+        )
+    return [tag for tag in tags if tag.line not in torn], list(torn.values()), note
+
+
+def _neighbours(tags: Sequence[Listed]) -> Iterator[tuple[Listed, Listed]]:
+    """Tags of one register each at neighbouring addresses, in the order of these."""
+    at: dict[tuple[str, int], Listed] = {}
+    for tag in tags:
+        table, _, number = str(tag.keys.get("address")).partition(":")
+        if tag.keys.get("dtype") in ("int16", "uint16") and number.isdecimal():
+            at.setdefault((table, int(number)), tag)
+    for (area, first), tag in at.items():
+        if (other := at.get((area, first + 1))) is not None:
+            yield tag, other
+
+
+def _order(
+    first: Listed, second: Listed, remarks: Mapping[int, str], high: re.Pattern[str], low: re.Pattern[str]
+) -> str:
+    """The order in which two rows are the words of one number, by names or remarks; "" where they are not."""
+    for texts in ((first.name, second.name), (remarks.get(first.line, ""), remarks.get(second.line, ""))):
+        for order, kinds in (("ABCD", (high, low)), ("CDAB", (low, high))):
+            rests = [kind.sub("", text.strip()) for kind, text in zip(kinds, texts, strict=True)]
+            differ = all(rest != text.strip() for rest, text in zip(rests, texts, strict=True))
+            if differ and rests[0].casefold().split() == rests[1].casefold().split():
+                return order
+    return ""
