@@ -97,10 +97,19 @@ def test_what_a_recorder_did_ends_no_diagnosis(seed: int) -> None:
     assert found.sentence and found.held_out is not None and np.isfinite(found.held_out.rmse_after)
 
 
-@pytest.mark.parametrize("record", ["nothing missing", "cooled by its pump", "a part exchanged half-way"])
-def test_two_rows_of_a_hundred_that_are_missing_change_neither_verdict_nor_first_name(record: str) -> None:
+@pytest.mark.parametrize(
+    ("record", "number"),
+    [
+        ("nothing missing", 0),
+        ("cooled by its pump", 0),
+        ("a part exchanged half-way", 0),
+        ("churning after starts", 12),
+    ],
+)
+def test_two_rows_of_a_hundred_that_are_missing_change_neither_verdict_nor_first_name(record: str, number: int) -> None:
+    """Of the last one a name was withheld, since on three cycles the model as given was by a hundredth nearer."""
     said = []
-    for one in (CorruptedRecord(record), CorruptedRecord(record, DROPPED)):
+    for one in (CorruptedRecord(record), CorruptedRecord(record, DROPPED, number)):
         found = diagnose(model(), [one.trace()], seed=0, most=1).diagnosis
         said.append((found.verdict, [effect.name for effect in found.effects]))
     assert said[0] == said[1]

@@ -50,9 +50,13 @@ def rows(found: Found) -> list[Row]:
     def unchanged(one: CorruptedRecord) -> bool:
         return said(found[one]) == whole[one.record]
 
+    def other_name(one: CorruptedRecord) -> bool:
+        return first_name(found[one]) not in ("", whole[one.record][1])
+
     figures = [
         row("internal errors", corrupted, lambda one: is_fault(found[one]), at_most(0.0)),
         row("refused in a sentence", corrupted, lambda one: is_refused(found[one])),
+        row("a first name that the record as it is does not have", corrupted, other_name),
     ]
     for kind in CLASSES:
         those = [one for one in corrupted if one.kind == kind and not is_refused(found[one])]
