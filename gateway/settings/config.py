@@ -228,10 +228,11 @@ class EnsembleSection(Section):
     weights: tuple[float, ...] | Literal["evidence", "equal"] = Field(
         "evidence", description="'evidence', 'equal' or one number a model, as [0.7, 0.3], model.path's first"
     )
-    context: Literal["none", "running", "symbols"] = Field(
+    context: Literal["none", "running", "symbols", "familiarity"] = Field(
         "running",
-        description="'none', 'running' (weights of their own for running and stopped) or 'symbols' (for each "
-        "combination of the alphabet's symbols)",
+        description="'none', 'running' (weights of their own for running and stopped), 'symbols' (for each "
+        "combination of the alphabet's symbols) or 'familiarity' (as 'running', and apart for cycles unlike the "
+        "training)",
     )
     plain: bool = Field(
         True, description="whether the model's plain members (persistence, a damped trend) take part in its forecast"
