@@ -42,95 +42,33 @@ def modules_imported_by(code: str) -> set[str]:
     return set(done.stdout.splitlines()[-1].split())
 
 
-HELPED = [[], ["model"], ["trace"], ["plc"], ["alarm"]]
-"""The groups: their help lists commands without loading one. A command's own help loads that command's module."""
+GROUPS = ["", "model", "trace", "plc", "alarm"]
+"""Their help lists commands without loading one. What a command's own help loads: tests/cli/test_leaf_imports.py."""
 
 
-@pytest.mark.parametrize("command", HELPED, ids=" ".join)
-def test_help_imports_nothing_heavy(command: list[str]) -> None:
+def test_help_imports_nothing_heavy() -> None:
     code = (
         "from click.testing import CliRunner\n"
         "from gateway.cli.main import main\n"
-        f"assert CliRunner().invoke(main, {[*command, '--help']}).exit_code == 0"
+        f"for group in {GROUPS}:\n"
+        "    assert CliRunner().invoke(main, [*group.split(), '--help']).exit_code == 0"
     )
     assert modules_imported_by(code).isdisjoint(HEAVY)
 
 
-LATE = {
-    "plc": (
-        "pandas",
-        "scipy.stats",
-        "matplotlib",
-        "sklearn",
-        "lark",
-        "jinja2",
-        "fpdf",
-        "openpyxl",
-        "cantools",
-    ),
-    "model": ("pandas", "scipy.stats", "matplotlib", "sklearn", "joblib", "jinja2", "structlog", "cantools", "rich"),
-    "trace": ("pandas", "scipy.stats", "matplotlib", "sklearn", "joblib", "jinja2", "structlog", "rich"),
-    "": (
-        "pandas",
-        "scipy.stats",
-        "matplotlib",
-        "sklearn",
-        "joblib",
-        "jinja2",
-        "fpdf",
-        "openpyxl",
-        "cantools",
-        "pymodbus",
-    ),
-}
-"""What the commands of each group import only when their work needs it."""
+def test_a_model_is_shown_without_grammar_and_settings() -> None:
+    assert modules_imported_by("import gateway.lab.models.show").isdisjoint({"lark", "pydantic"})
 
 
-@pytest.mark.parametrize("group", LATE)
-def test_a_command_begins_without_what_only_its_work_needs(group: str) -> None:
-    script = (
-        "import json, sys, click\n"
-        "from gateway.cli.main import main\n"
-        f"group = main.commands[{group!r}] if {group!r} else main\n"
-        "for name in group.table:\n"
-        "    group.get_command(click.Context(group), name)\n"
-        f"    print(json.dumps([name, [each for each in {LATE[group]!r} if each in sys.modules]]))"
-    )
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, cwd=ROOT)
-    loaded = {name: early for name, early in map(json.loads, done.stdout.splitlines()) if early}
-    assert loaded == {}
-
-
-ALONE = {
-    "gateway.cli.plant.run": {"numpy", "structlog", "rich"},
-    "gateway.lab.models.show": {"lark", "pydantic"},
-    "gateway.lab.learning.learn": {"lark", "joblib"},
-    "gateway.commission.probe": {"numpy", "sqlite3", "rich"},
-}
-"""What single commands do without until they have read what they are asked."""
-
-
-@pytest.mark.parametrize("module", ALONE)
-def test_a_command_begins_without(module: str) -> None:
-    assert modules_imported_by(f"import {module}").isdisjoint(ALONE[module])
-
-
-def test_the_running_gateway_imports_neither_pandas_nor_matplotlib() -> None:
-    assert modules_imported_by("import gateway.plant.app").isdisjoint({"pandas", "matplotlib"})
-
-
-def test_a_gateway_imports_nothing_that_draws_edits_files_or_sends_mail() -> None:
-    loaded = modules_imported_by("import gateway.plant.app, drivers.modbus.driver")
-    assert loaded.isdisjoint({"rich", "pygments", "tomlkit", "smtplib", "http"})
+def test_a_gateway_imports_nothing_that_draws_edits_files_sends_mail_or_serves_a_page() -> None:
+    code = "import gateway.plant.app, drivers.modbus.driver, sys; assert 'gateway.outside.web' not in sys.modules"
+    loaded = modules_imported_by(code)
+    assert loaded.isdisjoint({"pandas", "matplotlib", "rich", "pygments", "tomlkit", "smtplib", "http"})
+    assert loaded.isdisjoint({"starlette", "uvicorn", "argon2", "h11", "anyio", "jinja2"})
 
 
 def test_the_log_hides_rich_from_its_own_library_only() -> None:
     assert "rich" in modules_imported_by("import gateway.plant.log, rich.console")
-
-
-def test_a_gateway_without_the_page_imports_nothing_of_it() -> None:
-    loaded = modules_imported_by("import gateway.plant.app, sys; assert 'gateway.outside.web' not in sys.modules")
-    assert loaded.isdisjoint({"starlette", "uvicorn", "argon2", "h11", "anyio", "jinja2"})
 
 
 def test_the_durations_name_tests_that_are_there() -> None:

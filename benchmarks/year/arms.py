@@ -12,7 +12,7 @@ from gateway.lab.retraining.cycle_library import CycleLibrary, open_library
 from gateway.lab.retraining.shadow import side_by_side
 from gateway.lab.retraining.study import RetrainingRequest, cut_and_rate, due, make_source, retrain
 from sim.artefacts import current, is_store, load, promote
-from sim.familiarity import RED, YELLOW
+from sim.error_limits import RED, YELLOW
 from sim.lab.formats import save
 from sim.lab.learning.bins import learn_bins
 from sim.sha import DECANTER, Model, Trace

@@ -34,7 +34,7 @@ COMMANDS: Table = {
         "Make certificates and keys for Modbus/TCP Security or OPC UA.",
     ),
     "diagnose": (
-        "gateway.lab.gap.diagnose:diagnose",
+        "gateway.lab.gap.commands:diagnose",
         "Find where model and traces disagree; name what is missing.",
     ),
     "docs": ("gateway.cli.setup.docs:docs", "Print a page of the documentation, or the list of pages."),

@@ -5,23 +5,23 @@ import click
 from gateway.entry import LazyGroup, Table
 
 COMMANDS: Table = {
-    "learn": ("gateway.lab.learning.learn:learn", "Learn a model from traces and write its directory."),
+    "learn": ("gateway.lab.learning.commands:learn", "Learn a model from traces and write its directory."),
     "show": ("gateway.lab.models.show:show", "Show a model and where it comes from."),
     "simulate": (
         "gateway.lab.checking.simulate:simulate",
         "Let a model run along measured traces; say how far off it is.",
     ),
-    "check": ("gateway.lab.checking.check:check", "Answer a query: how probable, how hot, whether it can."),
+    "check": ("gateway.lab.checking.commands:check", "Answer a query: how probable, how hot, whether it can."),
     "correct": (
-        "gateway.lab.learning.correct:correct",
+        "gateway.lab.learning.commands:correct",
         "Learn T' = k T + b from traces and write the corrected model.",
     ),
     "skill": (
-        "gateway.lab.judging.skill:skill",
+        "gateway.lab.judging.commands:skill",
         "Forecast along held-out traces as the running gateway does; score it beside rivals.",
     ),
     "validate": (
-        "gateway.lab.judging.validate:validate",
+        "gateway.lab.judging.commands:validate",
         "Validate models along measured traces in nine stages; write a report for each.",
     ),
     "prove": (
@@ -29,33 +29,36 @@ COMMANDS: Table = {
         "Prove or refute what a model can do; say whether it may be deployed.",
     ),
     "promote": ("gateway.lab.models.promote:promote", "Make a version of a store current, if its model verifies."),
-    "rank": ("gateway.lab.judging.rank:rank", "Compare models on the same traces; say which are fit for deployment."),
+    "rank": (
+        "gateway.lab.judging.commands:rank",
+        "Compare models on the same traces; say which are fit for deployment.",
+    ),
     "tune": (
-        "gateway.lab.learning.tune:tune",
+        "gateway.lab.learning.commands:tune",
         "Search a learning method's best settings by cross-validation over traces.",
     ),
     "retrain": (
-        "gateway.lab.retraining.retrain:retrain_command",
+        "gateway.lab.retraining.commands:retrain_command",
         "Learn from the historian's new cycles; propose a version that is better.",
     ),
     "cycles": (
-        "gateway.lab.retraining.cycles:cycles_command",
+        "gateway.lab.retraining.commands:cycles_command",
         "List a library's cycles, rated; exclude one with a reason.",
     ),
     "shadow": (
-        "gateway.lab.retraining.shadow:shadow_command",
+        "gateway.lab.retraining.commands:shadow_command",
         "Compare two versions on live cycles; promote the better one by a stated policy.",
     ),
     "lineage": (
-        "gateway.lab.retraining.lineage:lineage_command",
+        "gateway.lab.retraining.commands:lineage_command",
         "Draw the family of a store's versions; make one again.",
     ),
     "regress": (
-        "gateway.lab.regression.regress:regress",
+        "gateway.lab.regression.commands:regress",
         "Run a standard set against all models; say what became worse since when.",
     ),
-    "fleet": ("gateway.lab.fleet.fleet:fleet", "Learn a type's model from many machines; say which stands out."),
-    "export": ("gateway.lab.models.export:export", "Write a model for UPPAAL along traces; compare with its engine."),
+    "fleet": ("gateway.lab.fleet.commands:fleet", "Learn a type's model from many machines; say which stands out."),
+    "export": ("gateway.lab.models.commands:export", "Write a model for UPPAAL along traces; compare with its engine."),
 }
 
 

@@ -9,17 +9,17 @@ from gateway.entry import LazyGroup, Table
 
 COMMANDS: Table = {
     "doctor": (
-        "gateway.commission.doctor:doctor",
+        "gateway.commission.commands:doctor",
         "Look at this machine before the plant: clock, network, ports, files.",
     ),
-    "probe": ("gateway.commission.probe:probe", "Is the device there, does it speak, and who is it?"),
+    "probe": ("gateway.commission.commands:probe", "Is the device there, does it speak, and who is it?"),
     "scan": ("gateway.commission.scan:scan", "Look for units, nodes, CAN frames, or readable registers."),
     "read": ("gateway.commission.read:read", "Read tags or bare addresses: raw words and values side by side."),
     "guess": (
-        "gateway.commission.guess:guess",
+        "gateway.commission.commands:guess",
         "Find type, word order, scale and address from what the HMI shows.",
     ),
-    "watch": ("gateway.commission.watch:watch", "Watch tags as they change."),
+    "watch": ("gateway.commission.commands:watch", "Watch tags as they change."),
     "bind": (
         "gateway.commission.bind:bind",
         "Bind a place in the device to a tag's name; TOML edits keep comments.",
@@ -28,36 +28,36 @@ COMMANDS: Table = {
         "gateway.commission.import_list:import_list",
         "Take the tags of an I/O list (CSV, XLSX) into the device file.",
     ),
-    "check": ("gateway.commission.check:check", "Check the configuration, and with the device every tag of it."),
+    "check": ("gateway.commission.commands:check", "Check the configuration, and with the device every tag of it."),
     "plan": (
-        "gateway.commission.plan:plan",
+        "gateway.commission.commands:plan",
         "The requests of one scan, and their longest time; with --write what would be written.",
     ),
     "verify": (
-        "gateway.commission.verify:verify",
+        "gateway.commission.commands:verify",
         "Compare with the HMI: two values per analogue, both states per bool.",
     ),
     "served": (
-        "gateway.commission.served:served",
+        "gateway.commission.commands:served",
         "Where peers find each tag, its quality and its age, if the gateway serves them.",
     ),
     "soak": (
-        "gateway.commission.soak:soak",
+        "gateway.commission.commands:soak",
         "Read for a longer time: cycle times, losses, the period to be recommended.",
     ),
     "codegen": (
         "gateway.commission.writeback.codegen:codegen",
         "Generate the PLC's side of the write-back as Structured Text.",
     ),
-    "arm": ("gateway.commission.writeback.arm:arm", "Let blocks be written: by whom, why and for how many minutes."),
-    "disarm": ("gateway.commission.writeback.arm:disarm", "Take the arming back."),
+    "arm": ("gateway.commission.commands:arm", "Let blocks be written: by whom, why and for how many minutes."),
+    "disarm": ("gateway.commission.commands:disarm", "Take the arming back."),
     "test": (
         "gateway.commission.writeback.test:test",
         "Test the PLC's side: alarm bits, heartbeats, the contract; needs an arming.",
     ),
-    "audit": ("gateway.commission.writeback.audit:audit", "Show and verify the audit log."),
-    "report": ("gateway.commission.report:report", "Make or verify the site acceptance report: page, paper, JSON."),
-    "replay": ("gateway.commission.replay:replay", "Send a recording through the gateway, without a PLC."),
+    "audit": ("gateway.commission.commands:audit", "Show and verify the audit log."),
+    "report": ("gateway.commission.commands:report", "Make or verify the site acceptance report: page, paper, JSON."),
+    "replay": ("gateway.commission.commands:replay", "Send a recording through the gateway, without a PLC."),
 }
 
 

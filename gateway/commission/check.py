@@ -16,7 +16,7 @@ from drivers.errors import DriverError
 from drivers.survey import read_plan
 from drivers.tag import Quality, Sample
 from gateway.clock_sync import clock_error
-from gateway.commission.options import SharedOptions, link_options
+from gateway.commission.options import SharedOptions
 from gateway.commission.read import read_raw
 from gateway.commission.session import (
     CheckStep,
@@ -300,14 +300,8 @@ def _machine_lines(data: Mapping[str, Any]) -> Iterator[Part]:
         yield from step_lines(own)
 
 
-@click.command(short_help="Check the configuration, and with the device every tag of it.")
-@click.option("--offline", is_flag=True, help="Only what can be checked without the device.")
-@link_options
 def check(given: SharedOptions, offline: bool) -> None:
-    """Check files, places, limits, models and write-back contract; then read every tag, and see the heartbeat move.
-
-    Of a plant of several machines all are checked, one after another, where --machine names none.
-    """
+    """Carry out `decanter plc check`; its options and its help are in commission/commands.py."""
     names = _several(given)
     if not names:
         perform(

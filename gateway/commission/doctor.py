@@ -9,13 +9,12 @@ from math import isinf
 from pathlib import Path
 from typing import Any
 
-import click
 from serial.tools.list_ports import comports
 
 from drivers.driver import Cautions
 from drivers.errors import LinkDown
 from gateway.clock_sync import clock_error
-from gateway.commission.options import SharedOptions, link_options
+from gateway.commission.options import SharedOptions
 from gateway.commission.session import (
     CheckStep,
     RecordsError,
@@ -160,13 +159,8 @@ def _word(path: Path) -> str:
         return ""
 
 
-@click.command(short_help="Look at this machine before the plant: clock, network, ports, files.")
-@link_options
 def doctor(given: SharedOptions) -> None:
-    """Look at this machine before the plant: clock, network, serial ports, CAN, disk, files.
-
-    With --config, --device or --host what they name is looked at too. Nothing is sent to any device.
-    """
+    """Carry out `decanter plc doctor`; its options and its help are in commission/commands.py."""
     with sentences():
         anything = given.plant or given.device or given.link or given.settings
         target = find_target(given) if anything else Target("this machine", "", {})

@@ -16,7 +16,7 @@ from drivers.errors import DeviceException, LinkDown
 from drivers.survey import AsksRegisters
 from drivers.tag import DType, Tag
 from gateway.commission.encodings import Observation, ShownNumber, advise, parse_display, rank
-from gateway.commission.options import SharedOptions, link_options
+from gateway.commission.options import SharedOptions
 from gateway.commission.session import (
     Site,
     find_target,
@@ -196,18 +196,8 @@ def _states(register: Register, readings: Sequence[dict[str, Any]], now: dict[st
     return CommandResult(data, "" if bits else f"no bit at or beside {register} agrees")
 
 
-@click.command(short_help="Find type, word order, scale and address from what the HMI shows.")
-@click.argument("address")
-@click.argument("reading", required=False)
-@click.option("--fresh", is_flag=True, help="Forget the earlier readings of this address.")
-@link_options
 def guess(given: SharedOptions, address: str, reading: str | None, fresh: bool) -> None:
-    """Find type, word order, scale, offset and the right address from what the HMI shows.
-
-    ADDRESS is where the value is said to be (holding:100 or 40101), READING what the HMI shows at this moment, with all
-    its digits (72.4), or on and off. Neighbouring registers are tried too. A second call adds its reading to the first
-    one's, from the records; on a terminal without READING it is asked for.
-    """
+    """Carry out `decanter plc guess`; its options and its help are in commission/commands.py."""
     with sentences():
         register = parse_register(address)
         target = find_target(given)

@@ -11,7 +11,7 @@ import click
 
 from drivers.driver import Explains, PlanKind
 from drivers.survey import read_plan
-from gateway.commission.options import SharedOptions, audit_option, link_options, period_option
+from gateway.commission.options import SharedOptions
 from gateway.commission.session import Site, audit_path, find_period, list_block_words, perform, require_device
 from gateway.commission.survey import parse_register, reference_number
 from gateway.commission.writeback.write_plan import plan_writing, writing_view
@@ -74,17 +74,8 @@ def _reference(place: str, count: int) -> str:
     return f"{first}-{parse_register(place).shift(count - 1).reference}" if first and count > 1 else first
 
 
-@click.command(short_help="The requests of one scan, and their longest time; with --write what would be written.")
-@period_option
-@click.option("--write", is_flag=True, help="What the gateway would write instead, word by word, and what is missing.")
-@audit_option
-@link_options
 def plan(given: SharedOptions, period: float | None, write: bool, audit: Path | None) -> None:
-    """The requests of one scan, and the longest time that they can take against the period; nothing is sent.
-
-    The worst case is every request answered only just within its deadline, and the write-back's own requests besides.
-    With --write it shows what the gateway would write, and by which rules; that is not sent either.
-    """
+    """Carry out `decanter plc plan`; its options and its help are in commission/commands.py."""
     if write and period is not None:
         raise click.UsageError("--period is for the plan of a scan, not for --write")
     if audit is not None and not write:

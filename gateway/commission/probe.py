@@ -14,7 +14,7 @@ import click
 from drivers.driver import LINKS
 from drivers.errors import DeviceException, DriverError, LinkDown, LinkFault, ReplyMismatch, ReplyTimeout
 from drivers.survey import AsksRegisters
-from gateway.commission.options import SharedOptions, link_options
+from gateway.commission.options import SharedOptions
 from gateway.commission.session import (
     CONNECT_S,
     CheckStep,
@@ -329,16 +329,8 @@ def propose_timeout(slowest: float) -> tuple[float, int]:
     return timeout, 2 if timeout <= 1.0 else 1
 
 
-@click.command()
-@click.option("--write", is_flag=True, help="Put the habits that are found into the device file (--device, --config).")
-@click.option("--pin", is_flag=True, help="With --write: put who the device says it is there too, as its identity.")
-@link_options
 def probe(given: SharedOptions, write: bool, pin: bool) -> None:
-    """Is the device there, does it speak, and who is it?
-
-    Name, route, connection, first reply, identity, tables and round trip; for CAN the bus, its traffic and the node.
-    Each step that fails has its own sentence. Nothing but reads is sent.
-    """
+    """Carry out `decanter plc probe`; its options and its help are in commission/commands.py."""
     if pin and not write:
         raise click.UsageError("--pin says what --write puts into the device file: give both")
     if write and given.plant is None and given.device is None:

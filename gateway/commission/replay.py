@@ -12,11 +12,9 @@ from pathlib import Path
 from random import Random
 from typing import Any
 
-import click
-
 from drivers.driver import open_driver
 from gateway.commission.files import SiteRecording, read_recording
-from gateway.commission.options import SharedOptions, link_options
+from gateway.commission.options import SharedOptions
 from gateway.commission.session import Site, Target, perform
 from gateway.console import CommandResult, Part, Progress, Rows, progress
 from gateway.entry import sentences
@@ -165,15 +163,8 @@ async def _replay(config: Config, recording: SiteRecording, progress: Progress) 
     return seen
 
 
-@click.command(short_help="Send a recording through the gateway, without a PLC.")
-@click.argument("recording", type=click.Path(path_type=Path))
-@link_options
 def replay(given: SharedOptions, recording: Path) -> None:
-    """Send a RECORDING through the gateway as if it came from the PLC: events, predictions, alarms, blocks.
-
-    It is a CSV (soak --record, or a trace) or a gateway's historian. Needs --config; the device is not asked, nothing
-    is written, and the gateway's own records stay as they are.
-    """
+    """Carry out `decanter plc replay`; its options and its help are in commission/commands.py."""
     with sentences():
         if given.plant is None:
             raise ValueError("which gateway? Give its plant file (--config FILE)")

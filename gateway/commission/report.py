@@ -6,11 +6,9 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
-import click
-
 from drivers.named_files import regular
 from gateway.commission.acceptance import gather, verify, write
-from gateway.commission.options import SharedOptions, audit_option, record_options
+from gateway.commission.options import SharedOptions
 from gateway.commission.session import audit_path, login
 from gateway.console import CommandResult, Line, Part, Rows, conclude
 from gateway.entry import sentences
@@ -19,26 +17,6 @@ from gateway.settings import load_plant
 from gateway.store import AuditEntry, open_audit
 
 
-@click.command(short_help="Make or verify the site acceptance report: page, paper, JSON.")
-@click.option(
-    "--out",
-    type=click.Path(path_type=Path),
-    default=Path("out/acceptance"),
-    show_default=True,
-    help="Folder of the report.",
-)
-@click.option("--site", default="", help="Name of the plant.  [default: where the device is]")
-@click.option("--remark", "remarks", multiple=True, help="An open point of your own; may be given several times.")
-@click.option(
-    "--config",
-    "plant",
-    type=click.Path(path_type=Path),
-    help="The plant file whose audit log it is.  [default: plant.toml, config/plant.toml]",
-)
-@click.option("--verify", "verifies", is_flag=True, help="Check the files of a report instead of making one.")
-@click.option("--seal", default="", metavar="HASH", help="With --verify: the seal that was signed.")
-@audit_option
-@record_options
 def report(
     given: SharedOptions,
     out: Path,
@@ -48,11 +26,7 @@ def report(
     seal: str,
     audit: Path | None,
 ) -> None:
-    """Make the site acceptance report: page, paper and JSON, hashed and sealed; --verify finds a changed byte.
-
-    It holds every check with the hash of its raw frames, the configuration's hashes, versions, the clock's offset,
-    names and what is open. Exit code 1 if a check failed or something is changed.
-    """
+    """Carry out `decanter plc report`; its options and its help are in commission/commands.py."""
     if verifies:
         with sentences():
             verified = _check_files(out, seal)

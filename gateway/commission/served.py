@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from drivers.csv_rows import write_rows
-from gateway.console import CommandResult, Part, Rows, conclude, find_plant_file, json_option
+from gateway.console import CommandResult, Part, Rows, conclude, find_plant_file
 from gateway.entry import sentences
 from gateway.outside.serving import served_rows
 from gateway.settings import load_config
@@ -16,19 +16,8 @@ from gateway.settings import load_config
 _COLUMNS = ("tag", "table", "address", "count", "dtype", "order", "scale", "offset", "units", "quality", "age")
 
 
-@click.command(short_help="Where peers find each tag, its quality and its age, if the gateway serves them.")
-@click.option("--csv", "as_csv", is_flag=True, help="The table as CSV, for the peer's own import.")
-@click.option(
-    "--config", "path", type=click.Path(path_type=Path), help="The plant file.  [default: ./plant.toml, then ./config]"
-)
-@click.option("--machine", metavar="NAME", help="Which machine of a plant file that has several.")
-@json_option
 def served(path: Path | None, machine: str | None, as_csv: bool, as_json: bool) -> None:
-    """Where a peer of the gateway (a SCADA system, another PLC) finds each tag, its quality and its age.
-
-    The gateway serves them where the plant file has a [serve] table with a port: Modbus TCP, functions 1 to 4, by PDU
-    addresses from 0. Nothing is asked of the device or of a running gateway.
-    """
+    """Carry out `decanter plc served`; its options and its help are in commission/commands.py."""
     with sentences():
         config = load_config(path or find_plant_file(), machine=machine)
         rows = [

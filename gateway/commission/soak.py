@@ -10,14 +10,12 @@ from math import ceil, floor
 from pathlib import Path
 from typing import Any
 
-import click
-
 from drivers.driver import Complains, Driver
 from drivers.errors import DriverError, LinkDown
 from drivers.survey import read_plan
 from drivers.tag import Quality, Sample
 from gateway.commission.files import ScanRecorder
-from gateway.commission.options import SharedOptions, link_options, period_option
+from gateway.commission.options import SharedOptions
 from gateway.commission.session import Site, find_period, list_block_words, mention_gateway, perform, require_device
 from gateway.console import CommandResult, Part, Progress, Rows, progress
 from gateway.repeated import drop_measurements
@@ -201,16 +199,8 @@ def recommend_period(seconds: Sequence[float], factor: float = 1.0) -> float:
     return next((period for period in PERIODS_S if period >= needed), 60.0 * ceil(needed / 60.0))
 
 
-@click.command(short_help="Read for a longer time: cycle times, losses, the period to be recommended.")
-@click.option("--seconds", type=click.FloatRange(0.1), default=60.0, show_default=True, help="For how long.")
-@period_option
-@click.option("--record", type=click.Path(path_type=Path), help="Keep the readings in this CSV, one row a scan.")
-@link_options
 def soak(given: SharedOptions, seconds: float, period: float | None, record: Path | None) -> None:
-    """Scan all tags for a while, as the gateway will: times of a scan, losses, and the period to be recommended.
-
-    Fails if a tag was not good or a tick was missed. Ctrl-C ends it early with what there is.
-    """
+    """Carry out `decanter plc soak`; its options and its help are in commission/commands.py."""
 
     async def work(site: Site) -> CommandResult:
         with progress("soak") as report:

@@ -14,7 +14,7 @@ from drivers.device_file import STATUS_TAGS
 from drivers.tag import Tag, Value
 from gateway.commission.files import ListError, SiteRecording, read_recording
 from gateway.commission.hmi import HmiReading, Point, compare, missing_proof, parse_points, read_hmi_list
-from gateway.commission.options import SharedOptions, link_options, only_option
+from gateway.commission.options import SharedOptions
 from gateway.commission.read import read_raw, shown_value
 from gateway.commission.session import Site, perform, read_records, require_device
 from gateway.console import CommandResult, Part, Rows
@@ -185,21 +185,6 @@ def conclude_points(
     return CommandResult(data, complaint)
 
 
-_FILE = click.Path(path_type=Path)
-
-
-@click.command(short_help="Compare with the HMI: two values per analogue, both states per bool.")
-@click.option("--against", "listed", type=_FILE, help="Readings of the HMI (CSV, XLSX): tag, value and, if any, time.")
-@only_option
-@click.option(
-    "--readings", type=_FILE, help="For readings with times: what was recorded (decanter plc soak --record, historian)."
-)
-@click.option("--within", type=click.FloatRange(0), default=2.0, show_default=True, help="Seconds around such a time.")
-@click.option("--clock-offset", type=float, default=0.0, help="Seconds by which the HMI's clock is ahead.")
-@click.option("--tolerance", "slack", type=click.FloatRange(0), default=0.0, help="Engineering units beside rounding.")
-@click.option("--complete", is_flag=True, help="Fail as long as a tag is not proved.")
-@click.option("--anew", is_flag=True, help="Do not count what earlier verifications proved.")
-@link_options
 def verify(
     given: SharedOptions,
     listed: Path | None,
@@ -211,13 +196,7 @@ def verify(
     complete: bool,
     anew: bool,
 ) -> None:
-    """Compare with the HMI until each number was right at two distinct values, each flag in both states.
-
-    A third value is asked for where a register may be a neighbour's: it held the same word at both.
-
-    With --against the readings come from a list: one row a reading, or one column a tag. Without it each tag is asked
-    for, round by round. What was proved before counts as long as the tag lies where it lay (see --anew).
-    """
+    """Carry out `decanter plc verify`; its options and its help are in commission/commands.py."""
 
     def tell(sentence: str) -> None:
         click.echo(sentence, err=True)

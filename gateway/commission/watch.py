@@ -19,7 +19,7 @@ from rich.text import Text
 
 from drivers.survey import Raw
 from drivers.tag import Sample, Tag, Value
-from gateway.commission.options import SharedOptions, link_options
+from gateway.commission.options import SharedOptions
 from gateway.commission.read import How, select_tags, shown_value
 from gateway.commission.session import Site, perform, read_samples, running_gateway
 from gateway.commission.survey import reference_number
@@ -169,17 +169,8 @@ _WIDE = 150
 """Columns of a terminal from which raw words and reference numbers are shown too."""
 
 
-@click.command(short_help="Watch tags as they change.")
-@click.argument("what", nargs=-1)
-@click.option("--period", type=click.FloatRange(0.02, 3600), default=1.0, show_default=True, help="Seconds a reading.")
-@click.option("--seconds", type=click.FloatRange(0.02), help="Stop after so long; else Ctrl-C ends it.")
-@link_options
 def watch(given: SharedOptions, what: Sequence[str], period: float, seconds: float | None) -> None:
-    """Watch tags or addresses as they change: value, raw words, quality, age, least and greatest, a sparkline.
-
-    On a terminal the view is live, and Enter sets a mark: its time and all values are kept in the records. Elsewhere
-    each change is a line.
-    """
+    """Carry out `decanter plc watch`; its options and its help are in commission/commands.py."""
     arguments = {"what": list(what), "period": period, "seconds": seconds}
 
     async def work(site: Site) -> CommandResult:

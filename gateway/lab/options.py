@@ -7,6 +7,11 @@ import click
 
 Method = Literal["bins", "lsha"]
 """How a model is learned."""
+Rating = Literal["badly predicted", "rare", "near a difficult one", "ordinary"]
+RATINGS: tuple[Rating, ...] = get_args(Rating)
+"""What a cycle is rated as, the one that teaches most first."""
+MOST_MOMENTS = 1000
+"""Forecasts of a trace at most, unless somebody asks for more: each takes some ten milliseconds, rivals as much."""
 historian_option = click.option(
     "--historian", type=click.Path(path_type=Path), required=True, help="The gateway's historian."
 )

@@ -1,8 +1,6 @@
 """How like the training a cycle is: its features, their law, and the error to be expected where it is strange."""
 
 from sim.familiarity.error_classes import (
-    RED,
-    YELLOW,
     ClassFigures,
     ErrorCurve,
     classify_error,

@@ -9,11 +9,10 @@ from typing import Any, Literal
 
 import numpy as np
 
+from sim.error_limits import RED, YELLOW
 from sim.sha import Array
 
 ErrorClass = Literal["green", "yellow", "red"]
-YELLOW, RED = 0.4, 0.5
-"""Relative errors from which a class begins, as the method's thesis has them."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

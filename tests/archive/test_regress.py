@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from gateway.lab.regression import history as history_module
-from gateway.lab.regression import regress as regress_module
+from gateway.lab.regression.commands import regress
 from gateway.lab.regression.history import open_history
 from gateway.lab.regression.standard import CodeVersion, checkout_commit, code_version
 from gateway.lab.regression.worse import WorseForecast, find_regressions
@@ -173,7 +173,7 @@ def test_wrong_input_has_one_sentence(traces: Path, tmp_path: Path) -> None:
     history.write_text("", encoding="utf-8")
     with open_history(history):
         refused(decanter(*call), 2, "another process is writing this history")
-    assert regress_module.regress.name == "regress"
+    assert regress.name == "regress"
 
 
 def two_models(models: Path) -> Path:

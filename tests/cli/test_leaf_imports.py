@@ -7,31 +7,34 @@ import subprocess
 import sys
 
 STEPS: tuple[tuple[frozenset[str], str], ...] = (
-    (frozenset(), "emulate docs completion"),
     (
-        frozenset({"pydantic", "asyncio"}),
+        frozenset(),
+        """diagnose docs completion emulate model-check model-correct model-cycles model-export model-fleet model-learn
+        model-lineage model-rank model-regress model-retrain model-shadow model-skill model-tune model-validate""",
+    ),
+    (
+        frozenset({"asyncio"}),
+        """plc-arm plc-audit plc-check plc-disarm plc-doctor plc-guess plc-plan plc-probe plc-replay
+        plc-report plc-served plc-soak plc-verify plc-watch""",
+    ),
+    (
+        frozenset({"pydantic"}),
         """reload run alarm-list alarm-show alarm-acknowledge alarm-shelve alarm-unshelve alarm-remove-from-service
         alarm-return alarm-reset alarm-journal alarm-rates historian-export historian-query historian-tables
-        plc-codegen plc-doctor plc-probe plc-read plc-scan plc-served trace-can""",
+        plc-codegen plc-read plc-scan trace-can""",
     ),
-    (frozenset({"rich", "argon2"}), "status top plc-watch user-add user-list user-password user-remove"),
-    (frozenset({"tomlkit"}), "machine-add machine-list machine-remove plc-bind plc-import plc-soak"),
+    (frozenset({"tomlkit"}), "machine-add machine-list machine-remove plc-bind plc-import"),
     (
         frozenset({"cryptography", "sqlite3"}),
-        """certificates config-diff config-history config-rollback backup restore support plc-arm plc-audit plc-check
-        plc-disarm plc-plan plc-report plc-test""",
+        "certificates config-diff config-history config-rollback backup restore support plc-test",
     ),
     (
         frozenset({"numpy"}),
-        """historian-import init model-promote model-prove model-show model-simulate plc-guess plc-replay plc-verify
-        trace-map trace-show trace-synth""",
+        """historian-import init model-promote model-prove model-show model-simulate trace-map trace-show
+        trace-synth""",
     ),
     (frozenset({"lark"}), "trace-ingest"),
-    (
-        frozenset({"scipy"}),
-        """demo diagnose model-check model-correct model-cycles model-export model-fleet model-lineage model-learn
-        model-rank model-regress model-retrain model-shadow model-skill model-tune model-validate""",
-    ),
+    (frozenset({"rich", "argon2", "scipy"}), "demo status top user-add user-list user-password user-remove"),
 )
 """What the commands of a step may load beside what those of the steps before may; their order is that of loading."""
 HEAVY = [
@@ -44,21 +47,28 @@ HEAVY = [
     "canopen",
     "cantools",
     "cryptography",
+    "fpdf",
+    "jinja2",
+    "joblib",
     "lark",
     "matplotlib",
     "numba",
     "numpy",
+    "openpyxl",
     "paho",
     "pandas",
     "psycopg",
     "pyarrow",
     "pydantic",
+    "pydot",
     "pymodbus",
     "rich",
     "scipy",
+    "scipy.stats",
     "sklearn",
     "sqlite3",
     "starlette",
+    "structlog",
     "tomlkit",
     "uvicorn",
     "xgboost",

@@ -10,7 +10,7 @@ from typing import Any
 import click
 
 from drivers.errors import DriverError
-from gateway.commission.options import SharedOptions, audit_option, link_options
+from gateway.commission.options import SharedOptions
 from gateway.commission.session import (
     Site,
     Target,
@@ -23,7 +23,7 @@ from gateway.commission.session import (
     running_gateway,
 )
 from gateway.commission.writeback.block_writer import gateway_runs, open_block_writers, require_layouts
-from gateway.console import CommandResult, Line, Part, socket_option
+from gateway.console import CommandResult, Line, Part
 from gateway.entry import sentences
 from gateway.machine.writing import (
     ArmingError,
@@ -206,24 +206,8 @@ def _is_gateway_alive(site: Site) -> bool:
     return historian is not None and gateway_runs(historian)
 
 
-@click.command(short_help="Let blocks be written: by whom, why and for how many minutes.")
-@click.option("--reason", required=True, help="Why blocks are to be written, for the audit log.")
-@click.option("--minutes", type=float, required=True, help="For how long, 480 at most; then it ends by itself.")
-@click.option(
-    "--acknowledge-head",
-    "acknowledged",
-    multiple=True,
-    metavar="HASH",
-    help="Take note that the audit log's rows up to this head are lost; may be given several times.",
-)
-@audit_option
-@link_options
 def arm(given: SharedOptions, reason: str, minutes: float, acknowledged: tuple[str, ...], audit: Path | None) -> None:
-    """Let blocks be written for some minutes: by the loop tests, and by a gateway with mode 'shadow'.
-
-    A gateway that runs is told so; one that starts meanwhile finds it in the audit log. Needs a name (--by).
-    Nobody arms on an audit log whose chain is broken, nor on one that lacks a row whose head was signed.
-    """
+    """Carry out `decanter plc arm`; its options and its help are in commission/commands.py."""
 
     async def work(site: Site) -> CommandResult:
         return await start_arming(
@@ -239,17 +223,8 @@ def _armed_lines(data: Mapping[str, Any]) -> Iterator[Part]:
     yield f"told to {data['told']}; audit log {data['audit']}, head {data['head'][:16]}"
 
 
-@click.command(short_help="Take the arming back.")
-@click.option("--reason", default="by command", show_default=True, help="Why, for the audit log.")
-@socket_option
-@audit_option
-@link_options
 def disarm(given: SharedOptions, reason: str, socket: Path | None, audit: Path | None) -> None:
-    """Take the arming back: at once, with a block of validity 0 if one can be written.
-
-    It needs no plant file that can be used: the running gateway is asked at the socket that is named, or where as much
-    of the file as can be read, or the default, has it; where none runs the audit log is.
-    """
+    """Carry out `decanter plc disarm`; its options and its help are in commission/commands.py."""
 
     async def work(site: Site) -> CommandResult:
         return await end_arming(site, audit_path(audit, given, site.target), given.by or login(), reason)

@@ -5,9 +5,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-import click
-
-from gateway.commission.options import SharedOptions, audit_option, record_options
+from gateway.commission.options import SharedOptions
 from gateway.commission.session import audit_path, format_moment
 from gateway.console import CommandResult, Part, Rows, conclude
 from gateway.entry import sentences
@@ -15,26 +13,7 @@ from gateway.machine.writing import find_places
 from gateway.settings import Config, load_plant
 from gateway.store import AuditRow, examine, numbered_files, read, trusted_key
 
-_PATH = click.Path(path_type=Path)
 
-
-@click.command(short_help="Show and verify the audit log.")
-@click.option("--head", default="", metavar="HASH", help="A hash kept from before, which has to be in the log.")
-@click.option("--last", type=click.IntRange(0), default=20, show_default=True, help="So many of the newest rows.")
-@click.option("--kind", "kinds", multiple=True, help="Only rows of this kind, such as 'armed' or 'write refused'.")
-@click.option(
-    "--config",
-    "plant",
-    type=_PATH,
-    help="The plant file whose audit log it is.  [default: plant.toml, config/plant.toml]",
-)
-@click.option("--machine", metavar="NAME", help="Only rows of this machine, of a gateway with several.")
-@click.option("--public-key", type=_PATH, help="The gateway's public key; without it the key beside the log.")
-@click.option("--heads", type=_PATH, help="A file of signed heads.  [default: the plant file's, or beside the log]")
-@click.option("--historian", type=_PATH, help="A historian that holds a signed head.  [default: the plant file's]")
-@click.option("--log", type=_PATH, help="A log that holds signed heads.  [default: the plant file's]")
-@audit_option
-@record_options
 def audit(
     given: SharedOptions,
     head: str,
@@ -46,12 +25,7 @@ def audit(
     log: Path | None,
     audit: Path | None,
 ) -> None:
-    """Show and verify the audit log: every write, refusal and arming, each row bound to the one before.
-
-    Its end is bound by signed heads, which the gateway gives to a file of heads, the historian and the log each hour,
-    at each arming and at a stop: a log that was cut, emptied or computed anew lacks a row that was signed. Signatures
-    are checked by the gateway's key, which others must not be able to read, or the public key alone (--public-key).
-    """
+    """Carry out `decanter plc audit`; its options and its help are in commission/commands.py."""
     with sentences():
         configs = load_plant(given.plant) if given.plant is not None else ()
         places = find_places(audit_path(audit, given), configs[0] if configs else None)

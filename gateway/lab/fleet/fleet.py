@@ -20,10 +20,7 @@ from gateway.console import (
     Part,
     Rows,
     conclude,
-    json_option,
-    map_option,
     progress,
-    seed_option,
     shipped_file,
 )
 from gateway.entry import Exit, fail, interruptible, sentences
@@ -31,7 +28,6 @@ from gateway.lab.fleet.places import place_words
 from gateway.lab.fleet.sources import TABLE, find_sources
 from gateway.lab.fleet.study import MODEL, RESULTS, FleetFindings, FleetRequest, study
 from gateway.lab.models.show import spread_sentence
-from gateway.lab.options import cluster_option, jobs_option, temperature_option
 from sim.forecast import Z90
 from sim.lab.judge import hold_folder
 from sim.lab.learning import MachineSpread, StandsOut, offset_spread
@@ -51,21 +47,6 @@ COSTS = ("cpu_s", "peak_mb")
 PLAIN, STRIKING, BAND = "#1f6fb4", "#b3261e", "#e4e8ec"
 
 
-@click.command("fleet", short_help="Learn a type's model from many machines; say which stands out.")
-@click.argument("place")
-@click.option("--out", type=click.Path(path_type=Path, file_okay=False), required=True, help="The folder to write.")
-@map_option
-@temperature_option
-@click.option("--schema", default="decanter", show_default=True, help="Of a database: the schema of its samples.")
-@click.option(
-    "--sample", type=click.IntRange(1), default=12, show_default=True, help="Machines that teach the type's model."
-)
-@click.option("--own", is_flag=True, help="Learn a model of each machine's own too.")
-@click.option("--diagnose", "diagnosis", is_flag=True, help="Diagnose each machine against its corrected type.")
-@jobs_option
-@cluster_option
-@seed_option
-@json_option
 def fleet(
     place: str,
     out: Path,
@@ -80,13 +61,7 @@ def fleet(
     seed: int,
     as_json: bool,
 ) -> None:
-    """Learn one model from machines of a type, each machine's own targets, and say which machine stands out.
-
-    PLACE is a folder or glob of traces (whose machine the map tells), a Parquet file of `samples` that `decanter
-    historian export` wrote, or a PostgreSQL address (postgresql://...) with the table that [[northbound.postgres]]
-    fills. Each machine's result is kept in --out as soon as it is there, and the same command goes on after a kill.
-    What is held out is the last quarter of each machine's record.
-    """
+    """Carry out `decanter model fleet`; its options and its help are in fleet/commands.py."""
     try:
         with sentences(), progress("fleet") as bar, interruptible(bar) as report:
             column_map = load_map(shipped_file("traces", map_name))

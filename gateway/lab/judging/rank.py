@@ -6,11 +6,10 @@ from pathlib import Path
 
 import click
 
-from gateway.console import CommandResult, Part, Rows, conclude, json_option, progress
+from gateway.console import CommandResult, Part, Rows, conclude, progress
 from gateway.entry import Exit, fail, interruptible, sentences
-from gateway.lab.judging.request import JudgingRequest, judging_options
+from gateway.lab.judging.request import JudgingRequest
 from gateway.lab.judging.skill import show_skill
-from gateway.lab.options import optional_traces_option
 from sim.lab.judge import (
     Facts,
     ForecastSkill,
@@ -98,60 +97,6 @@ def _by_entrant(results: Sequence[TraceResult], facts: Mapping[str, Mapping[str,
     return by_entrant
 
 
-LIMITS = """
-\b
-Limits of fitness, judged on traces that were not in training where there are any:
-  coverage_low 0.8    least mean share of the readings inside the 90 % band
-  coverage_high 0.99  largest
-  persistence 1       MAE below so many times that of the first reading held
-  largest 30          no error above this, degC
-  percent 70          no trace's mean error above this, in per cent of its readings
-  clamps 0            clamps to the model's range at most
-  rejecting 0         traces at most with an event that has no edge
-  unseen 1            traces at least that were not in training
-"""
-
-
-@click.command(epilog=LIMITS, short_help="Compare models on the same traces; say which are fit for deployment.")
-@click.argument("models", nargs=-1, metavar="[MODEL...]")
-@optional_traces_option
-@click.option(
-    "--results",
-    "folders",
-    multiple=True,
-    type=click.Path(path_type=Path),
-    help="The folder of an earlier `validate`; may be given again.",
-)
-@judging_options(
-    semantics="both are ranked apart",
-    training="Traces that give the resampled semantics its entry laws; rivals are fitted to them.",
-)
-@click.option(
-    "--weights",
-    type=click.FloatRange(0.0),
-    nargs=3,
-    default=(0.5, 0.3, 0.2),
-    show_default=True,
-    help="Of MAE, largest error and sigma of the errors in the score.",
-)
-@click.option(
-    "--limit",
-    "limits",
-    type=(str, str),
-    multiple=True,
-    metavar="NAME NUMBER",
-    help="A limit of fitness, as `--limit coverage_low 0.85`; may be given again. Names and defaults are below.",
-)
-@click.option("--allow-synthetic", is_flag=True, help="A model learned from synthetic traces may be fit.")
-@click.option(
-    "--page", type=click.Path(path_type=Path, dir_okay=False), help="Also write the ranking as one HTML page."
-)
-@click.option(
-    "--picture",
-    type=click.Path(path_type=Path, dir_okay=False),
-    help="Also draw errors and wins to this file (.png, .pdf, .svg).",
-)
-@json_option
 def rank(
     request: JudgingRequest,
     folders: Sequence[Path],
@@ -162,13 +107,7 @@ def rank(
     picture: Path | None,
     as_json: bool,
 ) -> None:
-    """Compare models on the same traces by S = w1 MAE + w2 largest error + w3 sigma(error), with paired tests.
-
-    Give MODEL... and --traces to run them (open loop), or --results of an earlier `decanter model validate`; models
-    given beside --results are verified. A model that has seen a trace in training is marked in-sample. The limits of
-    fitness for deployment are options; `open` means that one of them could not be looked at. With --skill the models'
-    forecasts along the traces are scored too, beside persistence, and it is said where they are not worth it.
-    """
+    """Carry out `decanter model rank`; its options and its help are in judging/commands.py."""
     if bool(request.paths) == bool(folders) or (request.paths and not request.models):
         raise click.UsageError("Give MODEL... with --traces, or --results of an earlier campaign.")
     if request.skill and not request.paths:

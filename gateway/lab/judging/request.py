@@ -3,15 +3,12 @@
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import wraps
 from pathlib import Path
-from typing import Any
 
 import click
 
-from gateway.console import map_option, seed_option, shipped_file
+from gateway.console import shipped_file
 from gateway.lab.judging.figures import JudgedForecasts, judged_forecasts
-from gateway.lab.options import jobs_option
 from sim.lab.judge import Prepared, TraceRunSettings, Wanted, prepare
 from sim.lab.recordings import ColumnMap
 from sim.sha import Trace
@@ -66,40 +63,3 @@ class JudgingRequest:
             return None
         fitted = training if self.rivals else None
         return judged_forecasts(prepared, traces, training=fitted, seed=self.settings.seed, report=report)
-
-
-def judging_options(*, semantics: str, training: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """The options of a JudgingRequest, which the command gets as its first argument; the two help texts are its own.
-
-    MODEL and --traces are the command's to declare, and --policy where it has one.
-    """
-
-    def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
-        @wraps(command)
-        def call(**given: Any) -> Any:
-            settings = TraceRunSettings(given.pop("runs"), given.pop("policy", "resync"), given.pop("seed"))
-            names = ("models", "paths", "map_name", "wanted", "training", "jobs", "skill", "rivals")
-            asked = {name: given.pop(name) for name in names}
-            asked["skill"] = asked["skill"] or asked["rivals"]
-            return command(JudgingRequest(settings=settings, **asked), **given)
-
-        kinds = click.Choice(["written", "carried", "resampled", "both"])
-        carried = f"The temperature is carried over events or resampled on entry (the thesis); {semantics}."
-        ahead = "Also score forecasts 60, 300 and 900 s ahead, made as the running gateway does (seconds a trace)."
-        beside = "Statistical methods beside them, fitted to --training; implies --skill."
-        for option in (
-            seed_option,
-            jobs_option,
-            click.option(
-                "--runs", type=click.IntRange(100, 100_000), default=1000, show_default=True, help="Runs a trace."
-            ),
-            click.option("--rivals", is_flag=True, help=beside),
-            click.option("--skill/--no-skill", default=False, show_default=True, help=ahead),
-            click.option("--training", multiple=True, help=training),
-            click.option("--semantics", "wanted", type=kinds, default="written", show_default=True, help=carried),
-            map_option,
-        ):
-            call = option(call)
-        return call
-
-    return decorate

@@ -12,15 +12,12 @@ from gateway.console import (
     Part,
     Rows,
     conclude,
-    json_option,
-    map_option,
     progress,
-    seed_option,
     shipped_file,
 )
 from gateway.entry import sentences
 from gateway.lab.judging.figures import missing_horizons, other_methods, skill_rows
-from gateway.lab.options import traces_option
+from gateway.lab.options import MOST_MOMENTS
 from gateway.lab.traces.load import load
 from gateway.machine.model import estimate_offset
 from gateway.settings import ForecastSection
@@ -31,8 +28,6 @@ from sim.lab.recordings import load_map, load_traces
 from sim.sha import Model, Trace, display_unit
 
 OURS = "decanter"
-MOST_MOMENTS = 1000
-"""Forecasts of a trace at most, unless somebody asks for more: each takes some ten milliseconds, rivals as much."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -103,37 +98,6 @@ def measure_skill(
     )
 
 
-def _horizons(_: click.Context, __: click.Parameter, text: str) -> tuple[float, ...]:
-    try:
-        return ForecastSection(horizons=tuple(float(part) for part in text.split(","))).horizons
-    except ValueError:
-        raise click.BadParameter(f"{text!r}: give positive seconds in ascending order, such as 60,300,900") from None
-
-
-@click.command(short_help="Forecast along held-out traces as the running gateway does; score it beside rivals.")
-@click.argument("directory", metavar="MODEL")
-@traces_option
-@map_option
-@click.option("--member", "members", multiple=True, help="A model beside MODEL in an ensemble; may be given again.")
-@click.option("--rivals", is_flag=True, help="Statistical methods too, fitted to the traces of --training.")
-@click.option("--training", multiple=True, help="Traces that the rivals are fitted to; may be given again.")
-@click.option(
-    "--period", type=click.FloatRange(1.0), default=30.0, show_default=True, help="Seconds between two forecasts."
-)
-@click.option(
-    "--horizons", default="60,300,900", show_default=True, callback=_horizons, help="Seconds ahead, ascending."
-)
-@click.option(
-    "--scan", type=click.FloatRange(0.0, min_open=True), default=1.0, show_default=True, help="The scan period, s."
-)
-@click.option(
-    "--moments", type=click.IntRange(1), default=MOST_MOMENTS, show_default=True, help="Forecasts of a trace at most."
-)
-@click.option(
-    "--picture", type=click.Path(path_type=Path, dir_okay=False), help="Also draw the figures (.png, .pdf, .svg)."
-)
-@seed_option
-@json_option
 def skill(
     directory: str,
     paths: Sequence[str],
@@ -149,12 +113,7 @@ def skill(
     seed: int,
     as_json: bool,
 ) -> None:
-    """Forecast along held-out traces as the running gateway does, and score it beside persistence and rivals.
-
-    Every trace is followed scan by scan: events to come are not known, the bands are widened by what came true so far.
-    All methods are compared at the same moments; a forecast's outcome is the reading when it is due. Means are of the
-    machines' means.
-    """
+    """Carry out `decanter model skill`; its options and its help are in judging/commands.py."""
     if rivals and not training:
         raise click.UsageError("--rivals are fitted to traces: name them with --training")
     with sentences(), progress("forecasting") as report:

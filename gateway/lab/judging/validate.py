@@ -10,10 +10,9 @@ from time import perf_counter
 
 import click
 
-from gateway.console import CommandResult, Part, Rows, conclude, json_option, progress
+from gateway.console import CommandResult, Part, Rows, conclude, progress
 from gateway.entry import Exit, fail, interruptible, sentences
-from gateway.lab.judging.request import JudgingRequest, judging_options
-from gateway.lab.options import cluster_option, policy_option, traces_option
+from gateway.lab.judging.request import JudgingRequest
 from gateway.lab.traces.load import channel_warnings
 from sim.lab.formats import write_model_directory
 from sim.lab.judge import (
@@ -185,31 +184,10 @@ MOST_REASONS = 5
 """Reasons that are printed for each model."""
 
 
-@click.command(short_help="Validate models along measured traces in nine stages; write a report for each.")
-@click.argument("models", nargs=-1, required=True, metavar="MODEL...")
-@traces_option
-@click.option("--out", type=click.Path(path_type=Path), required=True, help="The folder for reports and results.")
-@click.option("--overwrite", is_flag=True, help="Replace the results of an earlier campaign in --out.")
-@judging_options(
-    semantics="both side by side",
-    training="Traces to learn `bins` or `lsha` from, to give the resampled semantics its entry laws, "
-    "and to fit rivals to.",
-)
-@policy_option
-@cluster_option
-@click.option("--pictures/--no-pictures", default=True, show_default=True, help="A PNG and a PDF a trace.")
-@json_option
 def validate(
     request: JudgingRequest, out: Path, overwrite: bool, address: str | None, pictures: bool, as_json: bool
 ) -> None:
-    """Validate models along measured traces: artefacts checked, every event followed, open-loop runs compared.
-
-    MODEL is a model directory, a store, STORE@VERSION, a model.json, or DIR/NAME of a set of artefacts; `bins` or
-    `lsha`, where nothing of that name is there, is learned from --training first. --out gets the record of each of the
-    nine stages, results as JSON and CSV, pictures, one HTML report a model and an index. A trace that fails is reported
-    and the others go on; the exit code is 1 only when nothing could be simulated. With --skill the models' forecasts
-    along the traces are scored too, beside persistence, and it is said where they are not worth it.
-    """
+    """Carry out `decanter model validate`; its options and its help are in judging/commands.py."""
     request.check_training()
     try:
         with sentences(), progress("validating") as bar, interruptible(bar) as report:

@@ -6,11 +6,8 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-import click
-
-from gateway.console import CommandResult, Part, Rows, conclude, json_option, map_option, progress
+from gateway.console import CommandResult, Part, Rows, conclude, progress
 from gateway.entry import sentences
-from gateway.lab.options import traces_option
 from gateway.lab.traces.load import load
 from sim.artefacts import STORE_FILE, VERDICT_FILE, model_hash
 from sim.lab.formats import find_model, save, write_model_directory
@@ -25,29 +22,10 @@ from sim.lab.learning import (
 from sim.sha import display_unit, encode_trace, joint_hash, signal_unit
 
 
-@click.command(short_help="Learn T' = k T + b from traces and write the corrected model.")
-@click.argument("name")
-@traces_option
-@map_option
-@click.option("--out", type=click.Path(path_type=Path), required=True, help="The model directory or store to write to.")
-@click.option(
-    "--form",
-    type=click.Choice(["best", "gain", "affine"]),
-    default="best",
-    show_default=True,
-    help="gain: T' = k T; affine: T' = k T + b; best: the simplest one as good as the best.",
-)
-@click.option("--max-rate", "limit_rate", is_flag=True, help="Also limit the flows by the greatest rate in the traces.")
-@json_option
 def correct(
     name: str, paths: Sequence[str], map_name: str, out: Path, form: str, limit_rate: bool, as_json: bool
 ) -> None:
-    """Learn the calibration correction T' = k T (+ b) of a model and write the corrected model.
-
-    T is the automaton's temperature, T' what the sensor reads. Give traces that the model was not learned from. The
-    correction is accepted when the error of held-out traces falls by more than its standard error; where nothing is
-    accepted nothing is written, and the exit code is 1.
-    """
+    """Carry out `decanter model correct`; its options and its help are in learning/commands.py."""
     with sentences(), progress("correcting") as report:
         traces, column_map = load(paths, map_name)
         found = find_model(name, alphabet=column_map.alphabet, temperature=column_map.temperature)

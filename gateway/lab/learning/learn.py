@@ -9,28 +9,22 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import click
-
 from gateway.console import (
     CommandResult,
     Part,
     Progress,
     Rows,
     conclude,
-    json_option,
-    map_option,
     progress,
-    seed_option,
 )
 from gateway.entry import sentences
 from gateway.lab.learning.familiar import familiarity_files, trained_familiarity
 from gateway.lab.models.show import show_model, show_verdict, spread_sentence, summary
-from gateway.lab.options import method_option, traces_option
 from gateway.lab.traces.load import channel_warnings, load_with_report
 from sim.artefacts import VERDICT_FILE, ModelVerdict
 from sim.lab.formats import check_free, write_model_directory
 from sim.lab.learning import LearningError, check_data, find_drivers, machine_corrections
-from sim.lab.learning.lsha import FLOW_KINDS, LshaSettings
+from sim.lab.learning.lsha import LshaSettings
 from sim.lab.recordings import with_levels
 from sim.sha import Bins, Model, Trace, display_unit, encode, encode_trace
 from sim.strict_json import json_text
@@ -46,37 +40,6 @@ MAX_DRIVER_CANDIDATES = 16
 """Signals beside the alphabet's of which it is told whether they drive the temperature."""
 
 
-@click.command(short_help="Learn a model from traces and write its directory.")
-@method_option
-@traces_option
-@map_option
-@click.option("--out", type=click.Path(path_type=Path), required=True, help="The model directory to write.")
-@click.option("--name", default="decanter", show_default=True, help="The model's name, and the artefacts' base name.")
-@click.option(
-    "--temperature",
-    "temperatures",
-    multiple=True,
-    metavar="SIGNAL",
-    help="The signal that is predicted; given again, each has its model in a folder of its name.  [default: the map's]",
-)
-@click.option(
-    "--driver",
-    "drivers",
-    multiple=True,
-    metavar="SIGNAL",
-    help="A signal that loads the machine: power, speed, set point; given again, several.  [default: the map's]",
-)
-@seed_option
-@click.option("--delta", type=click.FloatRange(0.0), help="lsha: merge tolerance, share of the parameters' spread.")
-@click.option("--default-flow", type=click.Choice(FLOW_KINDS), help="lsha: the flow of all locations to begin with.")
-@click.option(
-    "--memory", type=click.Choice(["context", "direction", "previous", "word"]), help="lsha: what rare words share."
-)
-@click.option("--n-min", type=click.IntRange(2), help="lsha: segments below which a word says nothing by itself [5].")
-@click.option("--alpha", type=click.FloatRange(0, 1, min_open=True, max_open=True), help="lsha: error rate [0.05].")
-@click.option("--split", type=click.IntRange(2), help="lsha: parts of the traces, each held out once [5].")
-@click.option("--observed-edges", is_flag=True, help="lsha: no default edges for what was never seen.")
-@json_option
 def learn(
     method: str,
     paths: Sequence[str],
@@ -90,17 +53,7 @@ def learn(
     observed_edges: bool,
     **options: float | str | None,
 ) -> None:
-    """Learn a model from traces and write its directory with all artefacts.
-
-    What drives the temperature, and what only follows it, is said with its evidence; of several level signals of the
-    alphabet one that follows it is left out.
-
-    `bins`: one location for each combination of running and current bin, fitted by free-run maximum likelihood; the
-    held-out likelihood chooses between a constant target and one that the current drives.
-
-    `lsha`: L*_SHA. Words of events that the traces do not tell apart lead to one location; flow, memory and merge
-    tolerance are chosen by the held-out likelihood unless given. The directory gets a learning report besides.
-    """
+    """Carry out `decanter model learn`; its options and its help are in learning/commands.py."""
     settings: dict[str, Any] = {key: value for key, value in options.items() if value is not None}
     settings |= {"complete": False} if observed_edges else {}
     with sentences(), progress(f"learning ({method})") as report:

@@ -5,56 +5,21 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import click
-
-from gateway.console import CommandResult, Part, Rows, conclude, json_option, map_option, progress, seed_option
+from gateway.console import CommandResult, Part, Rows, conclude, progress
 from gateway.entry import Exit, interruptible, sentences
-from gateway.lab.options import method_option, traces_option
 from gateway.lab.traces.load import channel_warnings, load
 from sim.artefacts import VERDICT_FILE
+from sim.lab.choices import Search
 from sim.lab.formats import write_model_directory
 from sim.lab.judge import judge_learning
 from sim.lab.recordings import split_cycles
-from sim.lab.tuning import SEARCHES, Objective, Search, StudyPlan, Tuning, final_model
+from sim.lab.tuning import Objective, StudyPlan, Tuning, final_model
 from sim.lab.tuning import tune as searched
 from sim.sha import display_unit, encode_trace, signal_unit
 
 MAX_LISTED_TRIALS = 10
 
 
-@click.command(short_help="Search a learning method's best settings by cross-validation over traces.")
-@method_option
-@traces_option
-@map_option
-@click.option("--cycles", is_flag=True, help="Cut each trace into cycles first, for one long recording.")
-@click.option(
-    "--study",
-    type=click.Path(path_type=Path, dir_okay=False),
-    required=True,
-    help="The file of the search; one that is there is gone on with.",
-)
-@click.option("--trials", type=click.IntRange(1), default=30, show_default=True, help="Trials of the study in all.")
-@click.option("--folds", type=click.IntRange(2), default=5, show_default=True, help="Parts that are held out in turn.")
-@click.option("--jobs", type=click.IntRange(1), default=1, show_default=True, help="Worker processes.")
-@click.option(
-    "--objective",
-    type=click.Choice(["crps", "likelihood"]),
-    default="crps",
-    show_default=True,
-    help="Of held-out traces, open loop: CRPS (in what is followed), or minus the log-likelihood per reading.",
-)
-@click.option(
-    "--search",
-    type=click.Choice(SEARCHES),
-    default="tpe",
-    show_default=True,
-    help="Settings by Parzen estimator, from a grid, or by crossing the best.",
-)
-@click.option("--prune", is_flag=True, help="Give a trial up when its first folds are worse than the median's.")
-@click.option("--out", type=click.Path(path_type=Path), help="Learn with the best settings from all traces; write it.")
-@click.option("--name", default="decanter", show_default=True, help="The name of the model for --out.")
-@seed_option
-@json_option
 def tune(
     method: str,
     paths: Sequence[str],
@@ -72,12 +37,7 @@ def tune(
     seed: int,
     as_json: bool,
 ) -> None:
-    """Search a learning method's best settings by cross-validation over traces.
-
-    The first trial has the method's defaults; the result says whether the best settings beat them by more than one
-    standard error, paired by trace. A search that was stopped or killed goes on with the same command; a study of
-    other traces, another method or other settings is refused.
-    """
+    """Carry out `decanter model tune`; its options and its help are in learning/commands.py."""
     with sentences(), progress(f"tuning ({method})") as bar, interruptible(bar) as report:
         traces, column_map = load(paths, map_name)
         warnings = channel_warnings(traces, column_map.alphabet)

@@ -21,9 +21,9 @@ from gateway.console import shipped_file
 from gateway.entry import sentence
 from gateway.lab.checking.simulate import simulate_traces
 from gateway.lab.gap.diagnose import DiagnosisRequest, run, signal_roles
-from gateway.lab.judging.skill import MOST_MOMENTS, measure_skill, spread_period
+from gateway.lab.judging.skill import measure_skill, spread_period
 from gateway.lab.learning.learn import TaughtModel, teach_model
-from gateway.lab.options import Method
+from gateway.lab.options import MOST_MOMENTS, Method
 from gateway.machine.model import forecast_trace
 from gateway.settings import ForecastSection
 from sim.engine import Policy, Start

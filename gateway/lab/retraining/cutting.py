@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from gateway.lab.learning.familiar import MIN_CYCLE_READINGS, cycle_features, free_run_error, strange_words
-from gateway.lab.retraining.cycle_library import CycleLibrary, CycleRow, Rating
+from gateway.lab.options import Rating
+from gateway.lab.retraining.cycle_library import CycleLibrary, CycleRow
 from gateway.store import newest_scan, oldest_scan, reading, stored_rows, tag_names, to_trace
 from sim.familiarity import MAX_CYCLE_S, FamiliarityReference
 from sim.lab.recordings import split_cycles

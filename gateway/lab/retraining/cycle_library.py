@@ -16,18 +16,16 @@ from dataclasses import dataclass, fields
 from io import BytesIO
 from math import isfinite
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 from zipfile import BadZipFile
 
 import numpy as np
 
+from gateway.lab.options import Rating
 from sim.familiarity import COLUMNS
 from sim.files import held_alone, sync_directory
 from sim.sha import Array, Trace, content_hash
 
-Rating = Literal["badly predicted", "rare", "near a difficult one", "ordinary"]
-RATINGS: tuple[Rating, ...] = ("badly predicted", "rare", "near a difficult one", "ordinary")
-"""What a cycle is rated as, the one that teaches most first."""
 FILE, KEPT = "cycles.sqlite", "kept"
 LAYOUT = 1
 NO_LIBRARY = "is no library of cycles; `decanter model retrain` makes one"

@@ -6,22 +6,14 @@ from typing import Any
 
 import click
 
-from gateway.console import CommandResult, Part, Rows, conclude, json_option
+from gateway.console import CommandResult, Part, Rows, conclude
 from gateway.entry import sentences
-from gateway.lab.retraining.cycle_library import RATINGS, CycleRow, Rating, list_library, open_library
+from gateway.lab.options import RATINGS, Rating
+from gateway.lab.retraining.cycle_library import CycleRow, list_library, open_library
 from gateway.lab.retraining.report import coverage_figure
 from sim.lab.pictures import check_picture, save_picture
 
 
-@click.command("cycles", short_help="List a library's cycles, rated; exclude one with a reason.")
-@click.argument("folder", metavar="LIBRARY", type=click.Path(path_type=Path, file_okay=False))
-@click.option("--rating", type=click.Choice(RATINGS), help="Only those rated so.")
-@click.option("--exclude", metavar="NAME", help="Learn nothing from this cycle and judge nothing by it; with --reason.")
-@click.option("--reason", help="Why: work on the sensor, cleaning, a test.")
-@click.option("--by", help="Who excludes it.")
-@click.option("--include", metavar="NAME", help="Take back that a cycle is excluded.")
-@click.option("--picture", type=click.Path(path_type=Path, dir_okay=False), help="A map of what the plant did.")
-@json_option
 def cycles_command(
     folder: Path,
     rating: str | None,
@@ -32,10 +24,7 @@ def cycles_command(
     picture: Path | None,
     as_json: bool,
 ) -> None:
-    """List the cycles that retrainings have cut from the historian, the newest last, with what is remarkable in each.
-
-    A cycle that a person excludes stays in the list with name and reason; nothing is learned from it or judged by it.
-    """
+    """Carry out `decanter model cycles`; its options and its help are in retraining/commands.py."""
     if (exclude is None) != (reason is None) or (exclude is None) != (by is None):
         raise click.UsageError("--exclude NAME, --reason TEXT and --by WHO belong together")
     if exclude is not None and not (str(reason).strip() and str(by).strip()):

@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from gateway.console import CommandResult, Part, conclude, json_option, map_option, progress
+from gateway.console import CommandResult, Part, conclude, progress
 from gateway.entry import sentences
 from gateway.lab.retraining.cycle_library import list_library
 from gateway.lab.retraining.study import learned_model
@@ -19,21 +19,10 @@ from sim.artefacts import load as load_version
 from sim.sha import Trace, content_hash
 
 
-@click.command("lineage", short_help="Draw the family of a store's versions; make one again.")
-@click.argument("store", type=click.Path(path_type=Path, file_okay=False))
-@click.option("--remake", "version", help="Learn this version again and compare it bit for bit.")
-@click.option("--library", "folder", type=click.Path(path_type=Path), help="Where the cycles of its record are kept.")
-@click.option("--traces", "former", multiple=True, help="Traces of its record that no library has.")
-@map_option
-@json_option
 def lineage_command(
     store: Path, version: str | None, folder: Path | None, former: tuple[str, ...], map_name: str, as_json: bool
 ) -> None:
-    """Draw which version of STORE was learned beside which, from how much, and which of them runs.
-
-    --remake learns a version again from its record: traces by their hash, settings, seed. The exit code is 1 where the
-    result is another model, and the sentence says what differs: the program, or what it runs on.
-    """
+    """Carry out `decanter model lineage`; its options and its help are in retraining/commands.py."""
     if version is not None and folder is None and not former:
         raise click.UsageError("--remake needs the traces: give --library, --traces, or both")
     with sentences(), progress("learning again") as report:

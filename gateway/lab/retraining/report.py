@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gateway.lab.retraining.cycle_library import RATINGS, CycleRow
+from gateway.lab.options import RATINGS
+from gateway.lab.retraining.cycle_library import CycleRow
 from sim.familiarity import FEATURES, ClassFigures
 from sim.lab.judge import NEW, PRESENT, HorizonComparison
 from sim.lab.learning import PERSISTENCE

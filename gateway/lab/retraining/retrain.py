@@ -13,15 +13,10 @@ from gateway.console import (
     Part,
     Rows,
     conclude,
-    historian_machine_option,
-    json_option,
-    map_option,
     progress,
-    seed_option,
 )
 from gateway.entry import interruptible, sentences
 from gateway.lab.models.propose import recorded_drift
-from gateway.lab.options import historian_option, library_option
 from gateway.lab.resource_usage import peak_megabytes
 from gateway.lab.retraining.cycle_library import open_library
 from gateway.lab.retraining.report import Retraining
@@ -40,39 +35,11 @@ from gateway.lab.traces.load import load
 from gateway.store import machines, newest_scan, reading
 from sim.artefacts import load as load_version
 from sim.artefacts import version_directory
-from sim.familiarity import RED, YELLOW
 from sim.sha import display_unit
 
 NICE = 19
 
 
-@click.command("retrain", short_help="Learn from the historian's new cycles; propose a version that is better.")
-@click.argument("store", type=click.Path(path_type=Path, file_okay=False))
-@historian_option
-@historian_machine_option
-@click.option("--since", help="A new library begins here: a time (2026-03-01T06:00) or a span (30d)  [everything].")
-@library_option
-@click.option("--standard", multiple=True, help="Traces that a new model must not be worse on; may be given again.")
-@click.option("--traces", "former", multiple=True, help="Traces of earlier training to learn from as well.")
-@map_option
-@click.option("--method", type=click.Choice(["bins", "lsha"]), help="  [the present version's]")
-@click.option(
-    "--rows", type=click.IntRange(1000), default=600_000, show_default=True, help="Scans to learn from at most."
-)
-@click.option("--tune", "trials", type=click.IntRange(1), help="Search settings where performance has fallen: trials.")
-@click.option("--no-diagnosis", is_flag=True, help="Do not look for what the new model still lacks.")
-@click.option("--if-due", is_flag=True, help="Only on drift, after --after new cycles that teach, or --every days.")
-@click.option(
-    "--after", type=click.IntRange(1), default=10, show_default=True, help="New cycles that are not ordinary."
-)
-@click.option("--every", type=click.FloatRange(0.0, min_open=True), help="Days after which it is due in any case.")
-@click.option(
-    "--yellow", type=click.FloatRange(0.0), default=YELLOW, show_default=True, help="Relative error of a class."
-)
-@click.option("--red", type=click.FloatRange(0.0), default=RED, show_default=True, help="Relative error of a class.")
-@click.option("--full-speed", is_flag=True, help="Do not leave the processor to all others.")
-@seed_option
-@json_option
 def retrain_command(
     store: Path,
     historian: Path,
@@ -95,14 +62,7 @@ def retrain_command(
     seed: int,
     as_json: bool,
 ) -> None:
-    """Learn from the historian's new cycles, hold the new model against the current version of STORE, propose it.
-
-    The historian is cut into cycles, each is rated, and those that teach are kept in the library. A new model is
-    learned beside the current one; both forecast the new cycles that were held out, and the standard set. If the new
-    one is better by a paired test at some horizon, worse at none, and verifies, it becomes a version of the store that
-    a person may promote. Nothing else changes: the current version keeps running. A retraining that was stopped or
-    killed goes on with the same command.
-    """
+    """Carry out `decanter model retrain`; its options and its help are in retraining/commands.py."""
     if red < yellow:
         raise click.UsageError("--red is below --yellow; give the red class the larger error")
     if not full_speed:

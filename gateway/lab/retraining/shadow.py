@@ -18,14 +18,10 @@ from gateway.console import (
     Part,
     Rows,
     conclude,
-    historian_machine_option,
-    json_option,
     progress,
-    seed_option,
 )
 from gateway.entry import interruptible, sentences
 from gateway.lab.judging.figures import LONGEST_HORIZON, MAX_FORECASTS_PER_CYCLE, score_trace
-from gateway.lab.options import historian_option, library_option
 from gateway.lab.retraining.cutting import CycleSource, Progress, cut_new, extend_cycle, read_cycle
 from gateway.lab.retraining.cycle_library import CycleLibrary, CycleRow, open_library
 from gateway.lab.retraining.training_record import creation_time, read_record
@@ -205,16 +201,6 @@ def former_version(store: Path) -> str:
     return "" if record is None else record.parent
 
 
-@click.command("shadow", short_help="Compare two versions on live cycles; promote the better one by a stated policy.")
-@click.argument("store", type=click.Path(path_type=Path, file_okay=False))
-@click.argument("version", required=False)
-@historian_option
-@historian_machine_option
-@library_option
-@click.option("--roll-back", is_flag=True, help="Promote VERSION again where the current one is worse than it.")
-@click.option("--promote", "promotes", is_flag=True, help="Promote the candidate VERSION where it is the better one.")
-@seed_option
-@json_option
 def shadow_command(
     store: Path,
     version: str | None,
@@ -226,13 +212,7 @@ def shadow_command(
     seed: int,
     as_json: bool,
 ) -> None:
-    """Hold the current version of STORE against VERSION on the cycles since the younger of them was made.
-
-    VERSION is a candidate that waits for its promotion, or the one that ran before, which is the default: then
-    --roll-back promotes it again if the current one is worse on live cycles by the paired test. With --promote a
-    candidate is promoted if it is better by that test at some horizon and worse at none, once, on the live cycles of
-    its first seven days, day against day. Neither version has been learned from these cycles.
-    """
+    """Carry out `decanter model shadow`; its options and its help are in retraining/commands.py."""
     if promotes and (roll_back or version is None):
         raise click.UsageError("--promote needs the VERSION that waits for it, and excludes --roll-back")
     with sentences(), progress("comparing") as bar, interruptible(bar) as report:

@@ -28,8 +28,9 @@ from gateway.lab.learning.familiar import (
     make_reference,
     strange_words,
 )
+from gateway.lab.options import RATINGS
 from gateway.lab.retraining.cutting import CycleSource, cut_new, extend_cycle, read_cycle
-from gateway.lab.retraining.cycle_library import RATINGS, CycleLibrary, CycleRow
+from gateway.lab.retraining.cycle_library import CycleLibrary, CycleRow
 from gateway.lab.retraining.report import Retraining, report_files
 from gateway.lab.retraining.training_record import RECORD, TrainingRecord, code_hash, read_record, software
 from gateway.store import oldest_scan, parse_moment, reading

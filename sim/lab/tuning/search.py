@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from sim.lab.choices import Search
 from sim.lab.judge import RUN_ERRORS, HeldOutFold, Paired, compare_pairs, score_fold, unit_differences
 from sim.lab.learning import in_order
 from sim.lab.tuning.methods import Method, Settings, Task, Taught, find_method
 from sim.lab.tuning.study import (
     REASON_KEY,
     Facts,
-    Search,
     ask,
     finished_trials,
     grid_size,

@@ -16,11 +16,12 @@ from contextlib import closing, contextmanager
 from importlib.util import find_spec
 from math import prod
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from sim.files import held_alone
+from sim.lab.choices import Search
 from sim.lab.tuning.methods import Choice, Parameter, Real, Value, Whole
 
 if TYPE_CHECKING:
@@ -35,10 +36,6 @@ WITHOUT_OPTUNA = "tuning needs Optuna, which is not installed; install the extra
 MIN_TRIALS_TO_PRUNE = 5
 """Whole trials before one may be pruned, and random ones before the search models their scores, times two."""
 
-Search = Literal["tpe", "grid", "evolutionary"]
-"""How settings are suggested: by the tree-structured Parzen estimator (Bergstra et al. 2011), from a grid in random
-order, or by crossing and changing the best (NSGA-II, of one objective: Deb et al. 2002)."""
-SEARCHES: tuple[Search, ...] = ("tpe", "grid", "evolutionary")
 GRID_LEVELS = 3
 """Values of each number in a grid: its bounds and its middle."""
 

@@ -1,0 +1,271 @@
+"""The options of most commands of `plc` and their help; the work is loaded when it is asked for."""
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from gateway.commission.options import audit_option, link_options, only_option, period_option, record_options
+from gateway.console import json_option, socket_option
+
+_PATH = click.Path(path_type=Path)
+
+
+@click.command(short_help="Look at this machine before the plant: clock, network, ports, files.")
+@link_options
+def doctor(**options: Any) -> None:
+    """Look at this machine before the plant: clock, network, serial ports, CAN, disk, files.
+
+    With --config, --device or --host what they name is looked at too. Nothing is sent to any device.
+    """
+    from gateway.commission.doctor import doctor as work
+
+    work(**options)
+
+
+@click.command()
+@click.option("--write", is_flag=True, help="Put the habits that are found into the device file (--device, --config).")
+@click.option("--pin", is_flag=True, help="With --write: put who the device says it is there too, as its identity.")
+@link_options
+def probe(**options: Any) -> None:
+    """Is the device there, does it speak, and who is it?
+
+    Name, route, connection, first reply, identity, tables and round trip; for CAN the bus, its traffic and the node.
+    Each step that fails has its own sentence. Nothing but reads is sent.
+    """
+    from gateway.commission.probe import probe as work
+
+    work(**options)
+
+
+@click.command(short_help="Find type, word order, scale and address from what the HMI shows.")
+@click.argument("address")
+@click.argument("reading", required=False)
+@click.option("--fresh", is_flag=True, help="Forget the earlier readings of this address.")
+@link_options
+def guess(**options: Any) -> None:
+    """Find type, word order, scale, offset and the right address from what the HMI shows.
+
+    ADDRESS is where the value is said to be (holding:100 or 40101), READING what the HMI shows at this moment, with all
+    its digits (72.4), or on and off. Neighbouring registers are tried too. A second call adds its reading to the first
+    one's, from the records; on a terminal without READING it is asked for.
+    """
+    from gateway.commission.guess import guess as work
+
+    work(**options)
+
+
+@click.command(short_help="Watch tags as they change.")
+@click.argument("what", nargs=-1)
+@click.option("--period", type=click.FloatRange(0.02, 3600), default=1.0, show_default=True, help="Seconds a reading.")
+@click.option("--seconds", type=click.FloatRange(0.02), help="Stop after so long; else Ctrl-C ends it.")
+@link_options
+def watch(**options: Any) -> None:
+    """Watch tags or addresses as they change: value, raw words, quality, age, least and greatest, a sparkline.
+
+    On a terminal the view is live, and Enter sets a mark: its time and all values are kept in the records. Elsewhere
+    each change is a line.
+    """
+    from gateway.commission.watch import watch as work
+
+    work(**options)
+
+
+@click.command(short_help="Check the configuration, and with the device every tag of it.")
+@click.option("--offline", is_flag=True, help="Only what can be checked without the device.")
+@link_options
+def check(**options: Any) -> None:
+    """Check files, places, limits, models and write-back contract; then read every tag, and see the heartbeat move.
+
+    Of a plant of several machines all are checked, one after another, where --machine names none.
+    """
+    from gateway.commission.check import check as work
+
+    work(**options)
+
+
+@click.command(short_help="The requests of one scan, and their longest time; with --write what would be written.")
+@period_option
+@click.option("--write", is_flag=True, help="What the gateway would write instead, word by word, and what is missing.")
+@audit_option
+@link_options
+def plan(**options: Any) -> None:
+    """The requests of one scan, and the longest time that they can take against the period; nothing is sent.
+
+    The worst case is every request answered only just within its deadline, and the write-back's own requests besides.
+    With --write it shows what the gateway would write, and by which rules; that is not sent either.
+    """
+    from gateway.commission.plan import plan as work
+
+    work(**options)
+
+
+@click.command(short_help="Compare with the HMI: two values per analogue, both states per bool.")
+@click.option("--against", "listed", type=_PATH, help="Readings of the HMI (CSV, XLSX): tag, value and, if any, time.")
+@only_option
+@click.option(
+    "--readings", type=_PATH, help="For readings with times: what was recorded (decanter plc soak --record, historian)."
+)
+@click.option("--within", type=click.FloatRange(0), default=2.0, show_default=True, help="Seconds around such a time.")
+@click.option("--clock-offset", type=float, default=0.0, help="Seconds by which the HMI's clock is ahead.")
+@click.option("--tolerance", "slack", type=click.FloatRange(0), default=0.0, help="Engineering units beside rounding.")
+@click.option("--complete", is_flag=True, help="Fail as long as a tag is not proved.")
+@click.option("--anew", is_flag=True, help="Do not count what earlier verifications proved.")
+@link_options
+def verify(**options: Any) -> None:
+    """Compare with the HMI until each number was right at two distinct values, each flag in both states.
+
+    A third value is asked for where a register may be a neighbour's: it held the same word at both.
+
+    With --against the readings come from a list: one row a reading, or one column a tag. Without it each tag is asked
+    for, round by round. What was proved before counts as long as the tag lies where it lay (see --anew).
+    """
+    from gateway.commission.verify import verify as work
+
+    work(**options)
+
+
+@click.command(short_help="Where peers find each tag, its quality and its age, if the gateway serves them.")
+@click.option("--csv", "as_csv", is_flag=True, help="The table as CSV, for the peer's own import.")
+@click.option(
+    "--config", "path", type=click.Path(path_type=Path), help="The plant file.  [default: ./plant.toml, then ./config]"
+)
+@click.option("--machine", metavar="NAME", help="Which machine of a plant file that has several.")
+@json_option
+def served(**options: Any) -> None:
+    """Where a peer of the gateway (a SCADA system, another PLC) finds each tag, its quality and its age.
+
+    The gateway serves them where the plant file has a [serve] table with a port: Modbus TCP, functions 1 to 4, by PDU
+    addresses from 0. Nothing is asked of the device or of a running gateway.
+    """
+    from gateway.commission.served import served as work
+
+    work(**options)
+
+
+@click.command(short_help="Read for a longer time: cycle times, losses, the period to be recommended.")
+@click.option("--seconds", type=click.FloatRange(0.1), default=60.0, show_default=True, help="For how long.")
+@period_option
+@click.option("--record", type=click.Path(path_type=Path), help="Keep the readings in this CSV, one row a scan.")
+@link_options
+def soak(**options: Any) -> None:
+    """Scan all tags for a while, as the gateway will: times of a scan, losses, and the period to be recommended.
+
+    Fails if a tag was not good or a tick was missed. Ctrl-C ends it early with what there is.
+    """
+    from gateway.commission.soak import soak as work
+
+    work(**options)
+
+
+@click.command(short_help="Let blocks be written: by whom, why and for how many minutes.")
+@click.option("--reason", required=True, help="Why blocks are to be written, for the audit log.")
+@click.option("--minutes", type=float, required=True, help="For how long, 480 at most; then it ends by itself.")
+@click.option(
+    "--acknowledge-head",
+    "acknowledged",
+    multiple=True,
+    metavar="HASH",
+    help="Take note that the audit log's rows up to this head are lost; may be given several times.",
+)
+@audit_option
+@link_options
+def arm(**options: Any) -> None:
+    """Let blocks be written for some minutes: by the loop tests, and by a gateway with mode 'shadow'.
+
+    A gateway that runs is told so; one that starts meanwhile finds it in the audit log. Needs a name (--by).
+    Nobody arms on an audit log whose chain is broken, nor on one that lacks a row whose head was signed.
+    """
+    from gateway.commission.writeback.arm import arm as work
+
+    work(**options)
+
+
+@click.command(short_help="Take the arming back.")
+@click.option("--reason", default="by command", show_default=True, help="Why, for the audit log.")
+@socket_option
+@audit_option
+@link_options
+def disarm(**options: Any) -> None:
+    """Take the arming back: at once, with a block of validity 0 if one can be written.
+
+    It needs no plant file that can be used: the running gateway is asked at the socket that is named, or where as much
+    of the file as can be read, or the default, has it; where none runs the audit log is.
+    """
+    from gateway.commission.writeback.arm import disarm as work
+
+    work(**options)
+
+
+@click.command(short_help="Show and verify the audit log.")
+@click.option("--head", default="", metavar="HASH", help="A hash kept from before, which has to be in the log.")
+@click.option("--last", type=click.IntRange(0), default=20, show_default=True, help="So many of the newest rows.")
+@click.option("--kind", "kinds", multiple=True, help="Only rows of this kind, such as 'armed' or 'write refused'.")
+@click.option(
+    "--config",
+    "plant",
+    type=_PATH,
+    help="The plant file whose audit log it is.  [default: plant.toml, config/plant.toml]",
+)
+@click.option("--machine", metavar="NAME", help="Only rows of this machine, of a gateway with several.")
+@click.option("--public-key", type=_PATH, help="The gateway's public key; without it the key beside the log.")
+@click.option("--heads", type=_PATH, help="A file of signed heads.  [default: the plant file's, or beside the log]")
+@click.option("--historian", type=_PATH, help="A historian that holds a signed head.  [default: the plant file's]")
+@click.option("--log", type=_PATH, help="A log that holds signed heads.  [default: the plant file's]")
+@audit_option
+@record_options
+def audit(**options: Any) -> None:
+    """Show and verify the audit log: every write, refusal and arming, each row bound to the one before.
+
+    Its end is bound by signed heads, which the gateway gives to a file of heads, the historian and the log each hour,
+    at each arming and at a stop: a log that was cut, emptied or computed anew lacks a row that was signed. Signatures
+    are checked by the gateway's key, which others must not be able to read, or the public key alone (--public-key).
+    """
+    from gateway.commission.writeback.audit import audit as work
+
+    work(**options)
+
+
+@click.command(short_help="Make or verify the site acceptance report: page, paper, JSON.")
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    default=Path("out/acceptance"),
+    show_default=True,
+    help="Folder of the report.",
+)
+@click.option("--site", default="", help="Name of the plant.  [default: where the device is]")
+@click.option("--remark", "remarks", multiple=True, help="An open point of your own; may be given several times.")
+@click.option(
+    "--config",
+    "plant",
+    type=click.Path(path_type=Path),
+    help="The plant file whose audit log it is.  [default: plant.toml, config/plant.toml]",
+)
+@click.option("--verify", "verifies", is_flag=True, help="Check the files of a report instead of making one.")
+@click.option("--seal", default="", metavar="HASH", help="With --verify: the seal that was signed.")
+@audit_option
+@record_options
+def report(**options: Any) -> None:
+    """Make the site acceptance report: page, paper and JSON, hashed and sealed; --verify finds a changed byte.
+
+    It holds every check with the hash of its raw frames, the configuration's hashes, versions, the clock's offset,
+    names and what is open. Exit code 1 if a check failed or something is changed.
+    """
+    from gateway.commission.report import report as work
+
+    work(**options)
+
+
+@click.command(short_help="Send a recording through the gateway, without a PLC.")
+@click.argument("recording", type=click.Path(path_type=Path))
+@link_options
+def replay(**options: Any) -> None:
+    """Send a RECORDING through the gateway as if it came from the PLC: events, predictions, alarms, blocks.
+
+    It is a CSV (soak --record, or a trace) or a gateway's historian. Needs --config; the device is not asked, nothing
+    is written, and the gateway's own records stay as they are.
+    """
+    from gateway.commission.replay import replay as work
+
+    work(**options)
