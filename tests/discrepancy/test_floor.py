@@ -259,7 +259,7 @@ def test_no_name_is_given_under_which_the_error_is_greater_than_that_of_the_mode
     assert best is not None
     path = NamingResult(base, best, ((first, ""),))
     held = HeldOutProof(4, 4, 0.3, 2.0, 0.8, 0.2, 0.85, (0.7, 0.9), ())
-    for given, withheld in ((0.3, True), (0.9, False)):
+    for given, surely, withheld in ((0.3, True, True), (0.3, False, False), (0.9, True, False)):
         reasons = doubts(
             path,
             let_run(base, held_out),
@@ -267,6 +267,7 @@ def test_no_name_is_given_under_which_the_error_is_greater_than_that_of_the_mode
             held=replace(held, rmse_given=given),
             before=None,
             left=None,
+            given_is_nearer=surely,
         )
         assert any("as it was given" in reason for reason in reasons) is withheld, reasons
 

@@ -13,6 +13,7 @@ from sim.lab.discrepancy.fitting.record import build_record
 from sim.lab.discrepancy.naming import NamingStep, confirm, entries_besides, likeness, step
 from sim.lab.discrepancy.path import Judged, name, revise_names
 from sim.lab.discrepancy.rules import RULES
+from sim.lab.discrepancy.workflow import diagnose
 from tests.discrepancy.plants import model, plant
 
 PUMP = {"pump": "MarciaPmpFango"}
@@ -103,3 +104,10 @@ def test_a_name_that_is_looked_at_again_is_not_taken_for_what_a_later_one_left()
     room = step(offset.best.fitted, entries, present, rules=RULES)
     assert room.best is not None and room.best.entry.name == "ambient-coupling"
     assert 0.01 < likeness(room, offset.best) < 0.6
+
+
+def test_more_names_that_are_allowed_never_give_fewer_right_ones() -> None:
+    names = {"ambient-coupling", "startup-churning"}
+    trace = plant(26, days=4, period=240.0, room=0.4, churning=4e-3)
+    one, three = (diagnose(model(), [trace], seed=0, most=most).diagnosis.effects for most in (1, 3))
+    assert len(one) == 1 and {effect.name for effect in one} <= {effect.name for effect in three} == names

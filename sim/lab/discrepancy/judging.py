@@ -201,10 +201,12 @@ def doubts(
     before: Ceiling | None,
     left: Ceiling | None,
     shorter: HeldOutRun | None = None,
+    given_is_nearer: bool = True,
 ) -> tuple[str, ...]:
     """Why names that the likelihood offers are not given after all; `first` and `second` are the held-out runs.
 
-    `shorter` is the run without the last name, where there is more than one.
+    `shorter` is the run without the last name, where there is more than one. `given_is_nearer`: where the model as it
+    was given errs by less, it surely does (`surely_nearer`), and not by the chance of a few cycles.
     """
     if not path.accepted_steps:
         return ()
@@ -218,7 +220,9 @@ def doubts(
         reasons.append("the held-out cycles are not better foreseen with it")
     if held.rmse_after > held.rmse_before:
         reasons.append("the free run over the held-out cycles is further off with it")
-    elif is_noticeable(held.rmse_after, held.rmse_given, sensor_noise(path.base.frame.record), rules):
+    elif given_is_nearer and is_noticeable(
+        held.rmse_after, held.rmse_given, sensor_noise(path.base.frame.record), rules
+    ):
         reasons.append("the free run over the held-out cycles is further off with it than the model as it was given")
     elif _hardly_smaller(path, held):
         reasons.append(f"it removes {held.excess_removed:.0%} of what the free run over the held-out cycles is off by")

@@ -343,6 +343,7 @@ def _judge_path(proof: Proof, path: NamingResult, shorter: NamingResult | None) 
             before=proof.ceiling,
             left=left,
             shorter=None if shorter is None else let_run(shorter.fitted, proof.held_out),
+            given_is_nearer=surely_nearer(proof.runs.given, second, proof.seed),
         ),
         *leftover_reasons(path, foreseen, proof.before, excess_after),
         *(f"{step.members[0]} {why}" for step in path.accepted_steps if (why := refusal_reason(step))),
