@@ -40,7 +40,7 @@ def one_table(folder: Path, files: Sequence[Path], answers: Answers) -> tuple[Fo
     first, clock = tables[0], clocks[0]
     for table, other in zip(tables[1:], clocks[1:], strict=True):
         same = fold_name(table.header[other.place]) == fold_name(first.header[clock.place])
-        if not same or set(other.formats) != set(clock.formats) or table.separator != first.separator:
+        if not same or other.formats[0] != clock.formats[0] or table.separator != first.separator:
             raise TraceError(
                 f"{table.path}: its clock is {table.header[other.place]!r} in the form {other.formats[0]!r}, "
                 f"and that of "
@@ -48,6 +48,7 @@ def one_table(folder: Path, files: Sequence[Path], answers: Answers) -> tuple[Fo
                 f"recording together; "
                 "give each its own map"
             )
+    clock = replace(clock, formats=tuple(dict.fromkeys(each for own in clocks for each in own.formats)))
     # A name that files share is a column of one recording; where one row of numbers only is under it, of one tag each,
     # if their times or their names are not those of days one after another.
     seen = Counter(fold_name(name) for table in tables for name in set(table.header))
