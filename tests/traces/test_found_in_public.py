@@ -121,6 +121,14 @@ def test_a_column_that_was_added_later_costs_the_rows_before_it(tmp_path: Path) 
     assert np.allclose(trace.signals["Bearing_temperature"], recording().heat[40:], atol=0.006)
 
 
+def test_a_row_that_was_cut_off_is_not_where_the_names_stand(tmp_path: Path) -> None:
+    export = wide(tmp_path / "a.csv")
+    lines = export.read_text(encoding="utf-8").splitlines()
+    written(export, lines[0], [",°C,A,", lines[1], lines[2].split(",")[0], *lines[3:]])
+    (trace,), report, said = mapped(export, tmp_path / "m.toml")
+    assert said["temperature"] == "Bearing temperature" and trace.times.size == 239 and report.refused == 2
+
+
 def test_the_end_of_a_value_told_with_what_follows_it_is_stored_on_change(tmp_path: Path) -> None:
     plant, rng = recording(times=4), np.random.default_rng(0)
     kept, last = [], 0

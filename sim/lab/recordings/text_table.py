@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from drivers.csv_rows import strip_guards
 from drivers.errors import did_you_mean
-from sim.lab.recordings.cells import numbers
+from sim.lab.recordings.cells import booleans, numbers
 from sim.lab.recordings.column_map import ColumnMap, Names
 from sim.lab.recordings.load_report import FileReport, TraceError, list_names
 from sim.lab.recordings.sources import open_source, read_head
@@ -30,7 +30,7 @@ Lines = NDArray[np.intp]
 """Numbers of lines of a file, from 1."""
 SEPARATORS = {",": ",", ";": ";", "tab": "\t", "|": "|"}
 _HEAD_BYTES = 262_144
-_CHUNK_LINES = 50_000
+_CHUNK_LINES = 20_000
 _BLOCK_LINES = 500
 """Lines that are split in one call where none of them has a quotation mark. One mark costs its block the short way."""
 MAX_ROW_LINES = 50
@@ -198,8 +198,9 @@ def find_layout(
         shown = [cells for line in lines[skip : skip + _SHOWN_ROWS] if (cells := _header([line], separator)[0])]
         header = tuple(with_row_names(header, shown))
         kept = header[: _narrower(lines[skip:], separator, len(header))]
-        # Which cell is missing only a column that people leave empty says.
+        # Which cell is missing only a column that people leave empty says, below readings up to the last kept name.
         optional = all(fold_name(name) in _NOTES for name in header[len(kept) :])
+        optional &= any(len(cells) == len(kept) and _is_reading(cells[-1]) for cells in shown)
         if kept != header and optional and all(find_column(kept, names) is not None for names in needed):
             report.warn(f"none of its rows has a cell for {list_names(header[len(kept) :])}")
             header = kept
@@ -254,6 +255,11 @@ def _code_page(head: bytes) -> str:
             return "gb18030"
     letters = sum(byte >= _FIRST_CYRILLIC for run in runs for byte in run)
     return "cp1251" if 10 * letters >= 9 * sum(map(len, runs)) else "cp1252"
+
+
+def _is_reading(cell: str) -> bool:
+    """Whether a cell is a number or a word of a switch, and no note."""
+    return bool(np.isfinite(numbers([cell])[0][0])) or not booleans([cell])[1][0]
 
 
 def _narrower(lines: Sequence[str], separator: str, width: int) -> int:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sim.lab.recordings import TraceError, fold_name, list_names, recording_name
+from sim.lab.recordings import UNNAMED_COLUMN, TraceError, fold_name, list_names, recording_name
 from sim.lab.recordings.mapping.answers import Answers
 from sim.lab.recordings.mapping.clocks import FoundClock
 from sim.lab.recordings.mapping.decide import choose_clock, sample_seconds
@@ -53,7 +53,11 @@ def one_table(folder: Path, files: Sequence[Path], answers: Answers) -> tuple[Fo
     # if their times or their names are not those of days one after another.
     seen = Counter(fold_name(name) for table in tables for name in set(table.header))
     owned = [
-        [place for place, name in enumerate(table.header) if name and place not in (own.place, own.date)]
+        [
+            place
+            for place, name in enumerate(table.header)
+            if name not in ("", UNNAMED_COLUMN) and place not in (own.place, own.date)
+        ]
         for table, own in zip(tables, clocks, strict=True)
     ]
     single = all(
@@ -74,6 +78,7 @@ def one_table(folder: Path, files: Sequence[Path], answers: Answers) -> tuple[Fo
         keys: list[str] = []
         for place, name in enumerate(table.header):
             shared = single and len(tables) > 1 and seen[fold_name(name)] > 1 and place not in (own.place, own.date)
+            shared &= name != UNNAMED_COLUMN  # the number of a row is no tag
             key = f"{recording_name(table.path)}/{name}" if shared else name
             key = next((known for known in names if fold_name(known) == fold_name(key)), key)
             names += [key] if key not in names else []

@@ -95,8 +95,8 @@ def find_table(path: Path) -> FoundTable:
         raise TraceError(_no_data(path, rows))
     width = len(rows[first])
     named = next((place + 1 for place, row in enumerate(rows[:first]) if row[0].casefold() == "#names"), None)
-    # A row of readings of another width may stand between them, as where a column was added later.
-    names_at = next((place for place in range(first - 1, 0, -1) if not _is_data(rows[place])), 0)
+    # Rows of readings of another width may stand between them: a column was added later, a row was cut off.
+    names_at = next((at for at in range(first - 1, 0, -1) if not (_is_data(rows[at]) or is_time(rows[at][0]))), 0)
     header_at, units = names_at if named is None else named, [""] * width
     # Between names and readings there may be rows of units, and of addresses and types, which leave the clock's columns
     # blank or name it alone.
