@@ -110,6 +110,11 @@ class Tag:
     scale_from: str = ""
 
     @property
+    def is_switch(self) -> bool:
+        """Whether it is on or off and nothing else: a boolean, or one bit of a register."""
+        return self.dtype is DType.BOOL or self.bit is not None
+
+    @property
     def sentinels(self) -> tuple[int | float, ...]:
         """All raw numbers that mean "not available"."""
         return () if self.sentinel is None else (self.sentinel, *self.other_sentinels)

@@ -192,7 +192,7 @@ def _meaning(tag: Tag, shown: HmiReading, slack: float) -> tuple[Value, float, f
     for number, label in tag.labels.items():
         if header_key(label) == key:
             return number, 0.0, 0.0
-    if tag.dtype is DType.BOOL or tag.bit is not None:
+    if tag.is_switch:
         flag = parse_flag(key)
         if flag is None:
             raise ListError(f"{shown.where or tag.name}: {shown.text!r} is no state; give 1 or 0, on or off")
@@ -246,7 +246,7 @@ def missing_proof(tag: Tag, points: Sequence[Point]) -> str:
         return f"compared and did not agree: {here[-1].reason}" if here else "not compared yet"
     if tag.dtype is DType.STRING:
         return ""
-    if tag.dtype is DType.BOOL or tag.bit is not None:
+    if tag.is_switch:
         states = {bool(point.read) for point in own}
         return "" if len(states) == 2 else f"seen {'on' if True in states else 'off'} only"
     distinct: list[Point] = []

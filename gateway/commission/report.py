@@ -94,9 +94,10 @@ def _view(result: Mapping[str, Any]) -> Iterator[Part]:
 
 def _check_files(folder: Path, seal: str) -> CommandResult:
     actual, rows = verify(folder, seal)
-    bad = next((row for row in rows if not row["ok"]), None)
-    complaint = f"{folder / bad['file']}: {bad['problem']}" if bad else ""
-    return CommandResult({"folder": str(folder), "seal": actual, "files": rows}, complaint)
+    bad = next((row for row in rows if not row.ok), None)
+    complaint = f"{folder / bad.file}: {bad.problem}" if bad else ""
+    files = [{"file": row.file, "ok": row.ok, "problem": row.problem} for row in rows]
+    return CommandResult({"folder": str(folder), "seal": actual, "files": files}, complaint)
 
 
 def _view_of_files(data: Mapping[str, Any]) -> Iterator[Part]:

@@ -29,6 +29,8 @@ from gateway.store import SQLITE_HEADER, SigningKeyError, load_key
 from sim.sha import RELAXING_FLOWS, distributions
 from sim.units import display_unit
 
+MAX_SOCKET_BYTES = 107
+"""What Linux keeps of a socket's path (`sun_path`, less its end)."""
 MAX_REACH_SPANS = 2.0
 """A limit so many times the model's span of temperatures above the hottest of them never comes within reach."""
 
@@ -58,7 +60,19 @@ def check_plant(
     found = [*_devices(configs)]
     for config in configs:
         found += check_machine(config, known[config.machine] if config.machine in known else models_at_start(config))
+    found += _labels(configs)
     return tuple(sorted([*found, *check_common(configs[0])], key=lambda finding: not finding.grave))
+
+
+def _labels(configs: Sequence[Config]) -> Iterator[PlantFinding]:
+    """Words of the page for what is not there."""
+    config = configs[0]
+    known = {config.machine for config in configs} | {
+        name for config in configs for link in config.links for name in (*link.map.by_name, *link.map.derived)
+    }
+    for name in sorted(config.page.labels.keys() - known):
+        said = f"{config.path}: page.labels: {name!r} is no machine and no tag of this plant; spell it as there"
+        yield PlantFinding("page", said, grave=False)
 
 
 def check_machine(config: Config, models: ModelsAtStart) -> list[PlantFinding]:
@@ -106,6 +120,10 @@ def _records(config: Config) -> Iterator[PlantFinding]:
     }
     for key, path in config.written_files.items():
         reason, grave = _unwritable(path)
+        if not reason and key != "control.path" and path.exists() and not path.is_file():
+            reason = "is no file; give the path of one"
+        if key == "control.path" and len(os.fsencode(path)) > MAX_SOCKET_BYTES:
+            reason, grave = f"is longer than the {MAX_SOCKET_BYTES} bytes that a socket's path may have; give one", True
         if not reason and key in own and path.exists():
             reason = own[key](path)
         if reason:
@@ -150,8 +168,6 @@ def _no_key(path: Path) -> str:
 
 
 def _no_database(path: Path) -> str:
-    if not path.is_file():
-        return "is no file; give the path of one"
     with path.open("rb") as file:
         head = file.read(len(SQLITE_HEADER))
     return "" if head in (b"", SQLITE_HEADER) else "is no database; give the path of a historian or of a new file"

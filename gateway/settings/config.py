@@ -21,6 +21,7 @@ from drivers.driver import capabilities, load_function
 from drivers.errors import DriverError
 from drivers.named_files import normal_path
 from drivers.settings import ConfigError, FilePath, Line, Section, read_toml, validate_section
+from drivers.tag import DType
 from gateway.replacement import ReplacementError, files_version, has_newer_files, settle
 from gateway.settings.alarm_kinds import OF_PLANT, AlarmRow, alarm_problems
 from gateway.settings.devices import DeviceMap, WritebackLayout
@@ -36,6 +37,8 @@ OF_THE_TYPE = (
     "this key, none with an empty text"
 )
 MAX_ARMED_MINUTES = 480.0
+A_DAY_S = 86_400.0
+"""Delays, intervals and horizons beyond it would make of an alarm, a record or a forecast one that never comes."""
 FORMER_HISTORIAN = Path("../out/historian.sqlite")
 """Where the records were by default, from the plant file on (record 0079)."""
 MIN_BLOCKS_PER_SECOND = 10.0
@@ -114,11 +117,17 @@ class AlarmSection(Section):
 
     limit: float = Field(80.0, description="the alarm limit in degC")
     deadband: float = Field(2.0, ge=0, description="degC below the limit at which the alarm returns")
-    on_delay: float = Field(0.0, ge=0, description="seconds above the limit before the alarm is raised")
-    off_delay: float = Field(10.0, ge=0, description="seconds below the limit before the alarm returns")
+    on_delay: float = Field(
+        0.0, ge=0, le=A_DAY_S, description="seconds above the limit before the alarm is raised, at most a day"
+    )
+    off_delay: float = Field(
+        10.0, ge=0, le=A_DAY_S, description="seconds below the limit before the alarm returns, at most a day"
+    )
     tags: Names = Field((), description="the tags of the temperatures to watch")
     p_limit: float = Field(0.5, gt=0, le=1, description="the probability of passing the limit that is worth an alarm")
-    anomaly: float = Field(3.0, gt=0, description="the anomaly score worth an alarm (3: once in a thousand windows)")
+    anomaly: float = Field(
+        3.0, gt=0, le=100, description="the anomaly score worth an alarm, at most 100 (3: once in a thousand windows)"
+    )
     unfamiliar: float = Field(
         1.2,
         ge=0.5,
@@ -156,6 +165,13 @@ class AlarmSection(Section):
     def _seconds_or_never(cls, seconds: object) -> object:
         return None if seconds is False else seconds
 
+    @field_validator("tags")
+    @classmethod
+    def _once(cls, tags: tuple[str, ...]) -> tuple[str, ...]:
+        if len(set(tags)) != len(tags):
+            raise ValueError(f"{list(tags)} name a tag twice; name each once")
+        return tags
+
     @field_validator("twins")
     @classmethod
     def _two(cls, twins: tuple[str, ...]) -> tuple[str, ...]:
@@ -168,9 +184,13 @@ class HistorianSection(Section):
     """The embedded historian."""
 
     path: FilePath = Field(Path("out/historian.sqlite"), description="the path of the database file")
-    retention_days: float = Field(90.0, gt=0, description="the days after which measurements are deleted")
+    retention_days: float = Field(
+        90.0, ge=0.04, description="the days after which measurements are deleted, at least 0.04 (an hour)"
+    )
     max_mb: float = Field(4096.0, ge=1, description="the largest size of the file in megabytes, at least 1")
-    max_interval: float = Field(5.0, gt=0, description="seconds after which an unchanged value is stored again")
+    max_interval: float = Field(
+        5.0, gt=0, le=A_DAY_S, description="seconds after which an unchanged value is stored again, at most a day"
+    )
     max_off_days: float = Field(
         7.0, gt=0, description="the days that the gateway may have been off before its clock is doubted"
     )
@@ -201,7 +221,7 @@ class ForecastSection(Section):
 
     horizons: Seconds = Field((60.0, 300.0, 900.0), min_length=1, description="ascending seconds, such as [60, 900]")
     runs: int = Field(500, ge=20, le=100_000, description="the number of runs, 20 to 100000")
-    period: float = Field(10.0, gt=0, description="the plant seconds between two forecasts")
+    period: float = Field(10.0, gt=0, le=A_DAY_S, description="the plant seconds between two forecasts, at most a day")
     seed: int = Field(0, ge=0, description="a whole number from 0")
 
     @field_validator("horizons")
@@ -209,6 +229,8 @@ class ForecastSection(Section):
     def _check_order(cls, horizons: tuple[float, ...]) -> tuple[float, ...]:
         if any(later <= earlier for earlier, later in zip((0.0, *horizons), horizons, strict=False)):
             raise ValueError(f"{list(horizons)} must be positive and ascending; give seconds such as [60, 300, 900]")
+        if horizons and horizons[-1] > A_DAY_S:
+            raise ValueError(f"{list(horizons)} look beyond a day; give seconds such as [60, 300, 900]")
         return horizons
 
 
@@ -216,7 +238,7 @@ class VirtualSensorSection(Section):
     """For how long the model stands in for a bad sensor."""
 
     minutes: float = Field(120.0, gt=0, le=1440, description="the most minutes since the last good reading, up to 1440")
-    width: float = Field(15.0, gt=0, description="the widest 90 % band, in degC from its lower to its upper end")
+    width: float = Field(15.0, ge=0.1, description="the widest 90 % band, in degC from its lower to its upper end")
 
 
 class EnsembleSection(Section):
@@ -228,15 +250,18 @@ class EnsembleSection(Section):
     weights: tuple[float, ...] | Literal["evidence", "equal"] = Field(
         "evidence", description="'evidence', 'equal' or one number a model, as [0.7, 0.3], model.path's first"
     )
-    context: Literal["none", "running", "symbols"] = Field(
+    context: Literal["none", "running", "symbols", "familiarity"] = Field(
         "running",
-        description="'none', 'running' (weights of their own for running and stopped) or 'symbols' (for each "
-        "combination of the alphabet's symbols)",
+        description="'none', 'running' (weights of their own for running and stopped), 'symbols' (for each "
+        "combination of the alphabet's symbols) or 'familiarity' (as 'running', and apart for cycles unlike the "
+        "training)",
     )
     plain: bool = Field(
         True, description="whether the model's plain members (persistence, a damped trend) take part in its forecast"
     )
-    half_life: float = Field(8.0, gt=0, description="independent forecasts after which evidence counts half")
+    half_life: float = Field(
+        8.0, ge=0.1, description="independent forecasts after which evidence counts half, at least 0.1"
+    )
     floor: float = Field(0.02, ge=0, lt=1, description="the least weight that evidence leaves a model")
 
     @field_validator("weights", mode="before")
@@ -800,6 +825,12 @@ def _shared_places(config: Config) -> list[str]:
     records in a plant file would set it aside as a damaged database.
     """
     written = {**config.written_files, "page.users": config.users}
+    beside = {
+        path.with_name(path.name + ending).resolve(): f"a file that the database of {key} keeps beside it"
+        for key, path in (("historian.path", config.historian.path), ("writeback.audit", config.audit))
+        for ending in ("-wal", "-shm", "-journal", ".lock")
+    }
+    folders = {row.model.resolve(): row.tag for row in config.temperatures if row.model is not None}
     known = {config.path.resolve(): "the plant file itself"}
     for place, link in enumerate(config.links):
         known.setdefault(link.map.path.resolve(), "device.file" if len(config.links) == 1 else f"device.links[{place}]")
@@ -809,6 +840,9 @@ def _shared_places(config: Config) -> list[str]:
     for row in config.temperatures:
         if row.model is not None:
             known.setdefault(row.model.resolve(), f"the model of {row.tag}")
+    for key, secrets in (("notify.secrets", config.notify.secrets), ("northbound.secrets", config.northbound.secrets)):
+        if secrets is not None:
+            known.setdefault(secrets.resolve(), key)
     problems = []
     within = {folder: what for read, what in known.items() for folder in read.parents}
     for key, path in written.items():
@@ -816,7 +850,11 @@ def _shared_places(config: Config) -> list[str]:
             # A folder where records belong is moved aside as damaged, with all that is in it.
             problems.append(f"{key}: {path} is a folder of {what}; give the path of a file")
             continue
-        if (other := known.setdefault(path.resolve(), key)) != key:
+        if (of := beside.get(path.resolve())) is not None:
+            problems.append(f"{key}: {path} is {of}; give each a path of its own")
+        elif path.exists() and (tag := next((folders[one] for one in path.resolve().parents if one in folders), "")):
+            problems.append(f"{key}: {path} is a file of the model of {tag}; give each a path of its own")
+        elif (other := known.setdefault(path.resolve(), key)) != key:
             problems.append(f"{key}: {path} is the file of {other} too; give each a path of its own")
     return problems
 
@@ -837,6 +875,10 @@ def historian_file(section: HistorianSection, home: Path) -> Path:
     return former if not file.exists() and former.exists() else file
 
 
+_HOLDS_SECONDS = (DType.INT32, DType.UINT32, DType.INT64, DType.UINT64, DType.FLOAT64)
+"""Kinds that can hold the seconds since 1970 to the second; a single float of them is minutes apart from the next."""
+
+
 def _problems(content: _PlantFile, rows: Sequence[TemperatureSection], links: tuple[DeviceLink, ...]) -> list[str]:
     """What no single key shows: tags that the map lacks, models that are not there or do not go together, a speed for a
     real plant."""
@@ -846,12 +888,27 @@ def _problems(content: _PlantFile, rows: Sequence[TemperatureSection], links: tu
     key = "temperature[{}].tag" if content.temperature else "model.temperature"
     named = [*((key.format(place), row.tag) for place, row in enumerate(rows)), *named]
     named += [("alarms.twins", tag) for tag in content.alarms.twins]
-    named += [("alarms.acknowledge", content.alarms.acknowledge)] if content.alarms.acknowledge else []
-    named += [("clock.tag", content.clock.tag)] if content.clock.tag else []
+    single = {"alarms.acknowledge": content.alarms.acknowledge, "clock.tag": content.clock.tag}
+    named += [(key, tag) for key, tag in single.items() if tag is not None]
     problems = [
         f"{key}: {tag!r} is not a tag of {device.path}; give one of its names" for key, tag in named if tag not in tags
     ]
     predicted = [row.tag for row in rows]
+    heat = dict.fromkeys(tag for key, tag in named if not key.startswith(("clock", "alarms.ack")))
+    switches = [tag for tag in heat if tag in tags and device.by_name[tag].is_switch]
+    problems += [
+        f"{next(key for key, named_tag in named if named_tag == tag)}: {tag!r} is a switch and no temperature; give a "
+        f"tag of {device.path} that holds a number"
+        for tag in switches
+    ]
+    if (tag := content.alarms.acknowledge) in heat:
+        problems.append(
+            f"alarms.acknowledge: {tag!r} is a temperature; give a tag that is 0 until somebody acknowledges"
+        )
+    if (tag := content.clock.tag) in tags and (tag in heat or device.by_name[tag].dtype not in _HOLDS_SECONDS):
+        problems.append(
+            f"clock.tag: {tag!r} cannot hold the seconds since 1970; give one that is a whole number of 32 bits"
+        )
     problems += alarm_problems(content.alarm, tags, watched_tags(content.alarms, predicted), predicted, device.path)
     key = "temperature[{}].model" if content.temperature else "model.path"
     problems += [
@@ -902,6 +959,13 @@ def _problems(content: _PlantFile, rows: Sequence[TemperatureSection], links: tu
         problems.append(
             f"writeback.max_age: {oldest:g} s is no less than the PLC's own timer; give less than "
             f"{device.writeback.timeout:g} (timeout_s in {device.path})"
+        )
+    slowest = content.writeback.most_per_second
+    if slowest is not None and device.writeback is not None and 1.0 / slowest >= device.writeback.timeout:
+        problems.append(
+            f"writeback.most_per_second: one block in {1.0 / slowest:g} s lets the PLC's own timer run out; "
+            f"give more than {1.0 / device.writeback.timeout:g} (timeout_s is {device.writeback.timeout:g} in "
+            f"{device.path})"
         )
     horizon = content.writeback.horizon
     if horizon is not None and horizon not in content.forecast.horizons:

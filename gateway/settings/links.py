@@ -6,7 +6,7 @@ from ipaddress import ip_address
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from drivers.driver import capabilities
 from drivers.settings import Section
@@ -43,6 +43,13 @@ class DeviceSection(Section):
     links: Annotated[tuple[LinkSection, ...], Field(strict=False)] = Field((), description="[[device.links]] tables")
     switch_after: float = Field(0.3, gt=0, le=60, description="seconds after which a scan no longer waits for a link")
     return_after: float = Field(10.0, ge=0, description="seconds for which the primary must be well to be used again")
+
+    @field_validator("host")
+    @classmethod
+    def _is_one_word(cls, host: str) -> str:
+        if host.split() != [host]:
+            raise ValueError(f"{host!r} has a space in it; give the PLC's address or name")
+        return host
 
     @model_validator(mode="after")
     def _one_form(self) -> "DeviceSection":

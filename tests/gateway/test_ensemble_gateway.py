@@ -188,7 +188,7 @@ def test_a_member_is_where_its_model_alone_would_be_at_each_scan_and_after_a_res
 
 def test_a_context_is_what_the_first_models_encoder_told(tmp_path: Path) -> None:
     seen = {}
-    for context in ("none", "running", "symbols"):
+    for context in ("none", "running", "symbols", "familiarity"):
         config = together(tmp_path, f'context = "{context}"')
         first = Predictor(two_modes(), TEMPERATURE)
         ensemble = Ensemble(
@@ -196,7 +196,7 @@ def test_a_context_is_what_the_first_models_encoder_told(tmp_path: Path) -> None
         )
         first.step(scan_of({RUNNING: True, CURRENT: 150.0, TEMPERATURE: 30.0}, EPOCH))
         seen[context] = ensemble.context
-    assert seen == {"none": "", "running": "W_ON", "symbols": "W_ON A_1"}
+    assert seen == {"none": "", "running": "W_ON", "symbols": "W_ON A_1", "familiarity": "W_ON unknown"}
 
 
 @pytest.mark.parametrize(

@@ -64,6 +64,7 @@ def test_another_machine_is_outside_from_its_first_hour_on_and_the_same_one_is_n
     assert all(each.expected_error is not None and 0.1 <= each.expected_error <= 0.2 for each in outside)
     # A rating comes every five minutes: between them the same one is given.
     assert len(set(map(id, other))) < len(other) / 20
+    assert ({each.word for each in same}, other[-1].word) == ({"unknown", "familiar"}, "strange")
     assert not any(each.outside for each in ratings(known, warmer=12.0, limit=100.0))
 
 

@@ -68,15 +68,18 @@ def test_strange_idling_lowers_confidence_raises_the_alarm_and_is_said_in_plant_
     assert read_familiarity(tmp_path / "model") is not None
     text = rig.plant.read_text(encoding="utf-8").replace('path = "model.json"', 'path = "model"')
     # At six hundred times the speed of a plant every sensor jumps.
-    rig.plant.write_text(text + "[alarms]\nsensors = false\n", encoding="utf-8")
+    more = "[alarms]\nsensors = false\n[ensemble]\nmembers = ['model.json']\ncontext = 'familiarity'\n"
+    rig.plant.write_text(text + more, encoding="utf-8")
     with rig.plc("--hold") as plc, rig.gateway(plc) as gateway:
         gateway.wait_for(lambda status: status["link"]["alive"] and status["writeback"]["accepted"] > 0)
         assert gateway.status["prediction"]["familiarity"]["zone"] == "unknown", "before an hour nothing is said"
         plc.order("start")
         usual = gateway.wait_for(lambda status: status["prediction"]["familiarity"]["strangeness"] is not None)
         assert not usual["prediction"]["familiarity"]["outside"] and usual["alarms"]["unfamiliar"] == "normal"
+        assert usual["guards"]["ensemble"]["context"].endswith(" familiar"), "weights of their own for what is known"
         strange = gateway.wait_for(lambda status: status["alarms"]["unfamiliar"] == "unacknowledged")
         p = strange["prediction"]
+        assert strange["guards"]["ensemble"]["context"].endswith(" strange")
         assert p["familiarity"]["outside"] and p["familiarity"]["zone"] in ("yellow", "red")
         assert p["zone"] in ("none", "yellow", "red"), "a green prediction is none any more"
         said = gateway.wait_for(

@@ -225,7 +225,7 @@ def test_the_paper_is_a_pdf_of_the_same_and_bears_the_datas_hash(tmp_path: Path)
 @pytest.mark.parametrize("name", [*FILES, LIST])
 def test_a_changed_byte_in_any_file_shows(copied: tuple[Path, str], name: str) -> None:
     out, seal = copied
-    assert all(row["ok"] for row in verify(out, seal)[1])
+    assert all(row.ok for row in verify(out, seal)[1])
     content, random = (out / name).read_bytes(), Random(name)
     places = range(len(content)) if name == LIST else random.sample(range(len(content)), 40)
     for place in places:
@@ -236,7 +236,7 @@ def test_a_changed_byte_in_any_file_shows(copied: tuple[Path, str], name: str) -
             rows = verify(out)[1]
         except (ValueError, OSError):
             continue
-        assert not all(row["ok"] for row in rows), f"byte {place} of {name}"
+        assert not all(row.ok for row in rows), f"byte {place} of {name}"
 
 
 CHANGES: dict[str, Callable[[bytes], bytes]] = {
@@ -252,7 +252,7 @@ def test_added_and_missing_bytes_show_too(copied: tuple[Path, str], name: str, c
     out, _ = copied
     (out / name).write_bytes(CHANGES[change]((out / name).read_bytes()))
     try:
-        assert not all(row["ok"] for row in verify(out)[1])
+        assert not all(row.ok for row in verify(out)[1])
     except ValueError as error:
         assert "changed" in str(error)
 
@@ -260,11 +260,11 @@ def test_added_and_missing_bytes_show_too(copied: tuple[Path, str], name: str, c
 def test_a_missing_file_and_a_report_made_anew_show(tmp_path: Path) -> None:
     out, seal = made(tmp_path)
     (out / "report.pdf").unlink()
-    assert {row["file"]: row["problem"] for row in verify(out)[1]}["report.pdf"] == "is missing"
+    assert {row.file: row.problem for row in verify(out)[1]}["report.pdf"] == "is missing"
     data = data_of(tmp_path / "records.jsonl", site="another")
     write(out, data, (tmp_path / "records.jsonl").read_bytes())
-    assert all(row["ok"] for row in verify(out)[1])
-    assert "another one than was signed" in verify(out, seal)[1][-1]["problem"]
+    assert all(row.ok for row in verify(out)[1])
+    assert "another one than was signed" in verify(out, seal)[1][-1].problem
 
 
 # ---------------------------------------------------------------- the command

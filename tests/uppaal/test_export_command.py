@@ -9,6 +9,7 @@ import pytest
 
 from sim.lab.formats.find import find_model
 from sim.lab.formats.write_model import write_model_directory
+from sim.lab.uppaal import document
 from sim.lab.uppaal.rules import check_rules
 from tests.cli.support import decanter, misused, refused
 from tests.uppaal.support import learned
@@ -43,6 +44,38 @@ def test_json_says_what_was_written_and_a_query_is_added(place: Path) -> None:
     row = json.loads(result.stdout)["traces"][0]
     assert (row["trace"], row["accepted"], row["comparison"]) == ("cd1", True, [])
     assert "E[<=100; 50](max: m_1.Temp)" in (place / "j" / "decanter_cd1.q").read_text(encoding="utf-8")
+
+
+def test_a_template_of_ones_own_is_filled_in_without_reaching_anything_else(place: Path, tmp_path: Path) -> None:
+    own = tmp_path / "own.xml"
+    shipped = (Path(document.__file__).parent / "templates" / "system.xml").read_text(encoding="utf-8")
+    command = ("model", "export", place / "model", "--uppaal", "--trace", place / "traces" / "cd1.csv")
+    with_own = (*command, "--template", own, "--out", tmp_path / "o")
+    own.write_text(
+        shipped.replace("<nta>", "<nta>\n\t<!-- of the {{ system.templates | length }} -->"), encoding="utf-8"
+    )
+    assert decanter(*with_own).exit_code == 0
+    made = (tmp_path / "o" / "decanter_cd1.xml").read_text(encoding="utf-8")
+    assert decanter(*command, "--out", tmp_path / "p").exit_code == 0
+    plain = (tmp_path / "p" / "decanter_cd1.xml").read_text(encoding="utf-8")
+    (line,) = set(made.splitlines()) - set(plain.splitlines())
+    assert line.strip() in ("<!-- of the 2 -->", "<!-- of the 3 -->") and made.replace(f"{line}\n", "") == plain
+    for text, words in (
+        ("{% for x in %}", "line 1 of the template: "),
+        (shipped.replace("system.title", "system.tittle"), "has no attribute 'tittle'"),
+        ("{{ system.__class__.__mro__ }}", "unsafe"),
+        (f"{shipped}{{{{ ''.join(range(10 ** 9)) }}}}", "cannot be filled in"),
+        (shipped.replace("</nta>", "", 1), "XML: the document is not well-formed"),
+        ("{{ doctype | safe }}<nta/>", "cd1"),
+    ):
+        own.write_text(text, encoding="utf-8")
+        refused(decanter(*with_own), 2, words)
+    refused(
+        decanter(*command, "--template", tmp_path / "none.xml", "--out", tmp_path / "q"), 2, "none.xml", "no such file"
+    )
+    misused(
+        decanter("model", "export", place / "model", "--artefacts", "--template", own, "--out", tmp_path), "--uppaal"
+    )
 
 
 def test_without_an_engine_the_files_stand_and_its_absence_is_one_sentence(

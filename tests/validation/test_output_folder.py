@@ -118,6 +118,30 @@ def test_a_folder_is_held_by_one_campaign_and_free_again_whatever_ended_it(tmp_p
         pass
 
 
+def test_results_that_were_changed_after_the_campaign_was_sealed_are_refused(tmp_path: Path) -> None:
+    folder = claim_folder(tmp_path, [], ["plant"], {})
+    folder.write("results.json", results_json([FULL]))
+    folder.write("plant/04_model_generation.json", "{}")
+    folder.write("plant/pictures/cd1.png", "")
+    seal = folder.seal()
+    listed = (tmp_path / "campaign.sha256").read_text(encoding="utf-8")
+    assert {line[66:] for line in listed.splitlines()[:-1]} >= {"results.json", "plant/04_model_generation.json"}
+    assert listed.endswith(f"# seal {seal}\n")
+    (tmp_path / "plant/pictures/cd1.png").unlink()  # is not read
+    assert same(*read_results(tmp_path), FULL)
+    for name in ("results.json", "plant/04_model_generation.json"):
+        (tmp_path / name).write_text(results_json([replace(FULL, crps=0.1)]), encoding="utf-8")
+        with pytest.raises(ValueError, match=f"{name}: was changed, after the campaign was sealed"):
+            read_results(tmp_path)
+
+
+def test_results_of_an_earlier_release_have_the_level_of_their_last_reading(tmp_path: Path) -> None:
+    former = json.loads(results_json([replace(FULL, final_error=-2.0, final_percent=4.0)]))
+    del former["results"][0]["level"]
+    (tmp_path / "results.json").write_text(json.dumps(former), encoding="utf-8")
+    assert read_results(tmp_path)[0].level == pytest.approx(50.0)
+
+
 def test_what_can_no_longer_be_written_is_named(tmp_path: Path) -> None:
     folder = claim_folder(tmp_path, [], ["plant"], {})
     (tmp_path / "plant").touch()

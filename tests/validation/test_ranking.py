@@ -36,6 +36,7 @@ def result(model: str, trace: str, mae: float = 1.0, **changes: object) -> Trace
         crps=0.7 * mae,
         persistence=10.0,
         seen="no",
+        level=50.0,
         error_quantiles=tuple(mae * quantile for quantile in (-3.0, -2.0, -1.0, 0.0, 1.0, 2.0, 3.0)),
     )
     return replace(made, **changes)
@@ -225,6 +226,18 @@ def test_whatever_is_not_kept_says_what_to_do_next() -> None:
     limited = fitness_verdict(judge([result("m", "t0", seen="unknown")], KNOWN, FitnessLimits())).sentence
     assert limited.startswith("limited: the model does not say which traces") and "that it has not seen" in limited
     assert fitness_verdict(judge([result("m", "t0")], KNOWN, FitnessLimits())).sentence == "fit"
+
+
+def test_an_error_in_per_cent_of_the_readings_has_a_limit_and_stands_beside_the_score() -> None:
+    hot, cold = result("m", "hot", 2.0), result("m", "cold", 2.0, level=2.5)
+    assert finding([hot], "acceptable") is True and finding([hot, cold], "acceptable") is False  # 4 %, 80 %
+    assert finding([hot, cold], "acceptable", limits=parse_limits([("percent", "90")])) is True
+    assert (
+        finding([replace(hot, level=nan)], "acceptable") is None
+        and finding([replace(hot, level=0.0)], "acceptable") is None
+    )
+    standing = rank([hot, cold]).standings[0]
+    assert standing.score == pytest.approx(3.0) and standing.score_percent == pytest.approx((6.0 + 120.0) / 2)
 
 
 def test_coverage_and_persistence_are_judged_on_traces_that_were_not_trained_on() -> None:

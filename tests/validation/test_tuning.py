@@ -86,6 +86,35 @@ def test_the_search_finds_the_known_target_and_says_that_it_beats_the_defaults(t
     assert failed and all(one.reason == "a broken kind teaches nothing" for one in failed)
 
 
+@pytest.mark.usefixtures("known")
+def test_a_grid_tries_each_of_its_points_once_and_ends(tmp_path: Path) -> None:
+    plan = StudyPlan("bins", search="grid")
+    search(tmp_path / "s.db", 3, plan)
+    found = search(tmp_path / "s.db", 50, plan)
+    points = {(each.settings["target"], each.settings["kind"]) for each in found.trials[1:]}
+    assert points == {(target, kind) for target in (0.0, 50.0, 100.0) for kind in ("good", "broken")}
+    assert len(found.trials) == 7 and found.notes == ("the grid has 6 points: all are tried, and the defaults",)
+    assert found.best is not None and found.best.settings["target"] == 50.0
+    with pytest.raises(ValueError, match=r"another search \(search: grid then, tpe now\)"):
+        search(tmp_path / "s.db", 8)
+
+
+@pytest.mark.usefixtures("known")
+def test_evolution_crosses_what_was_best_and_is_the_same_in_parts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sim.lab.tuning.study.MIN_TRIALS_TO_PRUNE", 2)  # generations of four
+    plan, few = StudyPlan("bins", search="evolutionary", fold_count=2), traces()[:2]
+    whole = search(tmp_path / "whole.db", 26, plan, few)
+    search(tmp_path / "parts.db", 13, plan, few)
+    assert told(search(tmp_path / "parts.db", 26, plan, few)) == told(whole)
+    # What cannot be learned dies out, and a child has a parent's setting, which no draw would give again.
+    failed = [each.number for each in whole.trials if each.state == "failed"]
+    assert sum(number <= 13 for number in failed) > sum(number > 13 for number in failed)
+    targets = [each.settings["target"] for each in whole.trials[1:]]
+    assert len(set(targets)) < len(targets) and whole.best is not None and whole.best.value < whole.default.value
+
+
 @pytest.mark.parametrize(("lead", "better"), [(0.9, False), (1.1, True)])
 def test_a_lead_within_its_standard_error_is_none(lead: float, better: bool) -> None:
     """Four traces whose differences have the standard error 1 about a mean of so many of them."""

@@ -19,6 +19,7 @@ from sim.lab.judge.report import (
     ReportEntry,
     choose_figures,
     error_boxes,
+    error_histogram,
     index_html,
     model_html,
 )
@@ -130,6 +131,28 @@ def test_a_box_lies_where_its_errors_are() -> None:
     assert {"-2", "-1", "0", "+1", "+4"} <= set(at)
     assert boxes.boxes[0].x[0] == pytest.approx(at["-2"]) and boxes.boxes[0].x[6] == pytest.approx(at["+4"])
     assert boxes.zero == pytest.approx(at["0"]) == pytest.approx(boxes.boxes[0].x[3])
+
+
+def test_a_bar_counts_the_final_errors_of_its_width() -> None:
+    bars = error_histogram([-1.0, -0.4, 0.2, 0.3, 2.6], "°C")
+    at = {text: x for x, text in bars.ticks}
+    counted = {round(bar.x, 6): bar.count for bar in bars.bars}
+    assert sum(counted.values()) == 5 and counted[round(at["+0"], 6)] == 2 and bars.zero == pytest.approx(at["+0"])
+    assert (bars.count, bars.mean) == (5, pytest.approx(0.34)) and bars.sigma == pytest.approx(1.3667, abs=1e-4)
+    assert min(bar.y for bar in bars.bars) == next(bar.y for bar in bars.bars if bar.count == 2)
+    assert sum(bar.count for bar in error_histogram([3.0] * 5, "°C").bars) == 5
+    assert sum(bar.count for bar in error_histogram([0.0] * 5, "°C").bars) == 5
+
+
+def test_a_histogram_and_mean_and_sigma_stand_in_the_report_from_five_traces_on() -> None:
+    (result, *_) = [outcome.result for outcome in outcomes(prepared())]
+    final = [(f"t{number}", 0.5 * number) for number in range(5)]
+    results = [replace(result, trace=trace, final_error=error, seen="no", level=20.0) for trace, error in final]
+    report = ModelReport(campaign=CAMPAIGN, prepared=prepared(), stages=[], results=results)
+    page = model_html(report)
+    assert "unseen traces: +1.00 ± 0.79 °C, 5 traces" in page and "MAE in per cent of the readings" in page
+    assert f"{result.mae.value:.2f} ± 0.00 °C" in page
+    assert "Histogram" not in model_html(replace(report, results=results[:4]))
 
 
 @pytest.mark.parametrize("quantiles", [(0.0,) * 7, (5.0,) * 7, (-1e-9,) * 7, (1e6,) * 7])

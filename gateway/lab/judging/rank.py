@@ -105,6 +105,7 @@ Limits of fitness, judged on traces that were not in training where there are an
   coverage_high 0.99  largest
   persistence 1       MAE below so many times that of the first reading held
   largest 30          no error above this, degC
+  percent 70          no trace's mean error above this, in per cent of its readings
   clamps 0            clamps to the model's range at most
   rejecting 0         traces at most with an event that has no edge
   unseen 1            traces at least that were not in training
@@ -200,8 +201,20 @@ def rank(
 def _show(ranking: Ranking, page: Path | None, picture: Path | None) -> Iterator[Part]:
     weights = ranking.weights
     formula = f"S = {weights.mae:g} MAE + {weights.largest:g} max + {weights.scatter:g} sigma"
-    columns = ("rank", "model", "for deployment", "S", "MAE", "max", "sigma", "CRPS", "coverage 90 %", "persistence")
-    names = ("score", "mae", "largest", "scatter", "crps", "coverage", "persistence", "wins")
+    columns = (
+        "rank",
+        "model",
+        "for deployment",
+        "S",
+        "S %",
+        "MAE",
+        "max",
+        "sigma",
+        "CRPS",
+        "coverage 90 %",
+        "persistence",
+    )
+    names = ("score", "score_percent", "mae", "largest", "scatter", "crps", "coverage", "persistence", "wins")
     rows = [
         [row.rank or "–", row.entrant, row.fitness, *(getattr(row, name) for name in names), row.failed, row.in_sample]
         for row in ranking.standings

@@ -49,11 +49,15 @@ from sim.sha import Trace, display_unit
 
 @dataclass(frozen=True, slots=True)
 class CampaignFindings:
-    """The results of all models; by label the skill of their forecasts, if asked for, and what else is known."""
+    """The results of all models; by label the skill of their forecasts, if asked for, and what else is known.
+
+    `seal` is that of the folder's files.
+    """
 
     results: list[TraceResult]
     skill: Mapping[str, ForecastSkill]
     facts: Mapping[str, Mapping[str, Facts]]
+    seal: str
 
     @property
     def fitness(self) -> dict[str, dict[str, str]]:
@@ -137,7 +141,7 @@ def campaign(
             seed = request.settings.seed
             skill = {model.label: made.skill(model.label, seed=seed) for model in prepared} if made else {}
             known_facts = {model.label: model_facts_by_semantics(model) for model in prepared}
-            results = conduct(
+            results, seal = conduct(
                 prepared,
                 traces,
                 unread_traces(report, traces),
@@ -149,7 +153,7 @@ def campaign(
                 skill=skill,
                 facts=known_facts,
             )
-            return CampaignFindings(results, skill, known_facts)
+            return CampaignFindings(results, skill, known_facts, seal)
 
 
 def to_learn(models: Sequence[str]) -> list[str]:
@@ -230,6 +234,7 @@ def validate(
     data = {
         "out": str(out),
         "report": str(out / "index.html"),
+        "seal": found.seal,
         "summaries": [asdict(summary) for summary in summaries(results)],
         "gains": {name: asdict(gained) | {"sentence": gained.sentence} for name, gained in gains.items() if gained},
         "fitness": found.fitness,
@@ -289,3 +294,4 @@ def _show(out: Path, found: CampaignFindings) -> Iterator[Part]:
         for sentence in (*each.sentences, *(f"note: {note}" for note in each.notes)):
             yield f"{name}: {sentence}"
     yield f"report: {out / 'index.html'}"
+    yield f"seal: {found.seal}"

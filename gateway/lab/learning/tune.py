@@ -15,7 +15,7 @@ from sim.artefacts import VERDICT_FILE
 from sim.lab.formats import write_model_directory
 from sim.lab.judge import judge_learning
 from sim.lab.recordings import split_cycles
-from sim.lab.tuning import Objective, StudyPlan, Tuning, final_model
+from sim.lab.tuning import SEARCHES, Objective, Search, StudyPlan, Tuning, final_model
 from sim.lab.tuning import tune as searched
 from sim.sha import display_unit, encode_trace, signal_unit
 
@@ -43,6 +43,13 @@ MAX_LISTED_TRIALS = 10
     show_default=True,
     help="Of held-out traces, open loop: CRPS (in what is followed), or minus the log-likelihood per reading.",
 )
+@click.option(
+    "--search",
+    type=click.Choice(SEARCHES),
+    default="tpe",
+    show_default=True,
+    help="Settings by Parzen estimator, from a grid, or by crossing the best.",
+)
 @click.option("--prune", is_flag=True, help="Give a trial up when its first folds are worse than the median's.")
 @click.option("--out", type=click.Path(path_type=Path), help="Learn with the best settings from all traces; write it.")
 @click.option("--name", default="decanter", show_default=True, help="The name of the model for --out.")
@@ -58,6 +65,7 @@ def tune(
     folds: int,
     jobs: int,
     objective: Objective,
+    search: Search,
     prune: bool,
     out: Path | None,
     name: str,
@@ -76,7 +84,7 @@ def tune(
         if cycles:
             traces = [piece for trace in traces for piece in split_cycles(trace, column_map.alphabet)]
         unit = signal_unit(traces, column_map.temperature)
-        plan = StudyPlan(method, objective, folds, seed)
+        plan = StudyPlan(method, objective, folds, seed, search)
         tuning = searched(
             traces,
             column_map.alphabet,
@@ -103,6 +111,7 @@ def tune(
     data = {
         "method": method,
         "objective": objective,
+        "search": search,
         "unit": unit,
         "warnings": warnings,
         "study": str(study),

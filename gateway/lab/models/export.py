@@ -14,6 +14,7 @@ from gateway.entry import Exit, sentence, sentences
 from gateway.lab.options import policy_option, start_option, trace_option
 from gateway.lab.traces.load import load
 from sim.engine import Policy, Start
+from sim.files import read_text
 from sim.lab.formats import FoundModel, find_model
 from sim.lab.formats.foreign import file_names, to_artefacts, write_artefacts
 from sim.lab.recordings import ColumnMap
@@ -41,6 +42,7 @@ class ExportOptions:
     start: Start
     tick: int
     engine: EngineOptions | None
+    template: str = ""
 
 
 def export_artefacts(where: str, out: Path) -> list[str]:
@@ -95,7 +97,13 @@ def _export_trace(
 ) -> dict[str, Any]:
     """The files of one trace, and where there is an engine its answers beside the native ones."""
     exported = export_trace(
-        model, trace, policy=order.policy, start=order.start, tick=order.tick, formulas=order.queries
+        model,
+        trace,
+        policy=order.policy,
+        start=order.start,
+        tick=order.tick,
+        formulas=order.queries,
+        xml_template=order.template,
     )
     files = [str(path) for path in write(order.out, exported)]
     rows: list[dict[str, Any]] = []
@@ -130,6 +138,7 @@ def _export_trace(
 @map_option
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="The folder to write to.")
 @click.option("--query", "queries", multiple=True, help="One more query (docs/checking.md); may be given again.")
+@click.option("--template", type=click.Path(path_type=Path), help="A Jinja template for the .xml files, not our own.")
 @policy_option
 @start_option
 @click.option(
@@ -150,6 +159,7 @@ def export(
     map_name: str,
     out: Path,
     queries: Sequence[str],
+    template: Path | None,
     policy: Policy,
     start: Start,
     tick: int,
@@ -168,6 +178,8 @@ def export(
         raise click.UsageError("say what to write: --uppaal, --artefacts or both")
     if uppaal and not paths:
         raise click.UsageError("--uppaal needs the traces that the model replays: --trace FILE")
+    if template is not None and not uppaal:
+        raise click.UsageError("--template is that of the files of --uppaal")
     data: dict[str, Any] = {"model": model, "out": str(out), "artefacts": [], "traces": []}
     with sentences(), progress("exporting") as report:
         if artefacts:
@@ -175,7 +187,15 @@ def export(
         if uppaal:
             traces, column_map = load(paths, map_name)
             engine = EngineOptions(verifyta, timeout, seed) if wanted or verifyta else None
-            order = ExportOptions(out=out, queries=tuple(queries), policy=policy, start=start, tick=tick, engine=engine)
+            order = ExportOptions(
+                out=out,
+                queries=tuple(queries),
+                policy=policy,
+                start=start,
+                tick=tick,
+                engine=engine,
+                template="" if template is None else read_text(template),
+            )
             data["traces"] = export_uppaal(model, traces, column_map, order, report)
     failed = [str(row["error"]) for row in data["traces"] if "error" in row]
     missing = [str(row["engine"]) for row in data["traces"] if row.get("engine")]

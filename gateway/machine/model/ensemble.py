@@ -10,7 +10,7 @@ member that fails is left out, said so, and begun anew.
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from math import inf
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -155,7 +155,8 @@ class Ensemble:
     """The members beside the first model, and what each of them, the first included, is worth at each horizon.
 
     `hashes` are those of all models, the first one's first; `models` are the others, without the first one's plain
-    members. `joint` are the bands of the mixture.
+    members. `joint` are the bands of the mixture. `familiarity` is how like the training the present cycle is, as
+    whoever follows that says.
     """
 
     def __init__(
@@ -197,6 +198,7 @@ class Ensemble:
         # A reading may come some scans after the moment that a forecast spoke of, and still counts as of that moment.
         self.tolerance = max(5.0, 3.0 * scan_period)
         self.complaints: list[tuple[str, str]] = []
+        self.familiarity: Literal["unknown", "familiar", "strange"] = "unknown"
 
     def keep(self, former: "Ensemble") -> None:
         """Go on with the configured members as `former` has followed them; plain members are the first model's own."""
@@ -214,7 +216,8 @@ class Ensemble:
             for channel, symbol in zip(channels, symbols, strict=False)
             if self.section.context == "symbols" or isinstance(channel, Switch)
         ]
-        return " ".join(symbol or "unknown" for symbol in wanted)
+        words = [symbol or "unknown" for symbol in wanted]
+        return " ".join([*words, self.familiarity] if self.section.context == "familiarity" else words)
 
     def shares(self, context: str) -> Array:
         """(H, members) the weights in a context, the first model's first."""

@@ -31,6 +31,11 @@ class FamiliarityRating:
     outside: bool = False
     thing: StrangeThing = NOTHING_STRANGE
 
+    @property
+    def word(self) -> Literal["unknown", "familiar", "strange"]:
+        """Whether the present cycle is like the training."""
+        return "unknown" if self.zone == "unknown" else "strange" if self.outside else "familiar"
+
 
 class CycleFamiliarity:
     """The present cycle held against a model's training; without `known` it follows nothing and says "unknown"."""

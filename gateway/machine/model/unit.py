@@ -153,7 +153,10 @@ class ModelUnit:
                 self.virtual.stopped = "state not known"
         self._found_out = wrong_since is not None
         before, prediction = self.prediction, self.predictor.step(scan)
-        prediction = prediction.with_familiarity(self._rate_scan(scan, prediction))
+        rating = self._rate_scan(scan, prediction)
+        prediction = prediction.with_familiarity(rating)
+        if self.outlook.ensemble is not None:
+            self.outlook.ensemble.familiarity = rating.word
         if self.loaded.verdict is not None and self.loaded.verdict.word == "unfit":
             prediction = prediction.at_best("red")
         if self.twin is not None:

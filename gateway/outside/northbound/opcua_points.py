@@ -149,7 +149,7 @@ def _kind(tag: Tag | None, value: object) -> PointType:
         return "string" if isinstance(value, str) else "double"
     if tag.dtype is DType.STRING:
         return "string"
-    return "boolean" if tag.dtype is DType.BOOL or tag.bit is not None else "double"
+    return "boolean" if tag.is_switch else "double"
 
 
 def _convert_value(value: Any, kind: PointType) -> float | bool | str | None:

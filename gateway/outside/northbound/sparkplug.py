@@ -178,7 +178,7 @@ def _datatype(tag: Tag | None, value: object) -> int:
         return STRING if isinstance(value, str) else DOUBLE
     if tag.dtype is DType.STRING:
         return STRING
-    return BOOLEAN if tag.dtype is DType.BOOL or tag.bit is not None else DOUBLE
+    return BOOLEAN if tag.is_switch else DOUBLE
 
 
 def _convert_value(value: Any, datatype: int) -> float | bool | str | None:

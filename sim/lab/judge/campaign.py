@@ -160,8 +160,8 @@ def conduct(
     progress: Progress,
     skill: Mapping[str, ForecastSkill] | None = None,
     facts: Mapping[str, Mapping[str, Facts]] | None = None,
-) -> list[TraceResult]:
-    """Stages 5 to 9 of every model; returns all results in the order of models, semantics and traces.
+) -> tuple[list[TraceResult], str]:
+    """Stages 5 to 9 of every model; all results in the order of models, semantics and traces, and the folder's seal.
 
     `skill` is that of the models' forecasts by label, which stands in their reports and in a file of its own; `facts`
     are what is known of the models besides, by label and semantics.
@@ -207,10 +207,10 @@ def conduct(
         )
         note(last)
         entries.append(ReportEntry(folder.places[model.label], report))
-    # Last: whoever finds "complete" finds everything else.
+    # Last: whoever finds "complete" finds everything else, and the seal is of all of it.
     folder.write("index.html", index_html(plan.campaign, entries, log))
     folder.state(COMPLETE)
-    return results
+    return results, folder.seal()
 
 
 def _report_stage(

@@ -17,7 +17,8 @@ class FitnessLimits:
     """What a model for deployment must keep, on the traces that it was not trained on where there are any.
 
     `coverage_low` and `coverage_high` bound the mean share of readings inside the 90 % band; `persistence` the model's
-    mean MAE in units of that of the first reading held; `largest` (degC) the largest error of any trace; `clamps` and
+    mean MAE in units of that of the first reading held; `largest` (degC) the largest error of any trace,
+    `percent` the mean error of any in per cent of its readings' mean size; `clamps` and
     `rejecting` count clamps over all traces and traces with an event that had no edge; `unseen` is the least number of
     traces that the model was not trained on; `synthetic` allows models learned from synthetic traces. Raises
     ValueError.
@@ -27,6 +28,7 @@ class FitnessLimits:
     coverage_high: float = 0.99
     persistence: float = 1.0
     largest: float = 30.0
+    percent: float = 70.0
     clamps: float = 0
     rejecting: float = 0
     unseen: float = 1
@@ -36,8 +38,11 @@ class FitnessLimits:
         if not 0 <= self.coverage_low < self.coverage_high <= 1:
             limits = f"{self.coverage_low:g} and {self.coverage_high:g}"
             raise ValueError(f"the limits of the coverage must be two ascending shares of 0 to 1, got {limits}")
-        if not (self.persistence > 0 and self.largest > 0):
-            raise ValueError("the limits of the largest error and of the MAE against persistence must be positive")
+        if not (self.persistence > 0 and self.largest > 0 and self.percent > 0):
+            raise ValueError(
+                "the limits of the largest error, of the error in per cent and of the MAE against persistence must be "
+                "positive"
+            )
         if not min(self.clamps, self.rejecting, self.unseen) >= 0:
             raise ValueError("the limits of clamps, rejecting and unseen are counts: 0 or more")
 
@@ -179,6 +184,16 @@ def _judge_divergence(case: Case) -> Said:
     )
 
 
+def _judge_percent(case: Case) -> Said:
+    shares = [(result.percent(result.at_samples.mae), result.trace) for result in case.results if not result.failure]
+    known = [pair for pair in shares if isfinite(pair[0])]
+    if not known:
+        return None, "no error in per cent of the readings is known"
+    worst, trace = max(known)
+    sentence = f"mean error {worst:.3g} % of the readings at most, on {trace} (limit {case.limits.percent:g} %)"
+    return worst <= case.limits.percent, sentence
+
+
 def _judge_coverage(case: Case) -> Said:
     low, high = case.limits.coverage_low, case.limits.coverage_high
     share = mean(result.coverage for result in case.judged)
@@ -224,6 +239,7 @@ CRITERIA: Mapping[str, tuple[Callable[[Case], Said], str]] = {
         _judge_divergence,
         "look at that trace's picture: the sensor, or a cause that `decanter diagnose` names",
     ),
+    "acceptable": (_judge_percent, "look at that trace's picture; `decanter diagnose` names what is missing"),
     "coverage": (_judge_coverage, "learn with more traces of the kind that it misses, or look at the sensor's noise"),
     "persistence": (_persistence, "learn with more starts and stops; `decanter diagnose` names what is missing"),
     "unseen": (_unseen, "validate along traces that it has not seen"),

@@ -222,6 +222,7 @@ def _stages(job: TraceJob, partial: _PartialOutcome) -> None:
             limited=prediction.limited,
             flags=tuple(flags),
             error_quantiles=error_quantiles(residual),
+            level=float(np.abs(values).mean()),
         )
         course = _course(model, trace, prediction, (run_times, band.low, band.high))
         partial.outcome = replace(partial.outcome, course=course)

@@ -20,6 +20,7 @@ from sim.lab.judge.fitness import Facts
 from sim.lab.judge.results import Interval, TraceResult
 from sim.lab.judge.semantics import CARRIED, RESAMPLED
 from sim.lab.judge.stages import Stage
+from sim.sealed_files import seal_files, verify_seal
 from sim.strict_json import json_text
 
 CAMPAIGN_FILE = "campaign.json"
@@ -30,7 +31,8 @@ FORMAT = "decanter-validation"
 VERSION = 1
 FORMER_SEMANTICS = {"own": CARRIED, "thesis": RESAMPLED}
 RUNNING, COMPLETE = "running", "complete"
-OWN_FILES = ("index.html", f"{RESULTS}.json", f"{RESULTS}.csv", SKILL_FILE, "campaign.log")
+SEAL_FILE = "campaign.sha256"
+OWN_FILES = ("index.html", f"{RESULTS}.json", f"{RESULTS}.csv", SKILL_FILE, "campaign.log", SEAL_FILE)
 MODEL_FILES = ("0[1-9]_*.json", "report.html", "pictures/*.png", "pictures/*.pdf", "pictures/.*.part")
 """What a campaign writes, as patterns: beside campaign.json, and in the folder of each model."""
 LEARNED_FOLDER = "learned"
@@ -72,6 +74,15 @@ class Folder:
         self.facts |= facts
         document = {"format": FORMAT, "version": VERSION, "state": state, "folders": dict(self.places), **self.facts}
         self.write(CAMPAIGN_FILE, json_text(document, indent=2) + "\n")
+
+    def seal(self) -> str:
+        """The seal of the finished campaign, over all files that are there. Raises ValueError where it has no room."""
+        files = (file for file in self.path.rglob("*") if file.is_file() and file.name != SEAL_FILE)
+        names = sorted(str(file.relative_to(self.path)) for file in files if not file.name.startswith("."))
+        try:
+            return seal_files(self.path, SEAL_FILE, names)
+        except OSError as error:
+            raise write_error(self.path / SEAL_FILE, error) from None
 
 
 def check_folder(path: Path, *, overwrite: bool) -> list[Path]:
@@ -209,13 +220,21 @@ def _cell(value: object) -> object:
 
 
 def read_results(path: Path) -> list[TraceResult]:
-    """The results in a campaign's folder or in its results.json. Raises ValueError with the file and the reason."""
+    """The results in a campaign's folder or in its results.json.
+
+    Raises ValueError with the file and the reason; also where what is read is not as it was sealed.
+    """
     file = path / f"{RESULTS}.json" if path.is_dir() else path
+    if path.is_dir() and (path / SEAL_FILE).is_file():
+        _check_seal(path)
     try:
         document = json.loads(regular(file).read_text(encoding="utf-8"))
         # A former release called the semantics by whose they are.
         for row in document["results"]:
             row["semantics"] = FORMER_SEMANTICS.get(row["semantics"], row["semantics"])
+            # It kept no level of the readings: the last one's is what its final error in per cent tells.
+            if "level" not in row and row.get("final_percent"):
+                row["level"] = 100.0 * abs(row["final_error"]) / row["final_percent"]
         # Only the fields that this program knows: what a newer one adds is passed over, what an older one lacked keeps
         # its default.
         kinds = {field.name: field.type for field in fields(TraceResult)}
@@ -228,6 +247,15 @@ def read_results(path: Path) -> list[TraceResult]:
         raise ValueError(f"{file}: cannot be read ({reason}); give the folder of a finished campaign") from None
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise ValueError(f"{file}: these are no results of a campaign ({error!r})") from None
+
+
+def _check_seal(folder: Path) -> None:
+    """Raises ValueError where results or records were changed after the campaign; a picture may be missing."""
+    read = (f"{RESULTS}.json", CAMPAIGN_FILE, SEAL_FILE)
+    changed = [row for row in verify_seal(folder, SEAL_FILE)[1] if not row.ok]
+    for row in changed:
+        if row.file in read or row.file.endswith(GENERATION_FILE):
+            raise ValueError(f"{folder / row.file}: {row.problem}, after the campaign was sealed; validate anew")
 
 
 def _restore_value(value: Any, kind: Any) -> Any:

@@ -40,7 +40,8 @@ class Standing:
     """One model's place. All figures are means over the `common` traces of the ranking but `traces` and `failed`.
 
     `rank` is None and the figures are NaN without a common trace. `wins` counts the common traces on which its score
-    is the lowest (one shared by k models counts 1/k). `seen` are the traces that it was trained on.
+    is the lowest (one shared by k models counts 1/k). `seen` are the traces that it was trained on. `score_percent` is
+    the score in per cent of each trace's readings.
     """
 
     entrant: str
@@ -57,6 +58,7 @@ class Standing:
     failed: int
     seen: Mapping[str, Seen] = field(default_factory=dict)
     findings: tuple[JudgedCriterion, ...] = ()
+    score_percent: float = nan
 
     @property
     def fitness(self) -> Word:
@@ -157,6 +159,7 @@ def rank(
                 failed=sum(bool(result.failure) for result in own.values()),
                 seen={trace: result.seen for trace, result in own.items() if result.seen in TRAINED_VALUES},
                 findings=judge(list(own.values()), entrant, limits or FitnessLimits()),
+                score_percent=_mean([result.percent(score(result, used)) for result in shared]),
             )
         )
     # Best first, those without a score last; the name decides between equal ones, so that the order does not depend on

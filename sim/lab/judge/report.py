@@ -6,9 +6,12 @@ import base64
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from math import ceil, floor, inf, isfinite, log10
+from math import ceil, floor, inf, isfinite, log10, nan
 from pathlib import Path
+from statistics import fmean, stdev
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from sim.artefacts import JudgedCriterion, Word
 from sim.lab.judge.fitness import fitness_verdict
@@ -32,6 +35,9 @@ MAX_LABEL_CHARS = 24
 TRAINING_WORDS: Mapping[Seen, str] = {"no": "no", "content": "yes", "name": "yes, by name", "unknown": "not known"}
 """What the column `in training` says."""
 WIDTH, LEFT, RIGHT, ROW, TOP, BOTTOM = 860.0, 150.0, 20.0, 20.0, 8.0, 34.0
+HISTOGRAM_HEIGHT = 200.0
+MIN_HISTOGRAM_TRACES = 5
+"""Traces below which a histogram of one error each says no more than the table."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +60,35 @@ class Boxes:
     boxes: tuple[Box, ...]
     ticks: tuple[tuple[float, str], ...]
     zero: float
+
+
+@dataclass(frozen=True, slots=True)
+class Bar:
+    """One bar of a histogram in the drawing's units: its left edge, width and top, and how many it counts."""
+
+    x: float
+    width: float
+    y: float
+    count: int
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class Histogram:
+    """Errors as a drawing, bars standing on `floor`, with the ticks of its axis (x, text) and where 0 is.
+
+    `mean` and `sigma` of the `count` errors are in their unit.
+    """
+
+    width: float
+    height: float
+    floor: float
+    bars: tuple[Bar, ...]
+    ticks: tuple[tuple[float, str], ...]
+    zero: float
+    mean: float
+    sigma: float
+    count: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,6 +195,20 @@ class ModelReport:
         known = [result for result in self.results if result.error_quantiles]
         return error_boxes(sorted(known, key=lambda result: natural(result.trace)))
 
+    @property
+    def histograms(self) -> list[tuple[str, Histogram]]:
+        """The final errors of each semantics and sample with at least MIN_HISTOGRAM_TRACES of them, with its title."""
+        groups: dict[str, list[float]] = {}
+        for result in self.results:
+            if isfinite(result.final_error):
+                semantics = f", temperature {result.semantics}" if self.several_semantics else ""
+                groups.setdefault(f"{SAMPLE_WORDS[result.seen]} traces{semantics}", []).append(result.final_error)
+        return [
+            (title, error_histogram(errors, self.unit))
+            for title, errors in sorted(groups.items(), reverse=True)
+            if len(errors) >= MIN_HISTOGRAM_TRACES
+        ]
+
 
 def natural(name: str) -> list[tuple[int, str]]:
     """A key that sorts digits as numbers."""
@@ -204,6 +253,37 @@ def error_boxes(results: Sequence[TraceResult]) -> Boxes | None:
         ticks.append((place(low + step * index), f"{value:+g}" if value else "0"))
     height = TOP + ROW * len(results) + BOTTOM
     return Boxes(WIDTH, height, tuple(boxes), tuple(ticks), place(0.0))
+
+
+def error_histogram(errors: Sequence[float], unit: str) -> Histogram:
+    """How often which error: bars of a round width (four to nine of them and 0 on an edge), over at least one error."""
+    # The axis holds 0, so that an offset shows as one.
+    step = _tick(max(0.0, *errors) - min(0.0, *errors))
+    first, last = floor(min(0.0, *errors) / step), floor(max(0.0, *errors) / step) + 1
+    counts = np.histogram(errors, np.arange(first, last + 1) * step)[0].tolist()
+    width, ground = (WIDTH - LEFT - RIGHT) / len(counts), HISTOGRAM_HEIGHT - BOTTOM
+    bars = tuple(
+        Bar(
+            x=LEFT + width * place,
+            width=width,
+            y=ground - (ground - ROW) * count / max(counts),
+            count=count,
+            text=f"{(first + place) * step:+.4g} to {(first + place + 1) * step:+.4g} {unit}: {count}",
+        )
+        for place, count in enumerate(counts)
+    )
+    ticks = tuple((LEFT + width * place, f"{(first + place) * step:+g}") for place in range(len(counts) + 1))
+    return Histogram(
+        width=WIDTH,
+        height=HISTOGRAM_HEIGHT,
+        floor=ground,
+        bars=bars,
+        ticks=ticks,
+        zero=LEFT - width * first,
+        mean=fmean(errors),
+        sigma=stdev(errors) if len(errors) > 1 else nan,
+        count=len(errors),
+    )
 
 
 def _tick(span: float) -> float:
@@ -264,11 +344,15 @@ def index_html(campaign: CampaignSummary, entries: Sequence[ReportEntry], log: S
 
 
 def _environment() -> Environment:
-    return page_environment("sim.lab.judge", share=_share, interval=_interval)
+    return page_environment("sim.lab.judge", share=_share, interval=_interval, spread=_spread)
 
 
 def _share(value: float, digits: int = 0) -> str:
     return f"{value:.{digits}%}" if isfinite(value) else "–"
+
+
+def _spread(sigma: float, digits: int = 2) -> str:
+    return f" ± {number(sigma, digits)}" if isfinite(sigma) else ""
 
 
 def _interval(value: Interval, digits: int = 2) -> str:

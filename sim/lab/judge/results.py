@@ -57,8 +57,8 @@ class TraceResult:
     `at_events` is the thesis's way, `at_samples` that of this project, `dense` the thesis's second run over all rows.
     `coverage` is the share of readings inside the 90 % band, `crps` the mean CRPS (degC), `beyond` the share of
     readings outside three standard deviations (the review flag). `persistence` is the MAE of the first reading held.
-    `error_quantiles` are the 0, 5, 25, 50, 75, 95, 100 % quantiles of the error at the readings. `seen`: was the
-    model trained on the trace?
+    `error_quantiles` are the 0, 5, 25, 50, 75, 95, 100 % quantiles of the error at the readings. `level` is the mean
+    size of the readings, of which an error is so many per cent. `seen`: was the model trained on the trace?
     """
 
     model: str
@@ -92,3 +92,8 @@ class TraceResult:
     failure: str = ""
     unit: str = DEFAULT_UNIT
     seen: Seen = "unknown"
+    level: float = nan
+
+    def percent(self, error: float) -> float:
+        """An error (in `unit`) in per cent of the readings' mean size; NaN where that is 0 or not known."""
+        return 100.0 * error / self.level if self.level > 0 else nan

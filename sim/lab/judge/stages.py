@@ -367,7 +367,8 @@ def _measure_stage(outcomes: Sequence[TraceOutcome]) -> tuple[str, list[Row]]:
         unit = display_unit(each.unit)
         percent = f"{each.final_percent:.1f} %" if isfinite(each.final_percent) else "–"
         parts.append(
-            f"{each.semantics}: MAE {each.mae:.3f} {unit}, RMSE {each.rmse:.3f} {unit}, final {each.final:.3f} {unit} "
+            f"{each.semantics}: MAE {each.mae:.3f}{_plus_minus(each.mae_sigma)} {unit}, RMSE {each.rmse:.3f} {unit}, "
+            f"final {each.final:.3f}{_plus_minus(each.final_sigma)} {unit} "
             f"({percent}), coverage {each.coverage:.0%}, CRPS {each.crps:.3f} {unit}; "
             f"better than persistence ({each.persistence:.2f} {unit}) on {each.better} of {each.scored}"
         )
@@ -379,3 +380,7 @@ def _measure_stage(outcomes: Sequence[TraceOutcome]) -> tuple[str, list[Row]]:
         figures = {name: getattr(outcome.result, name) for name in (*names, *more)}
         rows.append(figures | {"verdict": judged.word, "reasons": list(judged.reasons)})
     return "; ".join(parts) or "no figures", rows
+
+
+def _plus_minus(sigma: float) -> str:
+    return f" ± {sigma:.3f}" if isfinite(sigma) else ""

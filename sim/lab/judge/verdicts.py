@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from math import isfinite, nan
-from statistics import fmean
+from statistics import fmean, stdev
 from typing import Literal
 
 from sim.lab.judge.results import Seen, TraceResult
@@ -60,7 +60,8 @@ SAMPLE_WORDS: Mapping[Seen, Sample] = {
 class VerdictSummary:
     """One model under one semantics over its traces of one sample; means over those with figures, each counting once.
 
-    `better` counts the traces with a smaller MAE than persistence.
+    `better` counts the traces with a smaller MAE than persistence; `mae_percent` is the mean of the MAE in per cent of
+    each trace's readings. Those that end in `_sigma` are standard deviations over the traces (NaN for fewer than two).
     """
 
     model: str
@@ -83,6 +84,10 @@ class VerdictSummary:
     crps: float
     persistence: float
     better: int
+    mae_sigma: float = nan
+    mae_percent: float = nan
+    mae_percent_sigma: float = nan
+    final_sigma: float = nan
     unit: str = DEFAULT_UNIT
 
 
@@ -113,6 +118,10 @@ def summary(results: Sequence[TraceResult]) -> VerdictSummary:
         crps=mean(result.crps for result in done),
         persistence=mean(result.persistence for result in done),
         better=sum(result.mae.value < result.persistence for result in done),
+        mae_sigma=_spread(result.mae.value for result in done),
+        mae_percent=mean(result.percent(result.mae.value) for result in done),
+        mae_percent_sigma=_spread(result.percent(result.mae.value) for result in done),
+        final_sigma=_spread(abs(result.final_error) for result in done),
         unit=results[0].unit,
     )
 
@@ -176,3 +185,9 @@ def mean(values: Iterable[float]) -> float:
     """The mean of the finite values; NaN without any."""
     finite = [value for value in values if isfinite(value)]
     return fmean(finite) if finite else nan
+
+
+def _spread(values: Iterable[float]) -> float:
+    """The standard deviation of the finite values; NaN for fewer than two."""
+    finite = [value for value in values if isfinite(value)]
+    return stdev(finite) if len(finite) > 1 else nan

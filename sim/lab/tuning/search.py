@@ -13,7 +13,17 @@ import numpy as np
 from sim.lab.judge import RUN_ERRORS, HeldOutFold, Paired, compare_pairs, score_fold, unit_differences
 from sim.lab.learning import in_order
 from sim.lab.tuning.methods import Method, Settings, Task, Taught, find_method
-from sim.lab.tuning.study import REASON_KEY, Facts, ask, finished_trials, interrupt, open_study, unbroken
+from sim.lab.tuning.study import (
+    REASON_KEY,
+    Facts,
+    Search,
+    ask,
+    finished_trials,
+    grid_size,
+    interrupt,
+    open_study,
+    unbroken,
+)
 from sim.lab.workers import parallel
 from sim.sha import Alphabet, Trace
 
@@ -35,13 +45,15 @@ class StudyPlan:
     """What is searched and how it is scored: `fold_count` folds at most, dealt by `seed`, which seeds the learner too.
 
     `objective`: the mean CRPS (degC, per reading, of open-loop runs of the held-out traces), or minus the mean
-    log-likelihood per reading (nats); either is the mean over traces, and lower is better.
+    log-likelihood per reading (nats); either is the mean over traces, and lower is better. `search`: how settings are
+    suggested.
     """
 
     method: str
     objective: Objective = "crps"
     fold_count: int = 5
     seed: int = 0
+    search: Search = "tpe"
 
     def __post_init__(self) -> None:
         find_method(self.method)
@@ -134,6 +146,10 @@ def tune(
     search = _TuningSearch(
         plan=plan, traces=kept, parts=parts, alphabet=alphabet, temperature=temperature, jobs=jobs, prune=prune
     )
+    if plan.search == "grid":
+        points = grid_size(find_method(plan.method).space)
+        if trials > 1 + points:
+            notes, trials = (*notes, f"the grid has {points} points: all are tried, and the defaults"), 1 + points
     stopped = False
     # All that decides what a score means. Not the number of jobs, which may change what is tried, and no score.
     facts: Facts = {
@@ -145,6 +161,7 @@ def tune(
         "objective": plan.objective,
         "number of folds": len(parts),
         "seed": plan.seed,
+        "search": plan.search,
     }
     with open_study(study_file, facts, prune=prune) as study:
         try:
@@ -246,7 +263,8 @@ def _run_trials(study: "Study", search: _TuningSearch, trials: int, progress: Pr
     # nothing of one another. With pruning it is one, and `jobs` of its folds are worked through at a time.
     together = 1 if search.prune else max(1, search.jobs // len(search.parts))
     while (done := len(over := finished_trials(study))) < trials:
-        suggested = [ask(study, space, done + extra, search.plan.seed) for extra in range(min(together, trials - done))]
+        ahead = range(done, min(done + together, trials))
+        suggested = [ask(study, space, place, search.plan.seed, search.plan.search) for place in ahead]
         values = [trial.value for trial in over if trial.value is not None and trial.state.name == "COMPLETE"]
         best = f", best so far {min(values):.4g}" if values else ""
         progress(f"trial {done + 1} of {trials}{best}", done / trials)

@@ -14,13 +14,14 @@ import threading
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from importlib.util import find_spec
+from math import prod
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from sim.files import held_alone
-from sim.lab.tuning.methods import Parameter, Real, Whole
+from sim.lab.tuning.methods import Choice, Parameter, Real, Value, Whole
 
 if TYPE_CHECKING:
     from optuna.study import Study
@@ -33,6 +34,13 @@ REASON_KEY = "reason"
 WITHOUT_OPTUNA = "tuning needs Optuna, which is not installed; install the extra: pip install 'decanter-gateway[tune]'"
 MIN_TRIALS_TO_PRUNE = 5
 """Whole trials before one may be pruned, and random ones before the search models their scores, times two."""
+
+Search = Literal["tpe", "grid", "evolutionary"]
+"""How settings are suggested: by the tree-structured Parzen estimator (Bergstra et al. 2011), from a grid in random
+order, or by crossing and changing the best (NSGA-II, of one objective: Deb et al. 2002)."""
+SEARCHES: tuple[Search, ...] = ("tpe", "grid", "evolutionary")
+GRID_LEVELS = 3
+"""Values of each number in a grid: its bounds and its middle."""
 
 Facts = Mapping[str, str | int | bool]
 """What a study is about, fact by fact: it may only be gone on with where all of them are the same."""
@@ -113,7 +121,8 @@ def _check_facts(file: Path, study: "Study", facts: Facts) -> None:
             raise ValueError(f"{file}: is a study that was not made by this command; give another --study file")
         study.set_user_attr(FACTS_KEY, dict(facts))
         return
-    before = study.user_attrs[FACTS_KEY]
+    # Studies of earlier releases know one kind of search.
+    before = {"search": "tpe", **study.user_attrs[FACTS_KEY]}
     other = [name for name in facts if before.get(name) != facts[name]]
     if other:
         texts = [str(source.get(other[0], "not there")) for source in (before, facts)]
@@ -145,14 +154,14 @@ def finished_trials(study: "Study") -> list["FrozenTrial"]:
 
 
 @unbroken()
-def ask(study: "Study", space: Sequence[Parameter], place: int, seed: int) -> "Trial":
+def ask(study: "Study", space: Sequence[Parameter], place: int, seed: int, search: Search = "tpe") -> "Trial":
     """The trial at `place` (0 is the first of the study). The first one has no parameters: the method's defaults.
 
-    The sampler is the tree-structured Parzen estimator (Bergstra et al. 2011), begun anew for each trial with a seed
-    of its own: so a study that was interrupted goes on as if it had not been.
+    The sampler is begun anew for each trial with a seed of its own: so a study that was interrupted goes on as if it
+    had not been.
     """
     from optuna.distributions import BaseDistribution, CategoricalDistribution, FloatDistribution, IntDistribution
-    from optuna.samplers import TPESampler
+    from optuna.samplers import BaseSampler, NSGAIISampler, TPESampler
 
     distributions: dict[str, BaseDistribution] = {}
     for parameter in space if place else ():
@@ -162,7 +171,53 @@ def ask(study: "Study", space: Sequence[Parameter], place: int, seed: int) -> "T
             distributions[parameter.name] = IntDistribution(parameter.low, parameter.high)
         else:
             distributions[parameter.name] = CategoricalDistribution(parameter.options)
+
+    class Evolution(NSGAIISampler):
+        """Crosses whole settings: Optuna would leave out what trial 0, which has none, does not share."""
+
+        def infer_relative_search_space(self, *_: object) -> dict[str, BaseDistribution]:
+            return distributions
+
+    class Grid(BaseSampler):
+        """The grid's points in an order of the seed."""
+
+        def infer_relative_search_space(self, *_: object) -> dict[str, BaseDistribution]:
+            return distributions
+
+        def sample_relative(self, *_: object) -> dict[str, Value]:
+            return grid_point(space, place - 1, seed)
+
+        def sample_independent(self, *_: object) -> Value:
+            raise AssertionError("a point of the grid has all parameters")
+
     # Of the pair, not of the sum: trial 1 of seed 0 must not be trial 0 of seed 1.
     own = int(np.random.SeedSequence([seed, place]).generate_state(1)[0])
-    study.sampler = TPESampler(seed=own, n_startup_trials=2 * MIN_TRIALS_TO_PRUNE)
+    if search == "evolutionary" and place:
+        study.sampler = Evolution(population_size=2 * MIN_TRIALS_TO_PRUNE, seed=own)
+    elif search == "grid":
+        study.sampler = Grid()
+    else:
+        study.sampler = TPESampler(seed=own, n_startup_trials=2 * MIN_TRIALS_TO_PRUNE)
     return study.ask(distributions)
+
+
+def grid_size(space: Sequence[Parameter]) -> int:
+    """How many points the grid has."""
+    return prod(len(_levels(parameter)) for parameter in space)
+
+
+def grid_point(space: Sequence[Parameter], number: int, seed: int) -> dict[str, Value]:
+    """The point of the grid that is tried as the `number`-th (from 0), by the seed's order."""
+    levels = [_levels(parameter) for parameter in space]
+    order = np.random.default_rng(seed).permutation(grid_size(space))
+    places = np.unravel_index(order[number], [len(each) for each in levels])
+    return {parameter.name: own[int(at)] for parameter, own, at in zip(space, levels, places, strict=True)}
+
+
+def _levels(parameter: Parameter) -> list[Value]:
+    if isinstance(parameter, Choice):
+        return list(parameter.options)
+    ends = (parameter.low, parameter.high, GRID_LEVELS)
+    if isinstance(parameter, Whole):
+        return [*dict.fromkeys(np.linspace(*ends).round().astype(int).tolist())]
+    return [float(level) for level in (np.geomspace(*ends) if parameter.log else np.linspace(*ends))]

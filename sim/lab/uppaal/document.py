@@ -75,10 +75,12 @@ class System:
 
 @cache
 def _engine() -> Environment:
-    """The template engine; it keeps the template that it has compiled."""
-    from jinja2 import Environment, PackageLoader, StrictUndefined
+    """The template engine; it keeps the templates that it has compiled. A template of somebody else can call nothing
+    but what text and lists are asked."""
+    from jinja2 import PackageLoader, StrictUndefined
+    from jinja2.sandbox import ImmutableSandboxedEnvironment
 
-    return Environment(
+    return ImmutableSandboxedEnvironment(
         loader=PackageLoader("sim.lab.uppaal"),
         autoescape=True,
         undefined=StrictUndefined,
@@ -88,14 +90,26 @@ def _engine() -> Environment:
     )
 
 
-def xml_text(system: System) -> str:
-    """The document as UPPAAL's graphical editor and verifyta read it; all text is escaped by the template engine."""
+def xml_text(system: System, template: str = "") -> str:
+    """The document as UPPAAL's graphical editor and verifyta read it; all text is escaped by the template engine.
+
+    `template` is the text of another Jinja template than this program's own, with the same names. Raises ValueError
+    with its line where it cannot be used.
+    """
+    from jinja2 import TemplateError, TemplateSyntaxError
+
     # The file format refers to locations by ids, which are unique within a template only.
     numbers = {
         template.name: {place.name: f"id{index}" for index, place in enumerate(template.places)}
         for template in system.templates
     }
-    return _engine().get_template("system.xml").render(system=system, doctype=DOCTYPE, ids=numbers)
+    try:
+        found = _engine().from_string(template) if template else _engine().get_template("system.xml")
+        return found.render(system=system, doctype=DOCTYPE, ids=numbers)
+    except TemplateSyntaxError as error:
+        raise ValueError(f"line {error.lineno} of the template: {error.message}") from None
+    except (TemplateError, ArithmeticError, AttributeError, LookupError, RecursionError, TypeError) as error:
+        raise ValueError(f"the template cannot be filled in: {error}") from None
 
 
 def number(value: float) -> str:

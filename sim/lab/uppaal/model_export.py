@@ -60,14 +60,15 @@ def export(
     start: Start = "measured",
     tick: int = MAX_TICK_S,
     formulas: Sequence[str] = (),
+    xml_template: str = "",
 ) -> Exported:
     """The main and the minimal document of `model` replaying `trace`.
 
     `policy` is what an event without an edge does in the main model (the minimal one stops there, that is its
     question); `tick` (s) bounds the time between two draws of the noise, 0 draws it at events only; `formulas` are
-    queries (docs/checking.md) besides the default set. Raises ExportError, saying what is wrong,
-    for a model with guards or several targets for one event, an input or temperature that the trace does not have,
-    and a query that UPPAAL would refuse.
+    queries (docs/checking.md) besides the default set; `xml_template` is as in `xml_text`. Raises ExportError, saying
+    what is wrong, for a model with guards or several targets for one event, an input or temperature that the trace
+    does not have, a query that UPPAAL would refuse, and a template that cannot be used or whose document it would.
     """
     if tick < 0:
         raise ExportError(f"the noise's tick must be at least 0 s, got {tick}")
@@ -80,8 +81,8 @@ def export(
             raise ExportError(f"model {model.sha.name!r} cannot be exported along trace {trace.name!r}: {declined}")
         more, skeletal = export_questions(formulas, model)
         peak = float(np.max(open_loop(model, trace, policy, start).mean))
-        main = _main(model, replay, tick, (*default_questions(replay, float(ceil(peak))), *more))
-        minimal = _minimal(model, replay, (compatibility(), *skeletal))
+        main = _main(model, replay, tick, (*default_questions(replay, float(ceil(peak))), *more), xml_template)
+        minimal = _minimal(model, replay, (compatibility(), *skeletal), xml_template)
     except ExportError:
         raise
     except ValueError as error:
@@ -116,7 +117,9 @@ def base_name(model: str, trace: str) -> str:
     )
 
 
-def _main(model: Model, replay: ReplayedTrace, tick: int, questions: tuple[ExportedQuery, ...]) -> Document:
+def _main(
+    model: Model, replay: ReplayedTrace, tick: int, questions: tuple[ExportedQuery, ...], xml_template: str
+) -> Document:
     sha = model.sha
     names = FreshNames(location.name for location in sha.locations)
     known = variables(names, replayed_signals(sha))
@@ -165,10 +168,10 @@ def _main(model: Model, replay: ReplayedTrace, tick: int, questions: tuple[Expor
         notes.append(f"{replay.dropped} events without an edge are lost on broadcast channels, as the policy has it")
     if isfinite(sha.max_rate):
         notes.append("under a rate limit the noise at events is that of the unlimited flow, as in this program")
-    return Document(name, xml_text(system), questions, tuple(notes))
+    return Document(name, xml_text(system, xml_template), questions, tuple(notes))
 
 
-def _minimal(model: Model, replay: ReplayedTrace, questions: tuple[ExportedQuery, ...]) -> Document:
+def _minimal(model: Model, replay: ReplayedTrace, questions: tuple[ExportedQuery, ...], xml_template: str) -> Document:
     """Binary channels: over broadcast ones an event that no edge takes would be lost, and the question vacuous."""
     sha = model.sha
     names = FreshNames(location.name for location in sha.locations)
@@ -184,7 +187,7 @@ def _minimal(model: Model, replay: ReplayedTrace, questions: tuple[ExportedQuery
     title = f"{comment_text(sha.name)} along {comment_text(replay.trace)}: does it accept every event?"
     declared = "\n".join([f"// {title}", _chan("chan", channels, ids), event_arrays(replay.all_symbols, None, ids)])
     system = System(title, declared, templates, (("m_1", "Machine"), ("p_1", "Player")), questions)
-    return Document(f"{base_name(sha.name, replay.trace)}_val", xml_text(system), questions)
+    return Document(f"{base_name(sha.name, replay.trace)}_val", xml_text(system, xml_template), questions)
 
 
 def _edges(sha: SHA, channels: Mapping[str, str]) -> list[Move]:

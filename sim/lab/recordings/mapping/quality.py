@@ -113,8 +113,10 @@ def find_quality(
         )
     good += [""] if BLANK_IS_GOOD in answers.good else []
     bad = Counter({word: count for word, count in cells.items() if word not in good})
-    others = ", ".join(f"{count} x {word!r}" if word else f"{count} x blank" for word, count in bad.most_common(8))
-    said = f"{bad.total()} readings are not of a good quality ({others}): the map's quality refuses them" if bad else ""
+    refused = ", ".join(f"{count} x {word!r}" if word else f"{count} x blank" for word, count in bad.most_common(8))
+    said = (
+        f"{bad.total()} readings are not of a good quality ({refused}): the map's quality refuses them" if bad else ""
+    )
     if apart:
         said += f"{'; ' if said else ''}{list_names(map(repr, apart))} stand in rows without readings and are not used"
     return FoundQuality(places, tuple(good), said)
