@@ -62,6 +62,26 @@ def test_rows_that_lack_a_cell_are_not_shifted(tmp_path: Path) -> None:
         load_traces(export, load_map(tmp_path / "m.toml"))
 
 
+@pytest.mark.parametrize("note", ["", "looked at"])
+def test_a_cell_that_lacks_before_a_note_refuses_its_rows(note: str, tmp_path: Path) -> None:
+    rows = [f"{moment},{current},{note}" for moment, current in zip(PLANT.moments, PLANT.current, strict=True)]
+    export = written(tmp_path / "a.csv", "Time,Bearing temperature,Motor current,Note", rows)
+    assert "another number of cells than the header" in asked(export, tmp_path / "m.toml")
+
+
+def test_a_quality_of_its_own_file_judges_also_beside_the_numbers_of_its_rows(tmp_path: Path) -> None:
+    folder = tmp_path / "tags"
+    folder.mkdir()
+    for tag, values in (("Bearing temperature", PLANT.heat), ("Motor current", PLANT.current)):
+        rows = [f"{moment},{value}" for moment, value in zip(PLANT.moments, values, strict=True)]
+        written(folder / f"{tag}.csv", "Time,Value", rows)
+    words = [f"{at},{moment},{'Bad' if at in (5, 9) else 'Good'}" for at, moment in enumerate(PLANT.moments)]
+    written(folder / "Quality.csv", ",Time,Value", words)
+    (trace,), report, _ = mapped(folder, tmp_path / "m.toml")
+    assert np.flatnonzero(np.isnan(trace.signals["Bearing_temperature"])).tolist() == [5, 9]
+    assert sum(file.bad_cells for file in report.files) == 4
+
+
 def test_a_quality_beside_another_reading_judges_no_other_file(tmp_path: Path) -> None:
     folder = tmp_path / "tags"
     folder.mkdir()

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from sim.lab.recordings.channel_use import channel_uses
     from sim.lab.recordings.clock import longest_rising_rows, read_clock, to_utc, unroll_midnight
     from sim.lab.recordings.clock_counts import COUNTS, dated_format, since_1970
-    from sim.lab.recordings.clock_words import plain_time
+    from sim.lab.recordings.clock_words import plain_time, wall_zone
     from sim.lab.recordings.column_map import (
         ClockColumns,
         ColumnMap,
@@ -24,9 +24,11 @@ if TYPE_CHECKING:
     from sim.lab.recordings.readings import unread_hash
     from sim.lab.recordings.sources import read_head, recording_name
     from sim.lab.recordings.text_table import (
+        MAX_HEADER_LINE,
         SEPARATORS,
         UNNAMED_COLUMN,
         decode_head,
+        drop_invisible,
         fold_name,
         number_equal_names,
         rows_mark,

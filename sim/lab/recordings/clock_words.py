@@ -3,20 +3,20 @@
 import re
 
 _MONTHS = (
-    "jan january januar jänner jän gen gennaio janv janvier ene enero janeiro",
-    "feb february februar febbraio févr fevr fév février fevrier febrero fev fevereiro",
-    "mar march mär mrz märz maerz marzo mars março",
-    "apr april aprile avr avril abr abril",
-    "may mai mag maggio mayo maio",
-    "jun june juni giu giugno juin junio junho",
-    "jul july juli lug luglio juil juillet julio julho",
-    "aug august ago agosto août aout",
-    "sep sept september set settembre septembre septiembre setembro",
-    "oct october okt oktober ott ottobre octobre octubre out outubro",
-    "nov november novembre noviembre novembro",
-    "dec december dez dezember dic dicembre déc décembre decembre diciembre dezembro",
+    "jan january januar jänner jän gen gennaio janv janvier ene enero janeiro 一月",
+    "feb february februar febbraio févr fevr fév février fevrier febrero fev fevereiro 二月",
+    "mar march mär mrz märz maerz marzo mars março 三月",
+    "apr april aprile avr avril abr abril 四月",
+    "may mai mag maggio mayo maio 五月",
+    "jun june juni giu giugno juin junio junho 六月",
+    "jul july juli lug luglio juil juillet julio julho 七月",
+    "aug august ago agosto août aout 八月",
+    "sep sept september set settembre septembre septiembre setembro 九月",
+    "oct october okt oktober ott ottobre octobre octubre out outubro 十月",
+    "nov november novembre noviembre novembro 十一月",
+    "dec december dez dezember dic dicembre déc décembre decembre diciembre dezembro 十二月",
 )
-"""Months in English, German, Italian, French, Spanish and Portuguese, whole and short, in the order of the year."""
+"""Months in English, German, Italian, French, Spanish, Portuguese and Chinese, whole and short, as the year goes."""
 _ENGLISH = ["Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec"]
 _MONTH = {word: name for words, name in zip(_MONTHS, _ENGLISH, strict=True) for word in words.split()}
 _SMALL_WORDS = (
@@ -39,6 +39,12 @@ _ZONES = {
 }  # fmt: skip
 """Zones that have one meaning: CST is of Chicago and of Shanghai, IST and BST are of three each."""
 _ZONE = re.compile(rf"\s*\b({'|'.join(_ZONES)})(?=$| \d{{4}}$)")
+_WALL_ZONE = re.compile(r"\s+(?:CT|ET|MT|PT)$")
+"""A zone's name that says neither its offset nor its half of the year: the time is a local one."""
+_COUNTED_DATE = re.compile(r"(\d{4})[年년]\s*(\d\d?)[月월]\s*(\d\d?)[日일]")
+_HALF_BEFORE = re.compile(r"(?:(上午|午前|오전)|下午|午後|오후)\s*(\d[\d:.]*)")
+_NEEDLESS_HALF = re.compile(r"(?<= )(0?0|1[3-9]|2[0-3])(:[\d:.,]+) [AP]M\b")
+"""AM or PM behind an hour of 24, as Niagara writes it."""
 _WORD = re.compile(r"[^\W\d_]{2,}\.?|\bà\b")
 _YEAR_LAST = re.compile(r"^([A-Z][a-z]{2} \d\d?),? (\d\d?:\d\d(?::\d\d(?:\.\d+)?)?(?: [AP]M)?)( [+-]\d{4})? (\d{4})$")
 _ORDINAL = re.compile(r"(?<=\d)(?:\.(?=\s*[^\W\d_])|(?:st|nd|rd|th|er|º|ª)\b)")
@@ -50,8 +56,10 @@ def plain_time(text: str) -> str:
     "Wed Mar 13 2024 09:58:00 GMT+0100 (Central European Standard Time)" is "Mar 13 2024 09:58:00 +0100", and
     "13. Mrz 2024 09:58:00" is "13 Mar 2024 09:58:00". A year behind the time comes before it.
     """
+    text = _COUNTED_DATE.sub(r"\1-\2-\3", _WALL_ZONE.sub("", text.rstrip()))
+    text = _HALF_BEFORE.sub(lambda match: f"{match[2]} {'AM' if match[1] else 'PM'}", text)
     text = _ZONE.sub(lambda match: f" {_ZONES[match[1]]}", _NO_ZONE.sub("", _ASIDE.sub("", text.strip())))
-    text = _HALF.sub(lambda match: f" {match[1].upper()}M", text)
+    text = _NEEDLESS_HALF.sub(r"\1\2", _HALF.sub(lambda match: f" {match[1].upper()}M", text))
     text = _ORDINAL.sub("", text)
     months = sum(word[0].rstrip(".").casefold() in _MONTH for word in _WORD.finditer(text))
 
@@ -67,3 +75,9 @@ def plain_time(text: str) -> str:
     plain = " ".join(_WORD.sub(word, text).split()).lstrip(",. ")
     # C's asctime has the year behind the time.
     return _YEAR_LAST.sub(r"\1 \4 \2\3", plain)
+
+
+def wall_zone(text: str) -> str:
+    """The zone's name at the end of a time that says no offset, CT or ET; "" for none."""
+    match = _WALL_ZONE.search(text.rstrip())
+    return match[0].strip() if match else ""

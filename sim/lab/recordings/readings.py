@@ -15,7 +15,7 @@ from sim.lab.recordings.column_map import ColumnMap, Long, Names, SignalColumn
 from sim.lab.recordings.fault_codes import find_codes
 from sim.lab.recordings.load_report import FileReport, TraceError, list_names
 from sim.lab.recordings.sources import recording_name
-from sim.lab.recordings.text_table import TextLayout, find_column, find_layout, read_rows
+from sim.lab.recordings.text_table import UNNAMED_COLUMN, TextLayout, find_column, find_layout, read_rows
 from sim.sha import Array, Mask
 
 Rows = NDArray[np.intp]
@@ -314,8 +314,9 @@ def _read_wide(path: Path, layout: TextLayout, column_map: ColumnMap, report: Fi
             if place in seen:
                 report.cells += _count_cells(cells)  # one cell read as two signals counts twice
             seen.add(place)
-        # Only a file that holds nothing else judges the others.
-        if column_map.parts and qualities and not places and len(taken) == len(chunk.header):
+        # Only a file that holds nothing else, but for the numbers of its rows, judges the others.
+        alone = all(at in taken or name == UNNAMED_COLUMN for at, name in enumerate(chunk.header))
+        if column_map.parts and qualities and not places and alone:
             said = np.array([bool(cell.strip()) for cell in chunk.columns[qualities[0]]], dtype=bool)
             good = 1.0 - _not_good(qualities[0] - 1, chunk.columns, qualities, column_map)
             values.setdefault(_OF_OTHERS, []).append(np.where(said, good, np.nan))

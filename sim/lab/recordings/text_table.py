@@ -7,18 +7,21 @@ lines between rows, and the rule that one bad row costs one row, a quotation mar
 import codecs
 import csv
 import io
+import re
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import islice, pairwise
 from pathlib import Path
+from unicodedata import category
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers.csv_rows import strip_guards
 from drivers.errors import did_you_mean
-from sim.lab.recordings.cells import numbers
+from sim.lab.recordings.cells import booleans, numbers
 from sim.lab.recordings.column_map import ColumnMap, Names
 from sim.lab.recordings.load_report import FileReport, TraceError, list_names
 from sim.lab.recordings.sources import open_source, read_head
@@ -27,7 +30,7 @@ Lines = NDArray[np.intp]
 """Numbers of lines of a file, from 1."""
 SEPARATORS = {",": ",", ";": ";", "tab": "\t", "|": "|"}
 _HEAD_BYTES = 262_144
-_CHUNK_LINES = 50_000
+_CHUNK_LINES = 20_000
 _BLOCK_LINES = 500
 """Lines that are split in one call where none of them has a quotation mark. One mark costs its block the short way."""
 MAX_ROW_LINES = 50
@@ -38,8 +41,8 @@ _SHOWN_ROWS = 5
 """Rows under a header that show the separator they are written with."""
 _MIN_NAME_LETTERS = 3
 """Letters of a name that hardly stands in a row by chance."""
-MAX_HEADER_LINE = 60
-"""Lines among which a header is looked for, comments not counted."""
+MAX_HEADER_LINE = 200
+"""Lines among which a header is looked for, comments not counted: cyclers write their settings before it."""
 UNNAMED_COLUMN = "column 1"
 """What a first column without a name is called: an index that a program has written beside its table."""
 _NOTES = frozenset({"", "comment", "comments", "note", "notes", "remark", "remarks", "kommentar", "bemerkung"})
@@ -69,9 +72,14 @@ class TextLayout:
         return bool(self.clock) and all(find_column(cells, names) is not None for names in self.clock)
 
 
+def drop_invisible(name: str) -> str:
+    """A name without the marks that nobody sees: where it may be broken, and which way it is written."""
+    return name if name.isascii() else "".join(mark for mark in name if category(mark) != "Cf")
+
+
 def fold_name(name: str) -> str:
-    """A name without the spelling of its blanks and of its letters' case."""
-    return " ".join(name.split()).casefold()
+    """A name without the spelling of its blanks, of its letters' case and of what nobody sees."""
+    return " ".join(drop_invisible(name).split()).casefold()
 
 
 def number_equal_names(names: Sequence[str]) -> list[str]:
@@ -190,8 +198,9 @@ def find_layout(
         shown = [cells for line in lines[skip : skip + _SHOWN_ROWS] if (cells := _header([line], separator)[0])]
         header = tuple(with_row_names(header, shown))
         kept = header[: _narrower(lines[skip:], separator, len(header))]
-        # Which cell is missing only a column that people leave empty says.
+        # Which cell is missing only a column that people leave empty says, below readings up to the last kept name.
         optional = all(fold_name(name) in _NOTES for name in header[len(kept) :])
+        optional &= any(len(cells) == len(kept) and _is_reading(cells[-1]) for cells in shown)
         if kept != header and optional and all(find_column(kept, names) is not None for names in needed):
             report.warn(f"none of its rows has a cell for {list_names(header[len(kept) :])}")
             header = kept
@@ -215,14 +224,42 @@ def decode_head(path: Path, head: bytes, encoding: str) -> tuple[str, str, str]:
         # Incrementally: the head may end in the middle of a character, which is no fault.
         text = codecs.getincrementaldecoder(chosen)("strict").decode(head, False)
     except UnicodeDecodeError:
-        # cp1252 has a character for nearly every byte: umlauts and degree signs of old Windows files come out right.
-        chosen = "cp1252" if encoding == "auto" and bom is None else chosen
+        chosen = _code_page(head) if encoding == "auto" and bom is None else chosen
         text = head.decode(chosen, "replace")
         note = f"it is not clean {encoding if bom is None else bom} text; read as {chosen}"
     strange = sum(char < " " and char not in "\t\r\n\f" for char in text[:4096])
     if "\x00" in text[:4096] or strange * 20 > len(text[:4096]):
         raise TraceError(f"{path}: this is not a text file; give the CSV, unpacked")
     return chosen, text, note
+
+
+_HIGH_BYTES = re.compile(rb"[\x80-\xff]+")
+_FIRST_CYRILLIC = 0xC0
+"""The first letter of cp1251, but for those that few words have."""
+_MIN_WORD_BYTES = 4
+"""Bytes above ASCII in a row, which no language of Western Europe writes: a word of another script."""
+
+
+def _code_page(head: bytes) -> str:
+    """The encoding of a head that is not UTF-8: Chinese, Cyrillic or, for any other, Western.
+
+    Western letters beyond ASCII stand alone, Chinese ones take two bytes each, both of them high.
+    """
+    runs = [match[0] for match in _HIGH_BYTES.finditer(head[: head.rfind(b"\n") + 1] or head)]
+    # cp1252 has a character for nearly every byte: umlauts and degree signs of old Windows files come out right.
+    if max(map(len, runs), default=0) < _MIN_WORD_BYTES:
+        return "cp1252"
+    if all(len(run) % 2 == 0 for run in runs):
+        with suppress(UnicodeDecodeError):
+            b"".join(runs).decode("gb2312")
+            return "gb18030"
+    letters = sum(byte >= _FIRST_CYRILLIC for run in runs for byte in run)
+    return "cp1251" if 10 * letters >= 9 * sum(map(len, runs)) else "cp1252"
+
+
+def _is_reading(cell: str) -> bool:
+    """Whether a cell is a number or a word of a switch, and no note."""
+    return bool(np.isfinite(numbers([cell])[0][0])) or not booleans([cell])[1][0]
 
 
 def _narrower(lines: Sequence[str], separator: str, width: int) -> int:
@@ -252,7 +289,7 @@ def _header(lines: Sequence[str], separator: str) -> tuple[tuple[str, ...], int]
 
 def _trim_header(cells: Sequence[str]) -> list[str]:
     """The names of a header, without blank ones at its end; a first one that is blank is that of an index."""
-    names = [cell.strip() for cell in cells]
+    names = [drop_invisible(cell).strip() for cell in cells]
     while names and not names[-1]:
         names.pop()
     return [names[0] or UNNAMED_COLUMN, *names[1:]] if len(names) > 1 else names

@@ -14,6 +14,11 @@ UNITS = {
     "%": "%", "rpm": "rpm", "1/min": "rpm", "min-1": "rpm", "r/min": "rpm", "u/min": "rpm", "giri/min": "rpm",
     "tr/min": "rpm",
     "mm/s": "mm/s", "g": "g", "m3/h": "m3/h", "m³/h": "m3/h", "l/min": "l/min", "nm": "Nm", "hz": "Hz",
+    "wh": "Wh", "kwh": "kWh", "mwh": "MWh", "ah": "Ah", "va": "VA", "kva": "kVA", "var": "var", "kvar": "kvar",
+    "mhz": "MHz", "ghz": "GHz", "khz": "kHz", "pa": "Pa", "hpa": "hPa", "mpa": "MPa", "psi": "psi", "ppm": "ppm",
+    "l/s": "l/s", "l/h": "l/h", "m3/s": "m3/s", "m³/s": "m3/s", "kg/h": "kg/h", "kg/s": "kg/s", "m/s": "m/s",
+    "km/h": "km/h", "lx": "lx", "lux": "lx", "w/m2": "W/m2", "w/m²": "W/m2", "kb/s": "kB/s", "mb/s": "MB/s", "mb": "MB",
+    "gb": "GB", "mib": "MiB", "gib": "GiB",
     "s": "s", "sec": "s", "ms": "ms", "h": "h", "min": "min",
 }  # fmt: skip
 """Units as they are written (lower case) and as maps call them."""

@@ -158,7 +158,8 @@ def find_clocks(place: int, cells: Sequence[str], date: tuple[int, Sequence[str]
     """The ways to read a column of times (after a column of dates): one for each order of day and month that fits."""
     if date is not None:
         cells = [f"{day} {time}" for day, time in zip(date[1], cells, strict=True)]
-    sample = list(cells[:_MAX_CHECKED_CELLS])
+    # The last row may be that of the export's own moment, in another form.
+    sample = [*cells[:_MAX_CHECKED_CELLS], *cells[_MAX_CHECKED_CELLS:][-_LOOKED_AT:]]
     filled = sum(map(bool, sample))
     clocks: list[FoundClock] = []
     for order in dict.fromkeys(order for cell in sample[:_LOOKED_AT] for order, _ in time_formats(cell)):
@@ -166,8 +167,12 @@ def find_clocks(place: int, cells: Sequence[str], date: tuple[int, Sequence[str]
         # A format for the first cell, another for the first that it does not read: fractions of seconds come and go.
         while len(formats) < _MOST_FORMATS:
             unread = (cell for cell, time in zip(sample, times.tolist(), strict=True) if cell and time != time)
+            # A month in words stands where it wants.
             own = (
-                format_ for cell in islice(unread, _LOOKED_AT) for each, format_ in time_formats(cell) if each == order
+                format_
+                for cell in islice(unread, _LOOKED_AT)
+                for each, format_ in time_formats(cell)
+                if each == order or "%b" in format_
             )
             further = next(own, None)
             if further is None or further in formats:

@@ -39,6 +39,7 @@ from sim.lab.recordings.mapping.words import (
     current_score,
     day_first,
     load_score,
+    named_part_time,
     named_standstill,
     named_time,
     running_score,
@@ -116,7 +117,8 @@ def choose_clock(table: FoundTable, answers: Answers) -> FoundClock:
         still = bool(np.all(times[np.isfinite(times)] == times[np.isfinite(times)][0]))
         counted = found[place][0].order == "year" and found[place][0].formats[0].endswith(_COUNTS) and not still
         counted &= not since_1970(float(times[np.isfinite(times)][0]))
-        return 4 * named_time(table.header[place]) + 2 * (not counted) - 8 * still
+        name = table.header[place]
+        return 4 * named_time(name) + 2 * (not counted) - 8 * still - named_part_time(name)
 
     best = max(map(score, found))
     rivals = [place for place in found if score(place) == best]

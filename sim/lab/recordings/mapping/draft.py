@@ -19,6 +19,7 @@ from sim.lab.recordings import (
     load_traces,
     parse_map,
     round_value,
+    wall_zone,
     zone_problem,
 )
 from sim.lab.recordings.mapping.answers import Answers
@@ -341,7 +342,9 @@ def _text(found: _Found, alphabet: Alphabet | None = None) -> str:
         lines.append(f"date = {quoted(table.header[clock.date])}")
     lines.append(f"formats = {_quoted_list(clock.formats)}")
     if not zoned:
-        why = "" if rows.timezone else '    # the file does not say; a plant\'s local time: "Europe/Rome" ...'
+        zone = wall_zone(table.column(clock.place)[0])
+        doubt = f"its {zone} says no offset" if zone else "the file does not say"
+        why = "" if rows.timezone else f'    # {doubt}; a plant\'s local time: "Europe/Rome" ...'
         lines.append(f"timezone = {quoted(rows.timezone or 'UTC')}{why}")
     lines += ["", "[signals]"]
     for column in found.columns:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sim.lab.recordings import TraceError, fold_name, list_names, recording_name
+from sim.lab.recordings import UNNAMED_COLUMN, TraceError, fold_name, list_names, recording_name
 from sim.lab.recordings.mapping.answers import Answers
 from sim.lab.recordings.mapping.clocks import FoundClock
 from sim.lab.recordings.mapping.decide import choose_clock, sample_seconds
@@ -40,7 +40,7 @@ def one_table(folder: Path, files: Sequence[Path], answers: Answers) -> tuple[Fo
     first, clock = tables[0], clocks[0]
     for table, other in zip(tables[1:], clocks[1:], strict=True):
         same = fold_name(table.header[other.place]) == fold_name(first.header[clock.place])
-        if not same or set(other.formats) != set(clock.formats) or table.separator != first.separator:
+        if not same or other.formats[0] != clock.formats[0] or table.separator != first.separator:
             raise TraceError(
                 f"{table.path}: its clock is {table.header[other.place]!r} in the form {other.formats[0]!r}, "
                 f"and that of "
@@ -48,11 +48,16 @@ def one_table(folder: Path, files: Sequence[Path], answers: Answers) -> tuple[Fo
                 f"recording together; "
                 "give each its own map"
             )
+    clock = replace(clock, formats=tuple(dict.fromkeys(each for own in clocks for each in own.formats)))
     # A name that files share is a column of one recording; where one row of numbers only is under it, of one tag each,
     # if their times or their names are not those of days one after another.
     seen = Counter(fold_name(name) for table in tables for name in set(table.header))
     owned = [
-        [place for place, name in enumerate(table.header) if name and place not in (own.place, own.date)]
+        [
+            place
+            for place, name in enumerate(table.header)
+            if name not in ("", UNNAMED_COLUMN) and place not in (own.place, own.date)
+        ]
         for table, own in zip(tables, clocks, strict=True)
     ]
     single = all(
@@ -73,6 +78,7 @@ def one_table(folder: Path, files: Sequence[Path], answers: Answers) -> tuple[Fo
         keys: list[str] = []
         for place, name in enumerate(table.header):
             shared = single and len(tables) > 1 and seen[fold_name(name)] > 1 and place not in (own.place, own.date)
+            shared &= name != UNNAMED_COLUMN  # the number of a row is no tag
             key = f"{recording_name(table.path)}/{name}" if shared else name
             key = next((known for known in names if fold_name(known) == fold_name(key)), key)
             names += [key] if key not in names else []

@@ -5,7 +5,7 @@ from collections import Counter
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
-from sim.lab.recordings import TraceError, list_names
+from sim.lab.recordings import UNNAMED_COLUMN, TraceError, list_names
 from sim.lab.recordings.mapping.answers import BLANK_IS_GOOD, NO_COLUMN, Answers, Undecided
 from sim.lab.recordings.mapping.table import FoundTable, has_numbers
 
@@ -62,7 +62,11 @@ def find_quality(
     readings = [value] if value is not None else []
     if value is None:
         # What a person notes has no reading whose quality could be said.
-        others = [place for place in range(len(table.header)) if place not in taken and place not in named]
+        others = [
+            place
+            for place, name in enumerate(table.header)
+            if place not in taken and place not in named and name != UNNAMED_COLUMN
+        ]
         readings = [place for place in others if has_numbers(table, place)] or others
     beside = {place: _neighbour_cells(table, place, named, readings) for place in named}
     # One that stands in rows of its own, as in a file beside, says nothing of the others.

@@ -36,6 +36,10 @@ _MIN_SILENT_SHARE = 0.1
 """Share of the time in silence, at least, in a recording that is stored on change: what is seldom is a lost row."""
 _MAX_REPEAT_SHARE = 0.05
 """Share of values that are those before them; a recorder of each row repeats what stands still, and noise a few."""
+_MIN_POLLED = 3
+"""Columns that have another value in every row, of a table that is stored row by row."""
+_AT_ONCE_SHARE = 0.1
+"""Of the usual step; no poll is so much sooner."""
 _MAX_UNEVEN_SHARE = 0.05
 """Share of steps that differ from the usual one by half of it; nights without a recorder are few."""
 _MAX_SPARSE_SHARE = 0.7
@@ -375,6 +379,15 @@ def find_storage(
     seldom = next((name for name, look in looks.items() if look is not None and look.surely), "")
     if not seldom and (not own.may or own.silent < _MIN_SILENT_SHARE):
         return Stored(False)
+    # Where one value is stored because it changed, some of those beside it in its row did not.
+    beside = [
+        column
+        for column in columns
+        if column.kind == "number" and column.values.size == every.size and np.isfinite(column.values).all()
+    ]
+    polled = [look for column in beside if (look := looks[column.header]) and look.repeated < _MAX_REPEAT_SHARE]
+    if len(polled) >= _MIN_POLLED:
+        return Stored(False)
     name = seldom or temperature.header
     silent = next(look.silent for header, look in looks.items() if look is not None and header == name)
     raise Undecided(
@@ -421,6 +434,9 @@ def _storage_look(times: Array, column: FoundColumn, rows: int, every: Array) ->
     between = beats and int(soon.sum()) >= _MIN_STEPS
     between = between and float(np.quantile(moves[soon], 0.05)) > float(np.quantile(moves[~soon], 0.9))
     told = soon if between or soon.mean() > _MIN_SOON_SHARE else np.ones(steps.shape, dtype=bool)
+    # The same value at once again is one message sent twice, or the end of a value, told with what follows it.
+    at_once = steps < _AT_ONCE_SHARE * float(np.median(steps))
+    told &= (moves > 0) | ~(at_once | np.append(at_once[1:] & (moves[1:] > 0), False))
     repeated, scan = float((moves[told] == 0).mean()), float(np.quantile(steps, 0.05))
     if told.all() and scan > _LONG_STEP_RATIO * float(np.quantile(every, 0.05)):
         # It is told only when the longest time is over, or polled more slowly than others: neither speaks.

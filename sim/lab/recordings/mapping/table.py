@@ -9,12 +9,14 @@ import numpy as np
 
 from drivers.csv_rows import strip_guards
 from sim.lab.recordings import (
+    MAX_HEADER_LINE,
     SEPARATORS,
     UNITS,
     UNNAMED_COLUMN,
     TraceError,
     dated_format,
     decode_head,
+    drop_invisible,
     fold_name,
     number_equal_names,
     numbers,
@@ -31,8 +33,6 @@ _RULED = frozenset(" \t,;|-=+_\r\n")
 """Marks of a line that is blank, or drawn under the names as databases print them."""
 _SHOWN_ROWS = 5
 """Rows under a header that show whether they are numbered."""
-_MAX_HEADER_LINE = 60
-"""Lines in which a header is looked for: titles, annotations and column lists of exports are shorter."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +69,7 @@ def find_table(path: Path) -> FoundTable:
     # The separator under which most of the first rows have the same number of cells, and most of them.
     best: tuple[int, str, list[list[str]]] = (0, "", [])
     for name, mark in SEPARATORS.items():
-        rows = [_cells(line, mark) for _, line in usable[:_MAX_HEADER_LINE]]
+        rows = [_cells(line, mark) for _, line in usable[:MAX_HEADER_LINE]]
         widths = [len(row) for row in rows if len(row) > 1]
         width = max(set(widths), key=widths.count) if widths else 0
         # A decimal comma makes rows of many cells too: what counts is in how many rows the cells say a time, or in how
@@ -95,7 +95,9 @@ def find_table(path: Path) -> FoundTable:
         raise TraceError(_no_data(path, rows))
     width = len(rows[first])
     named = next((place + 1 for place, row in enumerate(rows[:first]) if row[0].casefold() == "#names"), None)
-    header_at, units = first - 1 if named is None else named, [""] * width
+    # Rows of readings of another width may stand between them: a column was added later, a row was cut off.
+    names_at = next((at for at in range(first - 1, 0, -1) if not (_is_data(rows[at]) or is_time(rows[at][0]))), 0)
+    header_at, units = names_at if named is None else named, [""] * width
     # Between names and readings there may be rows of units, and of addresses and types, which leave the clock's columns
     # blank or name it alone.
     while named is None and header_at:
@@ -105,11 +107,11 @@ def find_table(path: Path) -> FoundTable:
         elif len(before) != width or (above[0] and any(above[1:])):
             break
         header_at -= 1
-    header = rows[header_at][:width]
+    header = list(map(drop_invisible, rows[header_at][:width]))
     if width > 1 and len(header) < width:
         # A header with commas over rows with semicolons.
         others = [_cells(usable[header_at][1], mark) for mark in SEPARATORS.values()]
-        below = [line for _, line in usable[first:_MAX_HEADER_LINE]]
+        below = [line for _, line in usable[first:MAX_HEADER_LINE]]
         header = next((o for o in others if len(o) == width and rows_mark(below, width, ",") != ","), header)
     named_rows = with_row_names(header, rows[first : first + _SHOWN_ROWS])
     if len(named_rows) > len(header):
@@ -125,7 +127,14 @@ def find_table(path: Path) -> FoundTable:
         raise TraceError(f"{path}: line {usable[first][0] + 1} holds data, and no line above it names its columns")
     # Where the header only counts its columns, the names stand in one of the rows below it.
     titles = [
-        next((row[at] for row in rows[header_at:first] if len(row) > at and not row[at].isdigit() and row[at]), name)
+        next(
+            (
+                own
+                for row in rows[header_at:first]
+                if (own := drop_invisible("".join(row[at : at + 1]))) and not own.isdigit()
+            ),
+            name,
+        )
         for at, name in enumerate(header)
     ]
     mark = SEPARATORS[separator]

@@ -1,4 +1,4 @@
-"""What columns are called in plants' exports, in English, Italian, German, French and Spanish: parts, times, units."""
+"""What columns are called in plants' exports, in five languages of Europe and in Chinese: parts, times, units."""
 
 import re
 
@@ -10,19 +10,22 @@ from sim.lab.recordings import CONVERTED_UNITS, known_unit
 _TEMPERATURE = re.compile(
     r"temp(?!o\b|s\b)|°c|degc|celsius|thermo|(?:^|[:./ ])t[iet]?[ctr]?_|_t$|"
     r"(?-i:^T(?=[A-Z][a-z]|\d|_|BRG|BEA|LAG|CUSC|PAL))|\bt\d|_temp|"
-    r"(?:^|[:./_-])t[iet]?[ctr]?[-_]?\d|tempér|coolant|warm|wärme",
+    r"(?:^|[:./_-])t[iet]?[ctr]?[-_]?\d|tempér|coolant|warm|wärme|温度",
     re.IGNORECASE,
 )
-_BEARING = re.compile(r"bearing|brg|cuscinett|lager|palier|roulement|rodamiento|cojinete", re.IGNORECASE)
+_DEGREES = re.compile(r"temp(?!o\b|s\b)|tempér|thermo|温度", re.IGNORECASE)
+_BEARING = re.compile(r"bearing|brg|cuscinett|lager|palier|roulement|rodamiento|cojinete|轴承", re.IGNORECASE)
 _NOT_BEARING = re.compile(
     r"amb|outside|outdoor|aussen|außen|esterna|extérieur|exterior|intake|room|raum|setpoint|sollwert|\bsp\b|limit|"
-    r"alarm|soglia|grenz|consigne|fluid|feed|oil|öl|olio|huile|aceite|water|wasser",
+    r"alarm|soglia|grenz|consigne|fluid|feed|oil|öl|olio|huile|aceite|water|wasser|室外|环境|设定|油|水",
     re.IGNORECASE,
 )
 _CURRENT = re.compile(
     r"(?:^|[:./_-])i[it][-_]?\d|(?:^|[:./ ])i[it]_|"
-    r"current|strom(?!ung)|corrente|corriente|courant|intensit|assorb|amp(?!l)|\bi[_ ]|^i\d|"
-    r"_i$|_i_|stromaufn",
+    r"current|strom(?!ung)|corrente|corriente|courant|intensit|assorb|\bi[_ ]|^i\d|_i$|_i_|stromaufn|电流|"
+    # Amperes, but no campus, lamp or damper.
+    r"motoramps|milliamp|(?-i:(?<![A-Za-z])[Aa]mp(?:s|[eè]res?)?(?![a-z])|(?<=[a-z])Amp(?:s|eres?)?(?![a-z])|"
+    r"(?<![A-Z])AMP(?:S|ERES?)?(?![A-Z]))",
     re.IGNORECASE,
 )
 _RUNNING = re.compile(
@@ -32,9 +35,11 @@ _RUNNING = re.compile(
 )
 _ALARM = re.compile(r"alarm|allarm|fault|stör|guasto|défaut|fallo|error|quality|qualit|valid", re.IGNORECASE)
 _TIME = re.compile(
-    r"time|elapsed|^x_value$|^t_(?:ms|s|sec|min|h)$|zeit|datum|date|data\b|\bora\b|tempo\b|heure|horodat|temps|fecha|hora|stamp|\bt\b|\bts\b|clock|epoch|\bsec",
+    r"time|elapsed|^x_value$|^t_(?:ms|s|sec|min|h)$|zeit|datum|date|data\b|\bora\b|tempo\b|heure|horodat|temps|fecha|hora|stamp|\bt\b|\bts\b|clock|epoch|\bsec|时间|日期",
     re.IGNORECASE,
 )
+_FREQUENCY = re.compile(r"[\[({_ ][kMG]?Hz[\])}]?(?:_\d+)?\s*$", re.IGNORECASE)
+"""The end of a header that says hertz: the clock of a processor is a frequency."""
 _NAME = re.compile(
     r"^(?:.*(?:name|tag|variable|field|point|signal|series|metric|parameter|channel|entity|alias|property|measurement|messstelle|nome|nom|nombre|bezeichn|"
     r"punto|sensor|item|descri|beschreib|label|libell).*)$",
@@ -46,6 +51,8 @@ _VALUE = re.compile(
     re.IGNORECASE,
 )
 _BRACKETED = re.compile(r"\s*[\[({]\s*([^\])}]*)\s*[\])}]\s*$")
+_FIELDS = re.compile(r"\[([^\[\]]+)\]\s*\[([^\[\]]*)\]\s*(?:\[[^\[\]]*\])")
+"""Name, unit and number, each in brackets of its own."""
 _IN_NAME = re.compile(
     r"(?:[_ .,;:/]|(?<=[_ ])in )(?P<unit>deg ?[CFcf]|[°º]\s?[CFK]|℃|[Kk]elvin|[Cc]elsius|[Ff]ahrenheit|"
     r"[Aa]mp(?:s|eres?)?|rpm|[kM]?W|m?bar|kPa|"
@@ -53,10 +60,10 @@ _IN_NAME = re.compile(
 )
 _LOAD = re.compile(
     r"(?:^|[:./_-])[js][it][-_]?\d|power|leist|potenza|potencia|puissance|load|last\b|carico|carga|charge|speed|rpm|drehzahl|velocit|giri|vitesse|torque|"
-    r"moment|coppia|couple|frequen|throttle",
+    r"moment|coppia|couple|frequen|throttle|功率|负荷|负载|转速|频率",
     re.IGNORECASE,
 )
-_SETPOINT = re.compile(r"set.?point|sollwert|\bsp\b|consigne|soglia|limit|target|alarm|ref\b", re.IGNORECASE)
+_SETPOINT = re.compile(r"set.?point|sollwert|\bsp\b|consigne|soglia|limit|target|alarm|ref\b|设定", re.IGNORECASE)
 LOAD_UNITS = frozenset({"W", "kW", "MW", "rpm", "Nm", "Hz"})
 """Units of what loads a machine, besides those of a current."""
 _STANDSTILL = re.compile(
@@ -74,9 +81,13 @@ _MACHINE = re.compile(
     re.IGNORECASE,
 )
 _SURELY = re.compile(
-    r"machine.?(?:id|name|no)?$|maschine|macchina|turbine|asset|equipment|device|gerät|serial|vehicle|(?:unit|engine|pump|motor).?id",
+    r"(?:machine|maschine|macchina|turbine|asset|equipment|device|gerät|vehicle)"
+    r"(?:[ _.-]?(?:id|name|no|nr|number|nummer|numero|tag|code))?$|"
+    r"serial(?:[ _.-]?(?:no|nr|number|nummer))?$|(?:unit|engine|pump|motor)[ _.-]?id$",
     re.IGNORECASE,
 )
+"""Of whom the rows are; the speed of a vehicle and the battery of a device are readings."""
+_OF_PART = re.compile(r"\bstep|[-_ ]cyc|\bcycle|\blap\b|schritt|zyklus", re.IGNORECASE)
 _UNIT_COLUMN = re.compile(r"^(?:unit|units|einheit|unit[àa]|unité|unidad|uom|eu|engunits?)$", re.IGNORECASE)
 
 
@@ -87,6 +98,8 @@ def bare_unit(cell: str) -> str:
 
 def split_unit(header: str) -> tuple[str, str]:
     """(header without its unit, unit): "T bearing [°C]" is ("T bearing", "degC"); no unit that is known: ""."""
+    if fields := _FIELDS.fullmatch(header.strip()):
+        return fields[1].strip(), known_unit(fields[2])
     match = _BRACKETED.search(header)
     if match:
         unit = known_unit(match[1])
@@ -117,7 +130,8 @@ def temperature_score(name: str, unit: str) -> int:
 
 def current_score(name: str, unit: str) -> int:
     """The same for the motor's current."""
-    if unit and unit not in ("A", "mA", "kA"):
+    # The current temperature is the one of now.
+    if (unit and unit not in ("A", "mA", "kA")) or (not unit and _DEGREES.search(name)):
         return 0
     return (3 if unit in ("A", "mA", "kA") else 0) + (2 if _CURRENT.search(name) else 0)
 
@@ -166,7 +180,12 @@ def named_unit(name: str) -> bool:
 
 def named_time(name: str) -> bool:
     """Whether a header speaks of time."""
-    return _TIME.search(name) is not None
+    return _TIME.search(name) is not None and not _FREQUENCY.search(name)
+
+
+def named_part_time(name: str) -> bool:
+    """Whether a time is that of a part of the recording, a step or a cycle, and begins anew with each."""
+    return _OF_PART.search(name) is not None
 
 
 def named_entity(name: str) -> bool:
