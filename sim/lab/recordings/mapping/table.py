@@ -129,9 +129,9 @@ def find_table(path: Path) -> FoundTable:
     titles = [
         next(
             (
-                own
+                cell
                 for row in rows[header_at:first]
-                if (own := drop_invisible("".join(row[at : at + 1]))) and not own.isdigit()
+                if (cell := drop_invisible("".join(row[at : at + 1]))) and not cell.isdigit()
             ),
             name,
         )
