@@ -103,3 +103,96 @@ def test_a_quality_beside_another_reading_judges_no_other_file(tmp_path: Path) -
     written(folder / "Door.csv", "Time,Door,Quality", [f"{moment},0,Bad" for moment in PLANT.moments])
     (trace,), _ = load_traces(folder, parse_map(text, "map"))
     assert not np.isnan(trace.signals["Temp"]).any()
+
+
+def beside(path: Path, header: str, *columns: np.ndarray) -> Path:
+    """A file of the plant's clock with columns beside it."""
+    rows = zip(PLANT.moments, *(column.tolist() for column in columns), strict=True)
+    return written(path, header, [",".join(map(str, row)) for row in rows])
+
+
+WEATHER = 8.0 + np.sin(np.arange(len(PLANT.moments)) / 50.0).round(3)
+OXYGEN = -0.7 + (np.arange(len(PLANT.moments)) % 13) / 40.0
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        ("Boiler 2 leaving water temp (°C)", "Campus temp (°C)"),
+        ("Stator U1 (°C)", "Cabinet temperature (°C)"),
+        ("Boiler exhaust temp", "Campus temp"),
+    ],
+)
+def test_a_temperature_is_asked_for_where_no_bearing_is_named(names: tuple[str, str], tmp_path: Path) -> None:
+    export = beside(tmp_path / "a.csv", f"Time,{','.join(names)},Power (kW)", PLANT.heat, WEATHER, PLANT.current)
+    said = asked(export, tmp_path / "m.toml", "--yes")
+    assert all(f"--temperature {name!r}" in said and f"{name!r} (" in said for name in names)
+    assert mapped(export, tmp_path / "m.toml", "--temperature", names[0])[2]["temperature"] == names[0]
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        ("Bearing temp (°C)", "Oil temp (°C)"),
+        ("Bearing temp", "Campus temp (°C)"),
+        ("Motor temp (°C)", "Ambient temp (°C)"),
+        ("Water temp (°C)", "Water temp setpoint (°C)"),
+    ],
+)
+def test_a_bearings_and_what_is_not_the_surroundings_is_no_question(names: tuple[str, str], tmp_path: Path) -> None:
+    export = beside(tmp_path / "a.csv", f"Time,{','.join(names)},Power (kW)", PLANT.heat, WEATHER, PLANT.current)
+    assert mapped(export, tmp_path / "m.toml")[2]["temperature"] == names[0]
+
+
+@pytest.mark.parametrize("sensor", ["O2 Sensor1 Wide Range Current(mA)", "Lambda I_p (A)", "Level(mA)"])
+def test_a_sensors_own_current_loads_nothing(sensor: str, tmp_path: Path) -> None:
+    speed = 200.0 * PLANT.current + 700.0
+    header = f"Time,Bearing temperature,{sensor},Engine RPM(rpm)"
+    export = beside(tmp_path / "a.csv", header, PLANT.heat, OXYGEN, speed)
+    assert mapped(export, tmp_path / "m.toml")[2]["current"] == "Engine RPM(rpm)"
+
+
+def test_a_current_that_a_loop_could_carry_is_asked_for(tmp_path: Path) -> None:
+    export = beside(tmp_path / "a.csv", "Time,Bearing temperature,Signal(mA)", PLANT.heat, PLANT.current / 10)
+    assert "--current 'Signal(mA)' or --current none" in asked(export, tmp_path / "m.toml")
+    assert mapped(export, tmp_path / "n.toml", "--yes")[2]["current"] == ""
+    assert mapped(export, tmp_path / "o.toml", "--current", "Signal(mA)")[2]["current"] == "Signal(mA)"
+
+
+def test_a_total_is_likelier_than_its_parts_and_a_remainder_is_no_load(tmp_path: Path) -> None:
+    parts = PLANT.current + 13.0, 0.1 * PLANT.current
+    header = "Time,Bearing temperature,Package Power [W],Rest-of-Chip Power [W]"
+    export = beside(tmp_path / "a.csv", header, PLANT.heat, *parts)
+    assert mapped(export, tmp_path / "m.toml")[2]["current"] == "Package Power [W]"
+    export = beside(tmp_path / "a.csv", f"{header},Total System Power [W]", PLANT.heat, *parts, sum(parts) + 5.0)
+    said = asked(export, tmp_path / "n.toml")
+    assert "--current 'Package Power [W]'" in said and "Rest" not in said and "(13.4 to" in said
+    assert mapped(export, tmp_path / "o.toml", "--yes")[2]["current"] == "Total System Power [W]"
+
+
+def test_what_only_dwells_is_no_choice_between_two_loads(tmp_path: Path) -> None:
+    header = "Time,Bearing temperature,Agent Power [W],Package Power [W]"
+    export = beside(tmp_path / "a.csv", header, PLANT.heat, PLANT.current, OXYGEN + 30.0)
+    assert "most likely 'Agent Power [W]'" in asked(export, tmp_path / "m.toml")
+
+
+@pytest.mark.parametrize("count", [2, 16, 60])
+def test_a_question_of_many_long_names_says_the_option_that_answers_it(count: int, tmp_path: Path) -> None:
+    names = [f"PLANT_SYS/{'chiller' * 4} {place} leaving temperature (°C)" for place in range(count)]
+    header = f"Time,{','.join(names)}"
+    export = beside(tmp_path / "a.csv", header, *(PLANT.heat + place for place in range(count)))
+    said = asked(export, tmp_path / "m.toml")
+    assert f"give --temperature {names[0]!r}" in said or f"such as --temperature {names[0]!r}" in said
+    assert "give --temperature" in said and " ... " not in said
+
+
+@pytest.mark.parametrize("second", ["45364.4170", "45364.4170,Bad,0.4,0", "45364.4170,,,"])
+def test_a_row_that_lacks_readings_near_the_header_is_none_of_names(second: str, tmp_path: Path) -> None:
+    days = 45364.0 + np.arange(len(PLANT.moments)) * 10.0 / 86400.0
+    columns = zip(days.round(8).tolist(), PLANT.heat, PLANT.current, PLANT.running, strict=True)
+    rows = [",".join(map(str, row)) for row in columns]
+    rows[1] = second.replace("45364.4170", rows[1].split(",")[0])
+    export = written(tmp_path / "a.csv", "Time,Bearing temperature,Motor current,Running", rows)
+    (trace,), _, said = mapped(export, tmp_path / "m.toml")
+    assert said["temperature"] == "Bearing temperature"
+    assert np.isfinite(trace.signals["Bearing_temperature"]).sum() == len(rows) - 1

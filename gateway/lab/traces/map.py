@@ -112,6 +112,8 @@ def ask_map(file: Path, answers: Answers, names: Mapping[str, str] | None = None
                 raise
             asked += 1
             click.echo(f"{open_point.question}:", err=True)
+            for choice, seen in zip(open_point.choices, open_point.seen, strict=False):
+                click.echo(f"  {choice}: {seen}", err=True)
             chosen = click.prompt(
                 "which", type=click.Choice(list(open_point.choices)), default=open_point.guess or None, err=True
             )

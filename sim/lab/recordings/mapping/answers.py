@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import accumulate, zip_longest
 from typing import Any
 
 from sim.lab.recordings import TraceError, list_names
@@ -59,12 +60,41 @@ class Answers:
         return replace(self, **{name: given})
 
 
-class Undecided(TraceError):
-    """More than one reading fits: `question`, the `choices`, the option that decides, and a `guess` ("": none)."""
+_LISTED_CHARACTERS = 400
+"""Characters of a list of choices: a longer sentence would be cut in its middle, where the option stands."""
+_OF_SHELLS = frozenset(" ()[]{}<>|&;*?$#!~`'")
+"""What a shell reads otherwise than it is written."""
 
-    def __init__(self, where: object, question: str, field: str, choices: Sequence[str], *, guess: str = "") -> None:
-        options = " or ".join(f"--{field} {choice!r}" if " " in choice else f"--{field} {choice}" for choice in choices)
+
+class Undecided(TraceError):
+    """More than one reading fits: `question`, the `choices`, the option that decides, and a `guess` ("": none).
+
+    `seen` is what the readings of each choice show.
+    """
+
+    def __init__(
+        self,
+        where: object,
+        question: str,
+        field: str,
+        choices: Sequence[str],
+        *,
+        guess: str = "",
+        seen: Sequence[str] = (),
+    ) -> None:
         self.guess = guess if guess in choices else ""
+        quoted = [repr(choice) if set(choice) & _OF_SHELLS else choice for choice in choices]
+        options = " or ".join(f"--{field} {choice}" for choice in quoted)
+        if len(options) > _LISTED_CHARACTERS:
+            shown = quoted[choices.index(self.guess)] if self.guess else quoted[0]
+            options = f"--{field} and the name of one, such as --{field} {shown}"
         hint = f" (most likely {self.guess!r}, which --yes takes)" if self.guess else ""
-        super().__init__(f"{where}: {question}: {list_names(map(repr, choices))}{hint}; give {options}")
+        listed = [
+            f"{choice!r}{f' ({evidence})' if evidence else ''}"
+            for choice, evidence in zip_longest(choices, seen, fillvalue="")
+        ]
+        lengths = accumulate(len(each) + 2 for each in listed)
+        fitting = max(sum(length <= _LISTED_CHARACTERS for length in lengths), 1)
+        super().__init__(f"{where}: {question}: {list_names(listed, fitting)}{hint}; give {options}")
+        self.seen = tuple(seen)
         self.question, self.field, self.choices = question, field, tuple(choices)

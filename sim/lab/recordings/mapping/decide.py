@@ -39,9 +39,13 @@ from sim.lab.recordings.mapping.words import (
     current_score,
     day_first,
     load_score,
+    named_bearing,
     named_part_time,
+    named_remainder,
     named_standstill,
+    named_surroundings,
     named_time,
+    named_total,
     running_score,
     split_unit,
     temperature_score,
@@ -54,6 +58,8 @@ _MAX_REST_DEGC = 150.0
 """degC above which no bearing stands still."""
 COLDEST, HOTTEST = -80.0, 300.0
 """degC that no bearing reaches: its grease burns before, and no plant stands in such a cold."""
+_LOOP_CURRENT = 0.025
+"""A that a sensor's loop of 4 to 20 mA carries at most, out of range too."""
 _IDLE_CURRENT_SHARE = 0.05
 """Of its most, a current below which no motor turns anything."""
 _ALONGSIDE = 0.98
@@ -258,7 +264,12 @@ def choose_parts(where: object, columns: Sequence[FoundColumn], answers: Answers
     reasons: dict[str, str] = {}
     moving = [column for column in counted if column.moves] or counted
     temperature = _answered_column(where, "temperature", answers.temperature, counted, reasons) or _best(
-        where, "temperature", moving, lambda column: temperature_score(column.name, column.unit), reasons
+        where,
+        "temperature",
+        moving,
+        lambda column: temperature_score(column.name, column.unit),
+        reasons,
+        near=_near_temperature,
     )
     if temperature is None:
         slow = [column for column in moving if is_slow(column.values)]
@@ -280,6 +291,33 @@ def choose_parts(where: object, columns: Sequence[FoundColumn], answers: Answers
     return Parts(temperature, load, running, standstill, reasons, tuple(each for each in more if each is not None))
 
 
+def _near_temperature(best: FoundColumn, other: FoundColumn) -> bool:
+    """Whether another column may be the temperature as well as the best by name, which only a bearing's surely is."""
+    if named_bearing(best.name) or named_surroundings(other.name):
+        return False
+    # What flows through a machine may be what it is about: a boiler's water, beside a temperature of nobody knows what.
+    return temperature_score(other.name, other.unit) > 0 and bool(other.unit or not best.unit)
+
+
+def _near_current(best: FoundColumn, other: FoundColumn) -> bool:
+    """Whether another column has the unit of a current too: its name may only not say so."""
+    return bool(best.unit and other.unit) and current_score(other.name, other.unit) > 0
+
+
+def _of_loop(column: FoundColumn) -> bool:
+    """Whether a current in mA never exceeds what a sensor's loop carries."""
+    small = column.unit == "A" and column.scale < 1.0
+    return small and float(np.nanmax(np.abs(column.values), initial=0.0)) <= _LOOP_CURRENT
+
+
+def _likely_load(loads: Sequence[FoundColumn]) -> str:
+    """Of several loads the one that is a total, or that alone dwells near 0 and far from it; "" where none is."""
+    for tells in (lambda column: named_total(column.name), lambda column: has_levels(column.values)):
+        if len(likely := [column.header for column in loads if tells(column)]) == 1:
+            return likely[0]
+    return ""
+
+
 def _load(
     where: object,
     others: Sequence[FoundColumn],
@@ -290,17 +328,29 @@ def _load(
     """What loads the machine: its current, else power, speed or torque by name; by movement only if a person says."""
     if NO_COLUMN in answers.current:
         return None
-    moving = [column for column in others if column.moves]
+    moving = [column for column in others if column.moves and not _of_loop(column)]
     found = _answered_column(where, "current", next(iter(answers.current), ""), others, reasons) or _best(
-        where, "current", moving, lambda column: current_score(column.name, column.unit), reasons
+        where, "current", moving, lambda column: current_score(column.name, column.unit), reasons, near=_near_current
     )
     if found is not None:
         return found
     loads = [column for column in moving if load_score(column.name, column.unit)]
-    loads = [column for column in loads if has_levels(column.values)] or loads
+    loads = [column for column in loads if not named_remainder(column.name)] or loads
     if loads:
+        # How they move is evidence and no choice: the rest of a chip's power dwells near 0 as well.
+        loads.sort(key=lambda column: (not named_total(column.name), not has_levels(column.values)))
         what = "columns that may say what loads the machine"
-        return _best(where, "current", loads, lambda column: 1, reasons, what=what)
+        return _best(where, "current", loads, lambda column: 1, reasons, what=what, guess=_likely_load)
+    loops = [column for column in others if column.moves and current_score(column.name, column.unit)]
+    if loops:
+        raise Undecided(
+            where,
+            f"no column is named like a load but by mA, and of these none exceeds {1e3 * _LOOP_CURRENT:g} mA, as a "
+            "sensor's own current or a 4 to 20 mA loop does not",
+            "current",
+            [*(column.header for column in loops), NO_COLUMN],
+            guess=NO_COLUMN,
+        )
     levels = [column for column in moving if not column.unit and has_levels(column.values)]
     if not levels:
         return None
@@ -496,6 +546,14 @@ def _answered_column(
     raise TraceError(f"{where}: --{part} {wanted}: no column of that name can be it; {remedy}")
 
 
+def _span(column: FoundColumn) -> str:
+    """Between what a column's readings lie; "" of a switch."""
+    if column.kind != "number":
+        return ""
+    low, high = np.nanmin(column.values), np.nanmax(column.values)
+    return f"{low:.3g} to {high:.3g}{' ' if column.unit else ''}{column.unit}"
+
+
 def _best(
     where: object,
     part: str,
@@ -505,19 +563,30 @@ def _best(
     *,
     what: str = "",
     settle: Callable[[Sequence[FoundColumn]], FoundColumn | None] = lambda _: None,
+    near: Callable[[FoundColumn, FoundColumn], bool] = lambda best, other: False,
+    guess: Callable[[Sequence[FoundColumn]], str] = lambda _: "",
 ) -> FoundColumn | None:
     """The column with the best score for a part, by its name and unit; None where none has any.
 
-    Of several that are alike by name `settle` takes one by what they hold, or None.
+    Of several that are alike by name `settle` takes one by what they hold, or None. What is `near` to the best is asked
+    for with it, and `guess` is the header of the one that is most likely, "" for none.
     """
     highest = max(map(score, columns), default=0)
     best = [column for column in columns if score(column) == highest] if highest > 0 else []
     if not best:
         return None
+    best += [column for column in columns if all(column is not each for each in best) and near(best[0], column)]
     # Columns with the same readings, as of a setpoint and its echo, are one.
     if any(not np.array_equal(a.values, b.values, equal_nan=True) for a, b in combinations(best, 2)):
         if (settled := settle(best)) is None:
-            raise Undecided(where, what or f"columns that may be the {part}", part, [column.header for column in best])
+            raise Undecided(
+                where,
+                what or f"columns that may be the {part}",
+                part,
+                [column.header for column in best],
+                guess=guess(best),
+                seen=[_span(column) for column in best],
+            )
         reasons[part] = "it is on while the load is drawn, and off while it is not"
         return settled
     reasons[part] = "by its name" + (f" and its unit {best[0].unit}" if best[0].unit else "")

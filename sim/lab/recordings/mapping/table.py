@@ -96,7 +96,7 @@ def find_table(path: Path) -> FoundTable:
     width = len(rows[first])
     named = next((place + 1 for place, row in enumerate(rows[:first]) if row[0].casefold() == "#names"), None)
     # Rows of readings of another width may stand between them: a column was added later, a row was cut off.
-    names_at = next((at for at in range(first - 1, 0, -1) if not (_is_data(rows[at]) or is_time(rows[at][0]))), 0)
+    names_at = next((at for at in range(first - 1, 0, -1) if not _is_reading(rows[at], rows[first])), 0)
     header_at, units = names_at if named is None else named, [""] * width
     # Between names and readings there may be rows of units, and of addresses and types, which leave the clock's columns
     # blank or name it alone.
@@ -232,6 +232,11 @@ def _is_data(row: Sequence[str]) -> bool:
         return True
     filled = [cell for cell in row if cell]
     return bool(row[0]) and len(filled) > 1 and all(_numeric(cell) for cell in filled)
+
+
+def _is_reading(row: Sequence[str], sure: Sequence[str]) -> bool:
+    """Whether a row that stands above a sure row of readings is one too, of fewer cells or with words in them."""
+    return _is_data(row) or is_time(row[0]) or (_numeric(row[0]) and _numeric(sure[0]))
 
 
 def _counts_time(above: Sequence[str], row: Sequence[str]) -> bool:

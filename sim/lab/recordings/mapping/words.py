@@ -15,11 +15,14 @@ _TEMPERATURE = re.compile(
 )
 _DEGREES = re.compile(r"temp(?!o\b|s\b)|tempér|thermo|温度", re.IGNORECASE)
 _BEARING = re.compile(r"bearing|brg|cuscinett|lager|palier|roulement|rodamiento|cojinete|轴承", re.IGNORECASE)
-_NOT_BEARING = re.compile(
+_SURROUNDINGS = re.compile(
     r"amb|outside|outdoor|aussen|außen|esterna|extérieur|exterior|intake|room|raum|setpoint|sollwert|\bsp\b|limit|"
-    r"alarm|soglia|grenz|consigne|fluid|feed|oil|öl|olio|huile|aceite|water|wasser|室外|环境|设定|油|水",
+    r"alarm|soglia|grenz|consigne|室外|环境|设定",
     re.IGNORECASE,
 )
+"""A temperature of what stands around a machine, or one that nobody measured."""
+_MEDIUM = re.compile(r"fluid|feed|(?<![bcfs])oil|öl|olio|huile|aceite|water|wasser|油|水", re.IGNORECASE)
+"""A temperature of what flows through a machine: not a bearing's, but a boiler's own; a boiler is no oil."""
 _CURRENT = re.compile(
     r"(?:^|[:./_-])i[it][-_]?\d|(?:^|[:./ ])i[it]_|"
     r"current|strom(?!ung)|corrente|corriente|courant|intensit|assorb|\bi[_ ]|^i\d|_i$|_i_|stromaufn|电流|"
@@ -61,6 +64,20 @@ _IN_NAME = re.compile(
 _LOAD = re.compile(
     r"(?:^|[:./_-])[js][it][-_]?\d|power|leist|potenza|potencia|puissance|load|last\b|carico|carga|charge|speed|rpm|drehzahl|velocit|giri|vitesse|torque|"
     r"moment|coppia|couple|frequen|throttle|功率|负荷|负载|转速|频率",
+    re.IGNORECASE,
+)
+_SENSED = re.compile(
+    r"(?:^|[^a-z])o2|oxygen|sauerstoff|ossigeno|oxyg[eè]ne|ox[ií]geno|lambda|λ|sonde|sonda|probe|\bnox\b|electrode|"
+    r"elektrode|elettrodo|électrode|electrodo|4.?-.?20|transmitter|氧|探头",
+    re.IGNORECASE,
+)
+"""A sensor whose own current is its reading."""
+_REMAINDER = re.compile(
+    r"\brest\b|_rest\b|rest[-_]of|remain(?!ing)|residual|\bother|misc|übrig|sonstig|altr[oi]\b|autres?\b|otr[oa]s\b|其他|其余",
+    re.IGNORECASE,
+)
+_TOTAL = re.compile(
+    r"total|overall|(?:^|[^a-z])sum(?![a-z])|summe|gesamt|insgesamt|somma|totale|complessiv|somme|suma\b|总",
     re.IGNORECASE,
 )
 _SETPOINT = re.compile(r"set.?point|sollwert|\bsp\b|consigne|soglia|limit|target|alarm|ref\b|设定", re.IGNORECASE)
@@ -125,15 +142,37 @@ def temperature_score(name: str, unit: str) -> int:
     of_name = 2 if _TEMPERATURE.search(name) else 0
     if not of_unit + of_name:
         return 0
-    return max(of_unit + of_name + (4 if _BEARING.search(name) else 0) - (3 if _NOT_BEARING.search(name) else 0), 1)
+    least = 1 if named_surroundings(name) else 2
+    other = least == 1 or _MEDIUM.search(name)
+    return max(of_unit + of_name + (4 if named_bearing(name) else 0) - (3 if other else 0), least)
+
+
+def named_bearing(name: str) -> bool:
+    """Whether a column's name speaks of a bearing."""
+    return _BEARING.search(name) is not None
+
+
+def named_surroundings(name: str) -> bool:
+    """Whether a temperature's name speaks of what stands around the machine, or of one that is not measured."""
+    return _SURROUNDINGS.search(name) is not None
 
 
 def current_score(name: str, unit: str) -> int:
-    """The same for the motor's current."""
+    """The same for the motor's current; a sensor's own is none."""
     # The current temperature is the one of now.
-    if (unit and unit not in ("A", "mA", "kA")) or (not unit and _DEGREES.search(name)):
+    if (unit and unit not in ("A", "mA", "kA")) or (not unit and _DEGREES.search(name)) or _SENSED.search(name):
         return 0
     return (3 if unit in ("A", "mA", "kA") else 0) + (2 if _CURRENT.search(name) else 0)
+
+
+def named_remainder(name: str) -> bool:
+    """Whether a load's name says that it is what is left beside others."""
+    return _REMAINDER.search(name) is not None
+
+
+def named_total(name: str) -> bool:
+    """Whether a load's name says that others are parts of it."""
+    return _TOTAL.search(name) is not None
 
 
 def running_score(name: str) -> int:
