@@ -144,7 +144,9 @@ def test_a_bearings_and_what_is_not_the_surroundings_is_no_question(names: tuple
     assert mapped(export, tmp_path / "m.toml")[2]["temperature"] == names[0]
 
 
-@pytest.mark.parametrize("sensor", ["O2 Sensor1 Wide Range Current(mA)", "Lambda I_p (A)", "Level(mA)"])
+@pytest.mark.parametrize(
+    "sensor", ["O2 Sensor1 Wide Range Current(mA)", "Lambda I_p (A)", "Level(mA)", "Ion current (µA)"]
+)
 def test_a_sensors_own_current_loads_nothing(sensor: str, tmp_path: Path) -> None:
     speed = 200.0 * PLANT.current + 700.0
     header = f"Time,Bearing temperature,{sensor},Engine RPM(rpm)"
@@ -157,6 +159,12 @@ def test_a_current_that_a_loop_could_carry_is_asked_for(tmp_path: Path) -> None:
     assert "--current 'Signal(mA)' or --current none" in asked(export, tmp_path / "m.toml")
     assert mapped(export, tmp_path / "n.toml", "--yes")[2]["current"] == ""
     assert mapped(export, tmp_path / "o.toml", "--current", "Signal(mA)")[2]["current"] == "Signal(mA)"
+
+
+def test_a_small_motors_current_is_asked_for_beside_its_speed(tmp_path: Path) -> None:
+    header = "Time,Bearing temperature,Motor current(mA),Speed(rpm)"
+    export = beside(tmp_path / "a.csv", header, PLANT.heat, PLANT.current / 10, PLANT.current + 3.0)
+    assert "--current 'Motor current(mA)' or --current 'Speed(rpm)'" in asked(export, tmp_path / "m.toml")
 
 
 def test_a_total_is_likelier_than_its_parts_and_a_remainder_is_no_load(tmp_path: Path) -> None:

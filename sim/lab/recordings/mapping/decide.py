@@ -40,6 +40,7 @@ from sim.lab.recordings.mapping.words import (
     day_first,
     load_score,
     named_bearing,
+    named_current,
     named_part_time,
     named_remainder,
     named_standstill,
@@ -334,14 +335,16 @@ def _load(
     )
     if found is not None:
         return found
-    loads = [column for column in moving if load_score(column.name, column.unit)]
+    loops = [column for column in others if column.moves and current_score(column.name, column.unit)]
+    # A small motor's may be as small: one that is named a current is asked for beside other loads.
+    small = [column for column in loops if named_current(column.name)]
+    loads = [*small, *(column for column in moving if load_score(column.name, column.unit))]
     loads = [column for column in loads if not named_remainder(column.name)] or loads
-    if loads:
+    if len(loads) > len(small):
         # How they move is evidence and no choice: the rest of a chip's power dwells near 0 as well.
         loads.sort(key=lambda column: (not named_total(column.name), not has_levels(column.values)))
         what = "columns that may say what loads the machine"
         return _best(where, "current", loads, lambda column: 1, reasons, what=what, guess=_likely_load)
-    loops = [column for column in others if column.moves and current_score(column.name, column.unit)]
     if loops:
         raise Undecided(
             where,

@@ -67,13 +67,13 @@ _LOAD = re.compile(
     re.IGNORECASE,
 )
 _SENSED = re.compile(
-    r"(?:^|[^a-z])o2|oxygen|sauerstoff|ossigeno|oxyg[eè]ne|ox[ií]geno|lambda|λ|sonde|sonda|probe|\bnox\b|electrode|"
-    r"elektrode|elettrodo|électrode|electrodo|4.?-.?20|transmitter|氧|探头",
+    r"(?:^|[^a-z])o2|oxygen|sauerstoff|ossigeno|oxyg[eè]ne|ox[ií]geno|lambda|λ|sonde\b|sonda\b|probe|\bnox\b|4.?-.?20|"
+    r"transmitter|[\[({_ ](?-i:[µμun]A)\b|氧|探头",
     re.IGNORECASE,
 )
-"""A sensor whose own current is its reading."""
+"""A sensor whose own current is its reading; no machine draws microamperes."""
 _REMAINDER = re.compile(
-    r"\brest\b|_rest\b|rest[-_]of|remain(?!ing)|residual|\bother|misc|übrig|sonstig|altr[oi]\b|autres?\b|otr[oa]s\b|其他|其余",
+    r"\brest\b|_rest\b|rest[-_]of|remain(?!ing)|residual|\bother|\bmisc\b|übrig|sonstig|altr[oi]\b|autres?\b|otr[oa]s\b|其他|其余",
     re.IGNORECASE,
 )
 _TOTAL = re.compile(
@@ -163,6 +163,11 @@ def current_score(name: str, unit: str) -> int:
     if (unit and unit not in ("A", "mA", "kA")) or (not unit and _DEGREES.search(name)) or _SENSED.search(name):
         return 0
     return (3 if unit in ("A", "mA", "kA") else 0) + (2 if _CURRENT.search(name) else 0)
+
+
+def named_current(name: str) -> bool:
+    """Whether a name says current, whatever its unit."""
+    return _CURRENT.search(name) is not None
 
 
 def named_remainder(name: str) -> bool:
