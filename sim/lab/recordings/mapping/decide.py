@@ -313,8 +313,10 @@ def _of_loop(column: FoundColumn) -> bool:
 
 def _likely_load(loads: Sequence[FoundColumn]) -> str:
     """Of several loads the one that is a total, or that alone dwells near 0 and far from it; "" where none is."""
-    for tells in (lambda column: named_total(column.name), lambda column: has_levels(column.values)):
-        if len(likely := [column.header for column in loads if tells(column)]) == 1:
+    totals = [column.header for column in loads if named_total(column.name)]
+    dwelling = [column.header for column in loads if has_levels(column.values)]
+    for likely in (totals, dwelling):
+        if len(likely) == 1:
             return likely[0]
     return ""
 
