@@ -126,7 +126,11 @@ class AlarmSection(Section):
     tags: Names = Field((), description="the tags of the temperatures to watch")
     p_limit: float = Field(0.5, gt=0, le=1, description="the probability of passing the limit that is worth an alarm")
     anomaly: float = Field(
-        3.0, gt=0, le=100, description="the anomaly score worth an alarm, at most 100 (3: once in a thousand windows)"
+        10.0,
+        gt=0,
+        le=100,
+        description="the anomaly score worth an alarm, at most 100 (minus the decimal logarithm of a chance: 3 comes "
+        "once in a thousand windows of a right model, and within hours of a learned one)",
     )
     unfamiliar: float = Field(
         1.2,
