@@ -260,6 +260,9 @@ UppaalLaw = TextLaw | Structural | EffectRefusal
 
 # ------------------------------------------------------------------ candidates of a diagnosis
 
+COLD_SHARE = 0.02
+"""Of a record, the coldest part, of which the warmest reading stands for what is read at rest."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MachineLog:
@@ -282,7 +285,12 @@ class MachineLog:
     @property
     def cold(self) -> float:
         """degC at rest."""
-        return float(np.quantile(self.smooth, 0.02))
+        return float(np.quantile(self.smooth, COLD_SHARE))
+
+    @property
+    def rests(self) -> bool:
+        """Whether it rests in more of the record than what is `cold`; in less of it, nothing says how cold rest is."""
+        return float(np.mean(self.running < 0.5)) > COLD_SHARE
 
 
 Params = Mapping[str, float]

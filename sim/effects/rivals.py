@@ -169,13 +169,13 @@ def _less_cooling(effect: Effect, view: RecordView) -> tuple[Array, Array]:
 
 
 SINK_SHARES = (0.25, 1.0)
-"""Of what the temperature of a machine that never rests spans, by how much colder what cools it may be."""
+"""Of what the temperature of a machine that hardly rests spans, by how much colder what cools it may be."""
 
 
 def _sinks(log: MachineLog) -> Sequence[float]:
-    """degC that a cooling may draw to: what is read at rest. A machine that never rests was never as cold as that, and
+    """degC that a cooling may draw to: what is read at rest. A machine that hardly rests was never as cold as that, and
     the nearer to it a cooling would draw, the less of it is seen there, and so of its moment."""
-    if not log.running.all():
+    if log.rests:
         return (log.cold,)
     return tuple(log.cold - share * float(np.ptp(log.smooth)) for share in SINK_SHARES)
 

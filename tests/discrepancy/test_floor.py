@@ -225,6 +225,9 @@ def test_a_superfluous_second_name_does_not_take_the_first_one_down(pumped: tupl
     assert judged.path is beginning and judged.reasons == ()
     alone = longest_that_passes(proof, [whole])
     assert any("not better foreseen" in reason or "further off" in reason for reason in alone.reasons), alone.reasons
+    unsure = replace(beginning, fitted=replace(pump, covariance=1e12 * pump.covariance))
+    (reason,) = longest_that_passes(proof, [unsure]).reasons
+    assert reason.startswith("pump-cooling is not told from nothing")
 
 
 def test_a_name_needs_cycles_of_its_own() -> None:

@@ -13,7 +13,7 @@ from sim.lab.discrepancy.fitting.record import build_record
 from sim.lab.discrepancy.gap import Excess
 from sim.lab.discrepancy.heat import REACH_DELAYS, implied_heat
 from sim.lab.discrepancy.held_out import let_run
-from sim.lab.discrepancy.judging import NamingResult, doubts, gap_evidence, leftover_reasons
+from sim.lab.discrepancy.judging import NamingResult, doubts, gap_evidence, leftover_reasons, uncertain_strengths
 from sim.lab.discrepancy.naming import NamingStep, confirm, step
 from sim.lab.discrepancy.rules import RULES
 from sim.lab.discrepancy.story import verdict_sentence
@@ -51,6 +51,37 @@ def test_a_name_under_which_the_held_out_error_grows_is_never_given(
     )
     assert [reason for reason in reasons if "further off" in reason] == list(reasons)
     assert bool(reasons) is withheld
+
+
+@pytest.mark.parametrize(("before", "after"), [(0.5, np.nan), (np.nan, 0.4), (np.nan, np.nan)])
+def test_a_name_whose_held_out_run_is_no_number_is_never_given(
+    base: Fitted, pumped: NamingStep, before: float, after: float
+) -> None:
+    best = pumped.evidence[0].fitted
+    assert best is not None
+    record = base.frame.record.by_cycles()
+    second = let_run(best, record)
+    lost = replace(second, residual=np.full_like(second.residual, np.nan))
+    held = HeldOutProof(5, 5, 0.6, before, after, 0.2, None, None, ())
+    found = NamingResult(base, best, ((pumped, ""),))
+    reasons = doubts(found, let_run(base, record), second=lost, held=held, before=None, left=None)
+    assert any("not better foreseen" in reason for reason in reasons)
+    assert any("further off" in reason for reason in reasons)
+
+
+@pytest.mark.parametrize(("errors", "withheld"), [(1.0, False), (1e6, True), (np.nan, True)])
+def test_a_name_is_not_given_whose_strength_its_own_error_does_not_tell_from_nothing(
+    base: Fitted, pumped: NamingStep, errors: float, withheld: bool
+) -> None:
+    """The likelihood of a fit may grow by its noise alone, and its effect do nothing where the fit ends."""
+    best = pumped.evidence[0].fitted
+    assert best is not None
+    strength, error = best.strength("pump-cooling")
+    assert strength == best.state.named[0].strength and 0.0 < 5.0 * error < strength
+    unsure = replace(best, covariance=errors**2 * best.covariance)
+    reasons = uncertain_strengths(NamingResult(base, unsure, ((pumped, ""),)))
+    assert bool(reasons) is withheld
+    assert all(reason.startswith("pump-cooling is not told from nothing") for reason in reasons)
 
 
 def test_an_error_that_the_floor_covers_is_no_gap_however_little_the_model_states(

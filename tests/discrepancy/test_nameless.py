@@ -193,9 +193,13 @@ def test_a_cooler_that_fails_and_surroundings_that_step_are_told_apart(more: Pla
     assert re.fullmatch(words + r" since 2023-11-17 0[0-9]:\d\d UTC", said)
 
 
-def test_of_a_machine_that_never_rests_both_are_said_where_nothing_tells_them_apart() -> None:
-    """One load that never changes, and a level that is reached before any course shows how fast."""
-    record = build_record(model(), [plant(2, days=2, runs_on=True, more=slowly_warmer)], ())
+@pytest.mark.parametrize("rests", [600, 60, 1, 0])
+def test_of_a_machine_that_hardly_rests_both_are_said_where_nothing_tells_them_apart(rests: int) -> None:
+    """One load that never changes, and a level that is reached before any course shows how fast; so many rows of rest
+    before, of which less than a fiftieth of the record says nothing of how cold rest is."""
+    trace = plant(2, days=2, runs_on=True, more=slowly_warmer)
+    begin = int(np.argmax(trace.signals["MarciaDecanter"] > 0.5)) - rests
+    record = build_record(model(), [trace.between(float(trace.times[begin]), float(trace.times[-1]))], ())
     base = fit(with_priors(move_frame(build_frame(record), record)))
     found = step(base, CHANGES, {}, rules=RULES)
     said = description(NamingResult(base, base, ((found, dubious(found)),)))

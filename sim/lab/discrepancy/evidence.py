@@ -2,8 +2,6 @@
 
 from collections.abc import Sequence
 
-import numpy as np
-
 from sim.lab.discrepancy.diagnosis import CANNOT_TELL, NamedEffect, TraceOfEffect, TriedEffect
 from sim.lab.discrepancy.fitting import Fitted
 from sim.lab.discrepancy.judging import NamingResult, immaterial
@@ -65,10 +63,8 @@ def named_effect(step: NamingStep, after: Fitted, confidence: float) -> NamedEff
     best = step.best
     if best is None:
         raise ValueError("a step without evidence names nothing")
-    number = next(n for n, named in enumerate(after.state.named) if named.entry.name == best.entry.name)
-    named = after.state.named[number]
-    place = after.own + sum(len(other.free) for other in after.state.named[:number])
-    error = float(np.sqrt(max(after.covariance[place, place], 0.0)))
+    named = next(each for each in after.state.named if each.entry.name == best.entry.name)
+    _, error = after.strength(best.entry.name)
     return NamedEffect(
         name=best.entry.name,
         members=step.members,

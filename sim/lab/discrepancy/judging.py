@@ -216,9 +216,10 @@ def doubts(
     if shorter is not None and foreseen_better(shorter, second) <= 0:
         reasons.append("the held-out cycles are not better foreseen with the last name than without it")
     foreseen = foreseen_better(first, second)
-    if foreseen <= 0:
+    # Of a run that is no number nothing is better: every comparison is one that it fails.
+    if not foreseen > 0:
         reasons.append("the held-out cycles are not better foreseen with it")
-    if held.rmse_after > held.rmse_before:
+    if not held.rmse_after <= held.rmse_before:
         reasons.append("the free run over the held-out cycles is further off with it")
     elif given_is_nearer and is_noticeable(
         held.rmse_after, held.rmse_given, sensor_noise(path.base.frame.record), rules
@@ -242,6 +243,19 @@ def _hardly_smaller(path: NamingResult, held: HeldOutProof) -> bool:
     if removed is None or removed >= rules.removed_least_share:
         return False
     return matters(held, sensor_noise(path.base.frame.record), rules)
+
+
+def uncertain_strengths(path: NamingResult) -> tuple[str, ...]:
+    """Why names are withheld whose strength, beside all others, its own standard error does not tell from nothing."""
+    if not path.accepted_steps:
+        return ()
+    reasons, least = [], path.accepted_steps[0].rules.strength_least_sigmas
+    for name in (named.entry.name for named in path.fitted.state.named if named.existing is None):
+        strength, error = path.fitted.strength(name)
+        # An error that is no number tells nothing either.
+        if not abs(strength) >= least * error:
+            reasons.append(f"{name} is not told from nothing: its strength is {strength:.2g}, give or take {error:.2g}")
+    return tuple(reasons)
 
 
 def leftover_reasons(

@@ -42,6 +42,7 @@ from sim.lab.discrepancy.judging import (
     min_noticeable_error,
     refusal_reason,
     systematic,
+    uncertain_strengths,
 )
 from sim.lab.discrepancy.layout import DataLayout
 from sim.lab.discrepancy.naming import NamingStep, margin_of_class
@@ -345,6 +346,7 @@ def _judge_path(proof: Proof, path: NamingResult, shorter: NamingResult | None) 
             shorter=None if shorter is None else let_run(shorter.fitted, proof.held_out),
             given_is_nearer=surely_nearer(proof.runs.given, second, proof.seed),
         ),
+        *uncertain_strengths(path),
         *leftover_reasons(path, foreseen, proof.before, excess_after),
         *(f"{step.members[0]} {why}" for step in path.accepted_steps if (why := refusal_reason(step))),
         *unlikely(path, names_evidence(held, proof.ceiling, left, proof.rules), proof.rules),

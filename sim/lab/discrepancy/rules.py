@@ -49,6 +49,10 @@ class DecisionRules:
     may win over its twin."""
     named_least_confidence: float = 0.5
     """That a name has, by all that it is stated with: one that is less likely than not is none."""
+    strength_least_sigmas: float = 2.0
+    """Standard errors, beside all other names and parameters, from which the strength of a name is no chance. What the
+    likelihood asks of one alone is more than five; less is left where a fit is far from what its linear problem says,
+    or where a later name does the same."""
     told_apart_times: float = 2.0
     """Of the margin, up to which an effect that lies behind on the fitted cycles is held against the best on the
     held-out ones too."""

@@ -93,6 +93,15 @@ class Fitted:
         """How many parameters are the model's own: p + r."""
         return sum(self.frame.count)
 
+    def strength(self, name: str) -> tuple[float, float]:
+        """(strength, standard error) of the effect of that name. Raises ValueError where the fit has none."""
+        place = self.own
+        for named in self.state.named:
+            if named.entry.name == name:
+                return named.strength, float(np.sqrt(max(self.covariance[place, place], 0.0)))
+            place += len(named.free)
+        raise ValueError(f"the fit has no effect {name!r}")
+
     @property
     def sensor_sigma(self) -> float:
         """degC the standard deviation of a single reading."""
