@@ -182,7 +182,9 @@ def find_clocks(place: int, cells: Sequence[str], date: tuple[int, Sequence[str]
                 warnings.simplefilter("ignore")  # pandas' advice on formats, which are given here
                 times, _ = read_clock(ClockColumns(column="t", formats=formats), [sample], "auto")
         if np.isfinite(times).sum() >= _ENOUGH * filled:
-            clocks.append(FoundClock(place, formats, order, times, None if date is None else date[0]))
+            # Rows that follow one another: their steps are held against another clock's.
+            first = times[:_MAX_CHECKED_CELLS]
+            clocks.append(FoundClock(place, formats, order, first, None if date is None else date[0]))
     return clocks
 
 
