@@ -55,9 +55,9 @@ sys.meta_path.insert(0, BeforeNumpy())
 os.execv = become
 sys.stdout, answers = sys.stderr, {}
 for module in ("decanter_gateway", "gateway.cli.main"):
-    for command in ([], ["diagnose"]):
-        sys.argv = ["decanter", *command, "--help"]
-        answers[" ".join([module, *command])] = told(lambda: runpy.run_module(module, run_name="__main__"))
+    for command in ([], ["diagnose", "--model", "nothing", "--traces", "nothing", "--out", "nothing"]):
+        sys.argv = ["decanter", *(command or ["--help"])]
+        answers[" ".join([module, *command[:1]])] = told(lambda: runpy.run_module(module, run_name="__main__"))
 
 import click
 from gateway.cli.main import main
@@ -65,6 +65,8 @@ from gateway.entry import LazyGroup
 
 for command in leaves(main, []):
     answers[" ".join(command)] = told(lambda: main.main([*command, "--help"]))
+# Its help needs no numpy, its work does.
+answers["model learn"] = told(lambda: main.main(["model", "learn", "--traces", "nothing", "--out", "nothing"]))
 print(json.dumps(answers), file=sys.__stdout__)
 """
 """What each command's environment says when it is about to load numpy or to become another program, which it then may
