@@ -18,9 +18,9 @@ from sim.sha.trace import UNKNOWN, Event, Trace
 from tests.rig.no_bands import without_bands
 from tests.rig.pair import CURRENT, RATES, RUNNING, TARGETS, TEMPERATURE, known_model, make_rig
 
-SPEED = 80.0
+SPEED = 50.0
 PERIOD = 3.2
-"""Plant seconds between two scans, 40 ms of real time: a fortieth of the fastest time constant."""
+"""Plant seconds between two scans, 64 ms of real time: a fortieth of the fastest time constant."""
 CYCLES = 5
 SHORTEST_STAY = 50.0
 LONGEST_GAP = 0.6 * SHORTEST_STAY
