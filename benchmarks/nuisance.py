@@ -14,6 +14,7 @@ from benchmarks.figures import Figure, give
 from gateway.machine.model import recorded_scans
 from gateway.machine.model.predict import Predictor
 from gateway.settings import AlarmSection
+from gateway.settings.alarm_kinds import ANOMALY_DEADBAND_SHARE
 from sim.lab.learning.bins import learn_bins
 from sim.lab.recordings import load_map, load_traces
 from sim.plant import SCENARIOS, scenario
@@ -22,8 +23,6 @@ from sim.sha import DECANTER, Alphabet, Model, Trace
 MAPS = Path(__file__).parents[1] / "config" / "traces"
 SHARED = Path(__file__).parents[2] / "shared" / "data"
 LIMITS = (3.0, 5.0, AlarmSection().anomaly)
-DEADBAND_SHARE = 1 / 3
-"""As the alarm has it (`gateway.settings.alarm_kinds`)."""
 
 
 def plants() -> Iterator[tuple[str, Alphabet, str, Sequence[Trace]]]:
@@ -52,7 +51,7 @@ def alarms(model: Model, trace: Trace) -> dict[float, int]:
             if limit not in standing and found.anomaly > limit:
                 standing.add(limit)
                 counts[limit] += 1
-            elif found.anomaly <= limit * (1.0 - DEADBAND_SHARE):
+            elif found.anomaly <= limit * (1.0 - ANOMALY_DEADBAND_SHARE):
                 standing.discard(limit)
     return counts
 

@@ -15,6 +15,8 @@ from sim.phrase import Phrase
 if TYPE_CHECKING:
     from gateway.settings.config import Config
 
+ANOMALY_DEADBAND_SHARE = 1 / 3
+"""Of its limit, by which the anomaly score has to fall below that before its alarm returns."""
 MOST_URGENT, LEAST_URGENT = 1, 4
 """The priorities: 1 is the most urgent."""
 
@@ -231,7 +233,7 @@ ALARM_KINDS: Mapping[str, AlarmKind] = {
         cause=HEAT,
         applies=_has_model,
         limit=lambda at: at.config.alarms.anomaly,
-        more=lambda at: {"deadband": at.config.alarms.anomaly / 3},
+        more=lambda at: {"deadband": at.config.alarms.anomaly * ANOMALY_DEADBAND_SHARE},
         watches="how unlikely the newest readings are by the model (out of distribution), against `alarms.anomaly`",
         response=Phrase(
             "the readings of {tag} do not fit the model: look at the machine and at its sensors",

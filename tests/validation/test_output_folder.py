@@ -133,6 +133,8 @@ def test_results_that_were_changed_after_the_campaign_was_sealed_are_refused(tmp
         (tmp_path / name).write_text(results_json([replace(FULL, crps=0.1)]), encoding="utf-8")
         with pytest.raises(ValueError, match=f"{name}: was changed, after the campaign was sealed"):
             read_results(tmp_path)
+    with pytest.raises(ValueError, match="after the campaign was sealed"):
+        read_results(tmp_path / "results.json")
 
 
 def test_results_of_an_earlier_release_have_the_level_of_their_last_reading(tmp_path: Path) -> None:

@@ -10,10 +10,11 @@ member that fails is left out, said so, and begun anew.
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from math import inf
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
+from gateway.machine.model.familiar import FamiliarityWord
 from gateway.machine.model.predict import Predictor
 from gateway.machine.reading import Scan
 from gateway.settings import EnsembleSection, ForecastSection
@@ -198,7 +199,7 @@ class Ensemble:
         # A reading may come some scans after the moment that a forecast spoke of, and still counts as of that moment.
         self.tolerance = max(5.0, 3.0 * scan_period)
         self.complaints: list[tuple[str, str]] = []
-        self.familiarity: Literal["unknown", "familiar", "strange"] = "unknown"
+        self.familiarity: FamiliarityWord = "unknown"
 
     def keep(self, former: "Ensemble") -> None:
         """Go on with the configured members as `former` has followed them; plain members are the first model's own."""

@@ -9,6 +9,7 @@ from sim.familiarity import ExcessSoFar, GrowingCycle, PointSource, StrangeThing
 from sim.sha import Event, Model
 
 FamiliarityZone = Literal["unknown", "green", "yellow", "red"]
+FamiliarityWord = Literal["unknown", "familiar", "strange"]
 
 NOTHING_STRANGE = StrangeThing()
 
@@ -32,7 +33,7 @@ class FamiliarityRating:
     thing: StrangeThing = NOTHING_STRANGE
 
     @property
-    def word(self) -> Literal["unknown", "familiar", "strange"]:
+    def word(self) -> FamiliarityWord:
         """Whether the present cycle is like the training."""
         return "unknown" if self.zone == "unknown" else "strange" if self.outside else "familiar"
 

@@ -225,8 +225,9 @@ def read_results(path: Path) -> list[TraceResult]:
     Raises ValueError with the file and the reason; also where what is read is not as it was sealed.
     """
     file = path / f"{RESULTS}.json" if path.is_dir() else path
-    if path.is_dir() and (path / SEAL_FILE).is_file():
-        _check_seal(path)
+    # Whoever names the file instead of its folder is told the same; a copy elsewhere has no seal.
+    if file.name == f"{RESULTS}.json" and (file.parent / SEAL_FILE).is_file():
+        _check_seal(file.parent)
     try:
         document = json.loads(regular(file).read_text(encoding="utf-8"))
         # A former release called the semantics by whose they are.

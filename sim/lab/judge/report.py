@@ -199,13 +199,13 @@ class ModelReport:
     def histograms(self) -> list[tuple[str, Histogram]]:
         """The final errors of each semantics and sample with at least MIN_HISTOGRAM_TRACES of them, with its title."""
         groups: dict[str, list[float]] = {}
-        for result in self.results:
+        for result, _ in self.judged_results:
             if isfinite(result.final_error):
                 semantics = f", temperature {result.semantics}" if self.several_semantics else ""
                 groups.setdefault(f"{SAMPLE_WORDS[result.seen]} traces{semantics}", []).append(result.final_error)
         return [
             (title, error_histogram(errors, self.unit))
-            for title, errors in sorted(groups.items(), reverse=True)
+            for title, errors in groups.items()
             if len(errors) >= MIN_HISTOGRAM_TRACES
         ]
 
