@@ -59,6 +59,9 @@ def test_western_and_cyrillic_code_pages_are_told_from_chinese(tmp_path: Path) -
         ("2024-03-13 21:58:00 PM", "2024-03-13 21:58:00"),
         ("2024-03-13 00:58:00 AM", "2024-03-13 00:58:00"),
         ("2024-03-13 09:58:00 PM", "2024-03-13 09:58:00 PM"),
+        # 00:58 PM may be 12:58 or a slip, 21:58 AM is one: no time, and no half of the day made up.
+        ("2024-03-13 00:58:00 PM", "2024-03-13 00:58:00 PM"),
+        ("2024-03-13 21:58:00 AM", "2024-03-13 21:58:00 AM"),
         ("13-Mar-24 9:58:00 AM ET", "13-Mar-24 9:58:00 AM"),
     ],
 )

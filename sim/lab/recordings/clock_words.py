@@ -43,8 +43,8 @@ _WALL_ZONE = re.compile(r"\s+(?:CT|ET|MT|PT)$")
 """A zone's name that says neither its offset nor its half of the year: the time is a local one."""
 _COUNTED_DATE = re.compile(r"(\d{4})[年년]\s*(\d\d?)[月월]\s*(\d\d?)[日일]")
 _HALF_BEFORE = re.compile(r"(?:(上午|午前|오전)|下午|午後|오후)\s*(\d[\d:.]*)")
-_NEEDLESS_HALF = re.compile(r"(?<= )(0?0|1[3-9]|2[0-3])(:[\d:.,]+) [AP]M\b")
-"""AM or PM behind an hour of 24, as Niagara writes it."""
+_NEEDLESS_HALF = re.compile(r"(?<= )(0?0(?=[:\d.,]+ A)|(?:1[3-9]|2[0-3])(?=[:\d.,]+ P))(:[\d:.,]+) [AP]M\b")
+"""AM or PM behind an hour of 24, as Niagara writes it; one that contradicts its hour is read as nothing."""
 _WORD = re.compile(r"[^\W\d_]{2,}\.?|\bà\b")
 _YEAR_LAST = re.compile(r"^([A-Z][a-z]{2} \d\d?),? (\d\d?:\d\d(?::\d\d(?:\.\d+)?)?(?: [AP]M)?)( [+-]\d{4})? (\d{4})$")
 _ORDINAL = re.compile(r"(?<=\d)(?:\.(?=\s*[^\W\d_])|(?:st|nd|rd|th|er|º|ª)\b)")
