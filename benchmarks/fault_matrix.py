@@ -66,6 +66,8 @@ _ROWS: Mapping[str, Mapping[str, Any]] = {
     "duplicate reply": {"kind": "duplicate", "duration": 1.0},
     "write ignored": {"kind": "write_ignored", "duration": 1.0},
 }
+SERVER_BUSY = 6
+"""The exception (Modbus V1.1b3, section 7) of a request of which nothing was done."""
 _NAMED = {row["kind"] for row in _ROWS.values()}
 FAULTS: Mapping[str, Mapping[str, Any]] = {
     **_ROWS,
@@ -108,7 +110,7 @@ class Matrix:
     """The rows, and what the PLC saw of the gateway in the whole run; `examples` tells of wrong good values.
 
     `outside` are writes that touched an address outside the write-back block, `repeated` blocks that were on the wire
-    more than once.
+    more than once and not refused as busy before.
     """
 
     rows: tuple[Row, ...]
@@ -338,10 +340,11 @@ def _inside(address: int, count: int) -> bool:
 def repeated(requests: Iterable[RequestRow]) -> int:
     """How many writing requests carry a sequence number, or on one connection a transaction, that was there before.
 
-    Within the life of one gateway and fewer than 65,536 blocks.
+    Within the life of one gateway and fewer than 65,536 blocks. A block that was refused as busy may come again: the
+    exception says that nothing was done (Modbus V1.1b3, section 7). Its transaction may not.
     """
     written = [row for row in requests if row.function == 16]
-    sequences = Counter(struct.unpack(">H", row.pdu[8:10])[0] for row in written)
+    sequences = Counter(struct.unpack(">H", row.pdu[8:10])[0] for row in written if row.exception != SERVER_BUSY)
     transactions = Counter((row.peer, row.transaction) for row in written)
     return sum(count - 1 for counts in (sequences, transactions) for count in counts.values())
 
@@ -362,7 +365,8 @@ def table(matrix: Matrix, tolerance: float = TOLERANCE_S) -> str:
     lines.append(
         f"Scan period {PERIOD:g} s, a good value may be {tolerance:g} s old. {matrix.requests} requests, "
         f"{matrix.blocks} blocks, refused by the PLC: {refused}; writes outside the block: {matrix.outside}; "
-        f"blocks on the wire more than once: {matrix.repeated}; rows that the recording lacks: {matrix.missing}."
+        f"blocks on the wire more than once, refusals as busy aside: {matrix.repeated}; rows that the recording lacks: "
+        f"{matrix.missing}."
     )
     return "\n".join([*lines, *matrix.examples])
 

@@ -394,7 +394,8 @@ class ModbusDriver:
 
         Raises WriteForbidden, EncodingError, or AddressError if the tags are not one block (nothing was sent);
         LinkDown, ReplyTimeout, ReplyMismatch (it is not known whether the device took it); DeviceException;
-        WriteUnverified. Never retries: whether to write again is the caller's decision.
+        WriteUnverified. Never retries, a request aside that the device refused as busy, which says that nothing was
+        done: whether to write again is the caller's decision.
         """
         if not values:
             return

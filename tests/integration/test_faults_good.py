@@ -128,12 +128,14 @@ def test_a_scan_that_came_too_late_to_prove_anything_is_the_computers_and_not_th
     assert row(10.701, fault="wrong transaction").detected_s == pytest.approx(1.001)
 
 
-def written(transaction: int, address: int, sequence: int, function: int = 16) -> RequestRow:
+def written(
+    transaction: int, address: int, sequence: int, function: int = 16, exception: int | None = None
+) -> RequestRow:
     """A write of 24 words as the PLC records it."""
     words = (1, sequence, *range(22))
     pdu = struct.pack(">BHHB24H", function, address, 24, 48, *words)
     place = (1.0, 1.0, "peer", transaction, 1, function, address, 24)
-    return RequestRow(*place, pdu=pdu, reply=None, exception=None, delay_s=0.0, faults=(), version=1)
+    return RequestRow(*place, pdu=pdu, reply=None, exception=exception, delay_s=0.0, faults=(), version=1)
 
 
 @pytest.mark.parametrize(
@@ -150,3 +152,12 @@ def test_the_check_counts_writes_elsewhere_and_blocks_that_come_twice(row: Reque
     rows = (written(1, 400, 7), row)
     assert (outside(PlcRecording((), (), rows, (), (), 0, 0)), repeated(rows)) == count
     assert outside(PlcRecording((), (), (written(3, 400, 9, function=6),), (), (), 0, 0)) == 1
+
+
+def test_a_block_comes_again_after_a_refusal_that_says_that_nothing_was_done_and_after_no_other() -> None:
+    """Modbus V1.1b3, section 7, on exception 6; what any other exception had done is not known."""
+    taken = written(3, 400, 7)
+    assert repeated((written(1, 400, 7, exception=6), written(2, 400, 7, exception=6), taken)) == 0
+    assert repeated((written(1, 400, 7, exception=4), taken)) == 1
+    assert repeated((written(1, 400, 7), written(2, 400, 7, exception=6), taken)) == 1
+    assert repeated((written(3, 400, 7, exception=6), taken)) == 1, "its transaction may not"
