@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from sim.lab.learning import SWITCH_STEPS, Context, Indices, LearningError, announcements, labels, location_name
+from sim.lab.learning import SWITCH_STEPS, Context, Indices, LearningError, announcements, labels, shared_name
 from sim.lab.learning.lsha.settings import Memory
 from sim.sha import SHA, UNKNOWN, Alphabet, Array, Edge, Flow, Location, Switch, Trace
 
@@ -212,6 +212,13 @@ class Classes:
     def __len__(self) -> int:
         return len(self.keys)
 
+    def switches(self) -> list[tuple[int | None, ...]]:
+        """(C,) where the switches stand after the words of each class; None for one that is not known."""
+        levels = self.meaning.levels
+        return [
+            tuple(value for value, level in zip(key.context, levels, strict=True) if not level) for key in self.keys
+        ]
+
     def nearest_classes(self, row: int) -> list[int]:
         """All classes by how near they are to one of them; kept, since it is asked often."""
         if row not in self._near:
@@ -272,10 +279,16 @@ def class_word(key: WordHistory, words: TraceWords) -> Word | None:
 
 def describe_class(key: WordHistory, alphabet: Alphabet) -> str:
     """A class in words: "ON/200-300", "ON/200-300 rising", "ON/200-300 after 100-200"."""
-    text = location_name(key.context, alphabet)
-    if key.direction:
-        text += " rising" if key.direction > 0 else " falling"
-    if key.moved is not None:
-        channel, before = key.moved
+    return describe_shared([key], alphabet)
+
+
+def describe_shared(keys: Sequence[WordHistory], alphabet: Alphabet) -> str:
+    """What the words of several classes have in common: "ON", "ON/100-300", "ON/200-300 rising"."""
+    text = shared_name([key.context for key in keys], alphabet)
+    directions, moves = {key.direction for key in keys}, {key.moved for key in keys}
+    if len(directions) == 1 and (direction := directions.pop()):
+        text += " rising" if direction > 0 else " falling"
+    if len(moves) == 1 and (moved := moves.pop()) is not None:
+        channel, before = moved
         text += f" after {'?' if before is None else labels(alphabet.channels[channel])[before]}"
     return text
