@@ -17,9 +17,9 @@ from typing import Literal, cast
 from lark import Token, Tree
 
 from sim.lab.checking.language.grammar import QueryError, query_error, quote_part, syntax
-from sim.lab.checking.query import PROCESS, QUANTITIES, QuantityKind, SwitchLocations, identifiers, switch_locations
+from sim.lab.checking.query import PROCESS, QUANTITIES, QuantityKind, identifiers
 from sim.lab.checking.query import tree as q
-from sim.sha import SHA, Alphabet, Model
+from sim.sha import SHA, Alphabet, Model, SwitchLocations, switch_locations
 
 Node = Tree[Token]
 _COMPARISONS: Mapping[str, q.Comparison] = MappingProxyType(

@@ -9,7 +9,6 @@ from sim.lab.checking.query.names import (
     QuantityKind,
     identifiers,
 )
-from sim.lab.checking.query.switches import SwitchLocations, switch_locations
 from sim.lab.checking.query.symbolic import decide
 from sim.lab.checking.query.tree import (
     Always,

@@ -15,7 +15,15 @@ import numpy as np
 from sim.lab.learning import Indices
 from sim.lab.learning.lsha.structures import Structure
 from sim.lab.learning.lsha.teacher import Teacher
-from sim.lab.learning.lsha.words import Word, WordHistory, class_distances, coordinates, describe_shared, limit_history
+from sim.lab.learning.lsha.words import (
+    Word,
+    WordHistory,
+    class_distances,
+    coordinates,
+    describe_shared,
+    limit_history,
+    switch_positions,
+)
 from sim.sha import UNKNOWN, Edge, Trace, alphabet_symbols
 
 
@@ -89,6 +97,10 @@ def _defaults(
     wanted = [limit_history(table.extend_history(typical[number], symbol), memory) for number, symbol in missing]
     different = tuple(dict.fromkeys(wanted))
     away = class_distances(coordinates(different), classes.coordinates, table)
+    # Where a switch stands has just been said: a class in which it stands differently comes after all others.
+    said, stands = switch_positions(different, table), switch_positions(classes.keys, table)
+    differs = np.array([[one != other for other in stands] for one in said], dtype=bool).reshape(away.shape)
+    away[differs] += away.max(initial=0.0) + 1.0
     # Where nothing is known is no guess, and what is seen is better than what is near.
     away[:, 0] = np.inf
     seen = {key: number for number, key in enumerate(classes.keys)}

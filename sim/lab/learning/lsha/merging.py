@@ -21,7 +21,7 @@ import numpy as np
 
 from sim.lab.learning import Indices
 from sim.lab.learning.lsha.evidence import PooledEvidence, WelchTest, same_distribution
-from sim.lab.learning.lsha.words import Classes
+from sim.lab.learning.lsha.words import Classes, switch_positions
 from sim.sha import Mask
 
 MAX_MERGE_TRIALS = 6
@@ -251,7 +251,7 @@ def learn_partition(
         edges=edges,
         evidence=list(evidence),
         fixed=fixed,
-        switches=classes.switches(),
+        switches=switch_positions(classes.keys, classes.meaning),
         placed=[False] * size,
         delta=delta,
         n_min=n_min,

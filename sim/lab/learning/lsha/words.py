@@ -212,13 +212,6 @@ class Classes:
     def __len__(self) -> int:
         return len(self.keys)
 
-    def switches(self) -> list[tuple[int | None, ...]]:
-        """(C,) where the switches stand after the words of each class; None for one that is not known."""
-        levels = self.meaning.levels
-        return [
-            tuple(value for value, level in zip(key.context, levels, strict=True) if not level) for key in self.keys
-        ]
-
     def nearest_classes(self, row: int) -> list[int]:
         """All classes by how near they are to one of them; kept, since it is asked often."""
         if row not in self._near:
@@ -244,6 +237,11 @@ def build_classes(words: TraceWords, memory: Memory) -> Classes:
         meaning=words.meaning,
         coordinates=coordinates(keys),
     )
+
+
+def switch_positions(keys: Sequence[WordHistory], table: Meaning) -> list[tuple[int | None, ...]]:
+    """(C,) where the switches stand after the words of each class; None for one that is not known."""
+    return [tuple(value for value, level in zip(key.context, table.levels, strict=True) if not level) for key in keys]
 
 
 def class_distances(ones: Coordinates, others: Coordinates, table: Meaning) -> Array:

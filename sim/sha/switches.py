@@ -3,12 +3,14 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from sim.sha import SHA, UNKNOWN, Alphabet, Switch
+from sim.sha.automaton import SHA
+from sim.sha.events import Alphabet, Switch
+from sim.sha.trace import UNKNOWN
 
 
 @dataclass(frozen=True, slots=True)
 class SwitchLocations:
-    """Where the last word on a switch is always that it is `on`, and where it may be `either`; as the automaton lists."""
+    """Where the last word on a switch is always that it is `on`, and where it may be `either`; in their order."""
 
     on: tuple[str, ...]
     either: tuple[str, ...]
