@@ -6,8 +6,10 @@ from math import exp, inf, log, nan
 
 import numpy as np
 
-from sim.engine import Belief, compile_tracker, observe, on_event, start, with_inputs
+from sim.anomaly import AnomalyRecord, ScorePeaks
+from sim.engine import Belief, anomaly, compile_tracker, observe, on_event, start, with_inputs
 from sim.forecast import FAN_LEVELS, Z90, fans, member_weights
+from sim.lab.learning.anomaly_level import record_scores
 from sim.lab.learning.outcomes import clean_readings
 from sim.lab.learning.plain import PERSISTENCE
 from sim.scores import crps_quantiles
@@ -70,6 +72,20 @@ class Scored:
     trace: str = ""
 
 
+@dataclass(slots=True)
+class HeldOutScores:
+    """The anomaly scores along held-out data: their `peaks`, over how many `seconds`, of which `units`."""
+
+    peaks: ScorePeaks = field(default_factory=ScorePeaks)
+    seconds: float = 0.0
+    units: set[tuple[str, str]] = field(default_factory=set)
+
+    @property
+    def record(self) -> AnomalyRecord | None:
+        """What a model keeps of it; None where nothing was held out."""
+        return record_scores(self.peaks.peaks, self.seconds, len(self.units))
+
+
 def score_forecasts(
     model: Model,
     traces: Sequence[Trace],
@@ -78,10 +94,12 @@ def score_forecasts(
     *,
     origins: int = FORECAST_COUNT,
     most_rows: int = MAX_ROWS,
+    scores: HeldOutScores | None = None,
 ) -> list[Scored]:
     """`origins` forecasts with unknown events from moments at or after `since` (one per trace, absolute s), scored.
 
-    The belief is filtered over each whole trace, as it would be on the plant; isolated spikes are no outcomes.
+    The belief is filtered over each whole trace, as it would be on the plant; isolated spikes are no outcomes. What the
+    anomaly score does meanwhile is added to `scores`.
     """
     # The factors of an earlier calibration would widen the very bands that are judged here.
     tracker = compile_tracker(replace(model, calibration={}))
@@ -98,6 +116,7 @@ def score_forecasts(
         events, upcoming = [*trace.events, Event(inf, UNKNOWN)], 0
         belief = start(tracker, min(float(trace.times[0]), events[0].time))
         following = max(first, float(trace.times[0]) + every / 2)
+        before = first
         for row, (time, value) in enumerate(zip(trace.times[rows].tolist(), raw[rows].tolist(), strict=True)):
             while events[upcoming].time <= time:
                 belief = on_event(tracker, belief, events[upcoming])
@@ -105,10 +124,17 @@ def score_forecasts(
             belief = with_inputs(tracker, belief, time, {name: column[row] for name, column in inputs.items()})
             # The filter gets the raw reading, spikes included: on the plant nobody takes them out beforehand.
             belief = observe(tracker, belief, time, value)
+            if scores is not None and time >= first:
+                scores.peaks.take(anomaly(belief))
+                scores.seconds += min(time - before, model.alphabet.gap)
+                before = time
             if time >= following and belief.seen:
                 due = {horizon: outcomes.interpolate(time + horizon) for horizon in HORIZONS_S}
                 seen.append((trace, belief, {horizon: value for horizon, value in due.items() if value is not None}))
                 following = max(following + every, time)
+        if scores is not None:
+            scores.peaks.end()
+            scores.units.add((trace.machine, "" if trace.machine else trace.name))
     judged = [each for each in seen if each[-1]]
     found = fans(tracker, [(belief, tuple(due)) for _, belief, due in judged], rng, runs=FORECAST_RUNS)
     return [
@@ -144,6 +170,7 @@ class HeldOutForecasts:
     scored: list[Scored] = field(default_factory=list)
     of_plain: dict[str, list[Scored]] = field(default_factory=dict)
     other_days: bool = True
+    scores: HeldOutScores = field(default_factory=HeldOutScores)
 
     def add(
         self,
@@ -155,7 +182,7 @@ class HeldOutForecasts:
         origins: int = FORECAST_COUNT,
     ) -> None:
         """Score the forecasts of a part (`score_forecasts`), the plain members' along the same traces."""
-        self.scored += score_forecasts(model, traces, since, rng, origins=origins)
+        self.scored += score_forecasts(model, traces, since, rng, origins=origins, scores=self.scores)
         for number, member in enumerate(self.plain):
             own = np.random.default_rng((self.seed, number + 1, len(self.scored)))
             beside = replace(plain_model(model, member), calibration={})
