@@ -99,7 +99,10 @@ def _days(trace: Trace) -> list[Trace]:
     """A trace by its days."""
     first = float(trace.times[0])
     cuts = np.arange(first, float(trace.times[-1]) + DAY_S, DAY_S)
-    return [replace(trace.between(begin, end), events=()) for begin, end in pairwise(cuts)]
+    return [
+        replace(trace.between(begin, end), name=f"{trace.name} {day}", events=())
+        for day, (begin, end) in enumerate(pairwise(cuts), start=1)
+    ]
 
 
 def _shifts(seed: int, days: int) -> Source:

@@ -9,6 +9,7 @@ from sim.anomaly import DEADBAND_SHARE, MIN_PEAK, AnomalyRecord, ScorePeaks
 from sim.lab.learning.anomaly_level import MAX_LEVEL, WEEK_S, record_scores, weekly_level
 from sim.lab.learning.bins.candidates import BinsCandidate
 from sim.lab.learning.bins.learn import learn_bins
+from sim.lab.learning.calibrate import HeldOutScores
 from sim.sha.events import DECANTER
 from tests.learning.plants import Truth, simulate
 
@@ -78,3 +79,13 @@ def test_a_learned_model_keeps_what_its_score_did_on_the_traces_that_were_held_o
     assert record is not None and record.units == len(traces) == 6
     assert record.seconds == pytest.approx(sum(float(trace.times[-1] - trace.times[0]) for trace in traces))
     assert MIN_PEAK <= record.level <= MAX_LEVEL and list(record.peaks) == sorted(record.peaks, reverse=True)
+
+
+def test_days_of_one_named_machine_are_units_and_of_several_the_machines_are() -> None:
+    def units(*traces: tuple[str, str]) -> int:
+        scores = HeldOutScores(seconds=3600.0, traces=set(traces))
+        assert scores.record is not None
+        return scores.record.units
+
+    assert units(("", "monday"), ("", "tuesday")) == units(("north", "monday"), ("north", "tuesday")) == 2
+    assert units(("north", "monday"), ("north", "tuesday"), ("south", "monday"), ("south", "friday")) == 2

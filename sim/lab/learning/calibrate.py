@@ -1,6 +1,6 @@
 """By how much a model's bands must be widened, learned from forecasts of what the model was not fitted to."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import exp, inf, log, nan
 
@@ -74,16 +74,16 @@ class Scored:
 
 @dataclass(slots=True)
 class HeldOutScores:
-    """The anomaly scores along held-out data: their `peaks`, over how many `seconds`, of which `units`."""
+    """The anomaly scores along held-out data: their `peaks`, over how many `seconds`, of which (machine, trace)s."""
 
     peaks: ScorePeaks = field(default_factory=ScorePeaks)
     seconds: float = 0.0
-    units: set[tuple[str, str]] = field(default_factory=set)
+    traces: set[tuple[str, str]] = field(default_factory=set)
 
     @property
     def record(self) -> AnomalyRecord | None:
         """What a model keeps of it; None where nothing was held out."""
-        return record_scores(self.peaks.peaks, self.seconds, len(self.units))
+        return record_scores(self.peaks.peaks, self.seconds, _count_units(self.traces))
 
 
 def score_forecasts(
@@ -134,7 +134,7 @@ def score_forecasts(
                 following = max(following + every, time)
         if scores is not None:
             scores.peaks.end()
-            scores.units.add((trace.machine, "" if trace.machine else trace.name))
+            scores.traces.add((trace.machine, trace.name))
     judged = [each for each in seen if each[-1]]
     found = fans(tracker, [(belief, tuple(due)) for _, belief, due in judged], rng, runs=FORECAST_RUNS)
     return [
@@ -219,7 +219,7 @@ class HeldOutForecasts:
                 weight = member_weights(
                     np.ones(2), pair / max(pair.min(), 1e-3), min(independent[horizon], MAX_PRIOR_FORECASTS)
                 )
-                most = 1.0 + _count_units([each for each in self.scored if each.horizon == horizon])
+                most = 1.0 + _count_units((each.machine, each.trace) for each in self.scored if each.horizon == horizon)
                 odds[horizon] = float(min(max(weight[1] / max(weight[0], 1e-9), 1.0 / most), most))
             members.append(replace(member, calibration=self._factors(scored), odds=dict(sorted(odds.items()))))
         return tuple(members)
@@ -239,10 +239,11 @@ class HeldOutForecasts:
         return factors
 
 
-def _count_units(scored: Sequence[Scored]) -> int:
-    """How many units forecasts are of that err apart: machines where several are told apart, else traces."""
-    machines = {each.machine for each in scored}
-    return len(machines) if len(machines) > 1 else len({each.trace for each in scored})
+def _count_units(traces: Iterable[tuple[str, str]]) -> int:
+    """How many of (machine, trace)s err apart: machines where several are told apart, else traces."""
+    found = set(traces)
+    machines = {machine for machine, _ in found}
+    return len(machines) if len(machines) > 1 else len(found)
 
 
 def _mean_crps(scored: Sequence[Scored]) -> dict[float, float]:
