@@ -338,6 +338,17 @@ def test_the_word_for_a_gateway_names_what_is_wrong(changes: dict[str, Any], wor
     )
 
 
+def test_red_confidence_says_that_the_forecast_is_in_doubt_and_when_to_look_at_the_machine() -> None:
+    def sentence(**changes: Any) -> str:
+        doubted = picture(prediction__zone="red", prediction__anomaly=5.2, **changes)
+        return next(finding.sentence for finding in findings(read_status(doubted)) if finding.check == "model")
+
+    assert "red" in sentence() and "anomaly 5.2" in sentence() and "if the alarm comes" in sentence()
+    # Where it stands it says itself what to do.
+    standing = sentence(alarm_summary=[alarm("anomaly") | {"kind": "anomaly"}])
+    assert "anomaly 5.2" in standing and "if the alarm comes" not in standing
+
+
 def test_the_page_has_the_exit_codes_that_the_command_has() -> None:
     page = (ROOT / "docs/watching.md").read_text(encoding="utf-8")
     for word, (code, when) in gateway.cli.plant.top.EXITS.items():
