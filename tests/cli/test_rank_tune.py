@@ -1,4 +1,4 @@
-"""`decanter model rank` and `model tune` from end to end, and their sentences for what cannot be used."""
+"""`decanter model judge rank` and `model tune` from end to end, and their sentences for what cannot be used."""
 
 import signal
 import sqlite3

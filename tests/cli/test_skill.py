@@ -1,4 +1,4 @@
-"""`decanter model skill` from end to end, with rivals that are known, and its sentences for what cannot be scored."""
+"""`decanter model judge skill` from end to end, with known rivals, and its sentences for what cannot be scored."""
 
 import sys
 from collections.abc import Mapping, Sequence

@@ -1,4 +1,4 @@
-"""`decanter model validate`: nine stages seen, every bad artefact and trace its sentence, nothing lost or half done."""
+"""`decanter model judge validation`: nine stages seen, each bad artefact and trace its sentence, nothing lost."""
 
 import csv
 import json

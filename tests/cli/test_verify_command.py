@@ -1,4 +1,4 @@
-"""`decanter model prove`, its counterexamples in `model simulate --word`, `model promote`, and the gateway's gate."""
+"""`decanter model judge proof`, its counterexamples in `model simulate --word`, promotion, and the gateway's gate."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -154,7 +154,9 @@ def test_the_gateway_does_not_start_on_a_model_that_does_not_verify(tmp_path: Pa
     with pytest.raises(ConfigError, match=r"model\.path: the model at .* is not run, as it does not verify: growth"):
         load_model(config_in(tmp_path, model=HOT))
     result = decanter("plc", "check", "--offline", "--config", config_in(tmp_path, model=HOT).path)
-    assert result.exit_code == 1 and "does not verify" in result.stderr and "decanter model prove" in result.stderr
+    assert (
+        result.exit_code == 1 and "does not verify" in result.stderr and "decanter model judge proof" in result.stderr
+    )
 
 
 def test_the_gateway_runs_a_forced_model_with_a_warning_and_never_armed(tmp_path: Path) -> None:

@@ -695,7 +695,9 @@ def test_the_commands_show_cycles_and_family_and_make_a_version_again(
     waiting = only_object(decanter(*given, "--if-due", "--after", 30, "--json").stdout)
     assert waiting == {"ok": True, "due": False, "cycles": 0}
     refused(
-        decanter("model", "cycles", tmp_path / "none"), 2, "is no library of cycles; `decanter model retrain` makes one"
+        decanter("model", "cycles", tmp_path / "none"),
+        2,
+        "is no library of cycles; `decanter model version retrain` makes one",
     )
 
 

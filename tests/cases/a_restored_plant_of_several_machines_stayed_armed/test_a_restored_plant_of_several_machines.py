@@ -1,7 +1,7 @@
 """A restored gateway is never armed: of several machines neither the plant file's tables nor the armings in the log.
 
-`decanter restore` took the arming out of the top of the plant file and out of the log of a gateway with one machine;
-[machine.writeback] tables, and armings under a machine's name, came back as they were.
+`decanter keep restore` took the arming out of the top of the plant file and out of the log of a gateway with one
+machine; [machine.writeback] tables, and armings under a machine's name, came back as they were.
 """
 
 import time
