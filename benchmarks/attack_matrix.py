@@ -208,7 +208,7 @@ def disarmed_without_socket(stand: Stand) -> int:
 
 def _disarm(stand: Stand) -> int:
     """The exit code of `decanter disarm` by hand."""
-    command = [sys.executable, "-m", "gateway.cli.main", "plc", "disarm", "--config", str(stand.rig.plant)]
+    command = [sys.executable, "-m", "gateway.cli.main", "disarm", "--config", str(stand.rig.plant)]
     return subprocess.run([*command, "--by", "Bea", "--reason", "enough"], capture_output=True, check=False).returncode
 
 

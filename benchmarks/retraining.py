@@ -66,7 +66,7 @@ def write_historian(path: Path, trace: Trace) -> None:
 
 def command(folder: Path, library: str) -> list[str]:
     """The retraining as it is called, its diagnosis included."""
-    program = [sys.executable, "-m", "decanter_gateway", "model", "retrain", str(folder / "store")]
+    program = [sys.executable, "-m", "decanter_gateway", "model", "version", "retrain", str(folder / "store")]
     given = ("--historian", str(folder / "historian.sqlite"), "--library", str(folder / library))
     # At the lowest priority it would wait for whatever else runs here, which is not what is measured.
     return [*program, *given, "--full-speed", "--json"]
