@@ -199,7 +199,8 @@ class FirstWordCommand(click.Command):
 class FormerName(click.Command):
     """A command by its name of the last release: it does what it did, and says once what to type now.
 
-    It is said behind the work, and not beside a complaint, which stays the one sentence of its call.
+    It is said behind the work; not beside a complaint, which stays the one sentence of its call, and not to a program,
+    which asks for JSON and may read both streams as one.
     """
 
     def __init__(self, name: str, *, former: str, now: str) -> None:
@@ -246,10 +247,10 @@ class _Hint:
         """Nothing: it is said behind the work."""
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _: TracebackType | None) -> None:
-        """Say it, unless the work ended with a complaint."""
+        """Say it to a person whose work ended without a complaint."""
         context = click.get_current_context(silent=True)
-        answer = None if context is None else context.find_object(CallAnswer)
-        if (kind is None or issubclass(kind, SystemExit)) and not (answer is not None and answer.complained):
+        answer = (None if context is None else context.find_object(CallAnswer)) or CallAnswer()
+        if (kind is None or issubclass(kind, SystemExit)) and not (answer.complained or answer.as_json):
             self.say()
 
 

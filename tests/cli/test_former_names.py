@@ -50,13 +50,15 @@ def test_only_one_word_is_there_for_one_thing(old: str) -> None:
         find_command(tuple(old.split()))
 
 
-def test_what_is_printed_as_json_stays_one_object_and_the_hint_names_all_that_was_given(tmp_path: Path) -> None:
+def test_a_program_reads_one_object_and_the_hint_names_to_a_person_all_that_was_given(tmp_path: Path) -> None:
     device = ROOT / "config" / "devices" / "decanter_plc.toml"
-    given = ["--device", device, "--host", "127.0.0.1", "--records", tmp_path / "made here.jsonl", "--json"]
-    done, now = decanter("plc", "plan", *given), decanter("plc", "check", "plan", *given)
+    given = ["--device", device, "--host", "127.0.0.1", "--records", tmp_path / "made here.jsonl"]
+    done, now = decanter("plc", "plan", *given, "--json"), decanter("plc", "check", "plan", *given, "--json")
     assert (done.exit_code, now.exit_code, now.stderr) == (0, 0, "")
-    assert only_object(done.stdout).keys() == only_object(now.stdout).keys()
-    said = done.stderr.strip()
+    assert only_object(done.output).keys() == only_object(now.output).keys()
+    told = decanter("plc", "plan", *given)
+    assert (told.exit_code, told.stdout) == (0, decanter("plc", "check", "plan", *given).stdout)
+    said = told.stderr.strip()
     assert said == f"decanter: `decanter plc plan` is now `decanter plc check plan {shlex.join(map(str, given))}`"
 
 
