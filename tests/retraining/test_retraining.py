@@ -648,9 +648,9 @@ def test_the_forecasts_of_the_right_model_are_better_on_live_cycles_and_the_wors
     data = only_object(decanter(*given, "--roll-back").stdout)
     assert data["rolled_back"] and current(store) == good
     # What was rolled back is no candidate any more, or a timer would promote it every night.
-    refused(decanter(*given[:3], bad, *given[4:-1], "--promote"), 2, "has run, and was replaced since")
+    refused(decanter(*given[:4], bad, *given[5:-1], "--promote"), 2, "has run, and was replaced since")
     # A candidate that is worse stays one, a better one runs by the stated policy.
-    waits = (*given[:3], new, *given[4:])
+    waits = (*given[:4], new, *given[5:])
     refused(decanter(*waits[:-1], "--roll-back"), 2, "has never run, and there is no way back to it")
     monkeypatch.setattr(shadow, "DAY_S", SHORT_DAY)
     kept = only_object(decanter(*waits, "--promote").stdout)
@@ -666,7 +666,7 @@ def test_the_forecasts_of_the_right_model_are_better_on_live_cycles_and_the_wors
     )
     # The one that ran before it is the one to go back to, whichever of them it was learned beside.
     monkeypatch.setattr(shadow, "score_trace", lambda *_, **__: _scores(1.5))
-    data = only_object(decanter("model", "version", "shadow", store, *given[4:], "--roll-back").stdout)
+    data = only_object(decanter("model", "version", "shadow", store, *given[5:], "--roll-back").stdout)
     assert data["rolled_back"] and data["promoted"] == good
 
 
