@@ -15,7 +15,7 @@ MOST_NAMED = 3
 
 
 class Health(StrEnum):
-    """The word for a gateway; `decanter status` has an exit code for each."""
+    """The word for a gateway; `decanter top --once` has an exit code for each."""
 
     WELL = "well"
     ATTENTION = "attention"

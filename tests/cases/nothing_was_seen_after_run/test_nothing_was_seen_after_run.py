@@ -248,11 +248,11 @@ def test_without_a_gateway_one_sentence_and_three_and_a_silent_one_five(
         result = CliRunner().invoke(main, [command, "--config", str(path)])
         assert result.exit_code == 3 and len(result.output.splitlines()) == 1, result.output
         assert "no gateway runs" in result.output and f"decanter run --config {path}" in result.output
-    data = json.loads(CliRunner().invoke(main, ["status", "--config", str(path), "--json"]).stdout)
+    data = json.loads(CliRunner().invoke(main, ["top", "--once", "--config", str(path), "--json"]).stdout)
     assert data["health"] == "absent" and not data["ok"]
     monkeypatch.setattr(gateway.cli.plant.top, "ANSWER_S", 0.05)
     with answering(tmp_path / "history.sock", []):
-        result = CliRunner().invoke(main, ["status", "--config", str(path), "--json"])
+        result = CliRunner().invoke(main, ["top", "--once", "--config", str(path), "--json"])
     assert result.exit_code == 5 and json.loads(result.stdout)["health"] == "silent"
 
 

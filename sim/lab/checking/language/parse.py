@@ -312,7 +312,7 @@ def _expression(tree: Node, scope: Scope) -> q.Expression:
                 raise query_error(
                     token,
                     f"{token} changes continuously, and over that nothing is decided symbolically; ask `Pr[<=T](...)`, "
-                    "or `decanter model prove` for a bound under any events",
+                    "or `decanter model judge proof` for a bound under any events",
                 )
             return q.Quantity(scope.quantities[name])
     if scope.courses:
