@@ -11,14 +11,16 @@ DEADBAND_SHARE = 1 / 3
 """Of its limit, by which the score has to fall below that before its alarm returns."""
 MIN_PEAK = 2.0
 """What is lower is no peak: a right model passes this once in a hundred windows."""
+MAX_LEVEL = 40.0
+"""The highest level: what is broken passes it, where it is felt at all, and 99 is the highest score that there is."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AnomalyRecord:
     """What the score did along `seconds` of held-out data of so many `units` (recordings, or machines).
 
-    `peaks` are the highest, in descending order; above `level` one a week at most is to be expected by them. Raises
-    ValueError for numbers that no record has.
+    `peaks` are the highest, in descending order; above `level` one a week at most is to be expected by them, or more
+    where it is the highest, MAX_LEVEL. Raises ValueError for numbers that no record has.
     """
 
     seconds: float

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from gateway.lab.models.show import spread_sentence
+from sim.anomaly import MAX_LEVEL, AnomalyRecord
 from sim.lab.formats.write_model import write_model_directory
 from sim.lab.learning.machines import MachineSpread
 from sim.sha.automaton import Effect
@@ -37,6 +38,16 @@ def test_show_names_disturbance_machines_plain_members_and_borrowed_locations(tm
     assert data["borrowed"] == ["start"]
     assert [member["name"] for member in data["plain"]] == ["persistence", "damped trend"]
     assert data["plain"][0]["memory"] in (None, inf)
+
+
+@pytest.mark.parametrize(
+    ("level", "often"), [(17.3, "once a week at most"), (MAX_LEVEL, "more often than once a week")]
+)
+def test_how_often_a_score_is_passed_is_true_of_the_highest_level_too(tmp_path: Path, level: float, often: str) -> None:
+    record = AnomalyRecord(seconds=7200.0, units=2, peaks=(), level=level)
+    write_model_directory(tmp_path / "m", replace(two_modes(), anomalies=record))
+    text = decanter("model", "show", tmp_path / "m").stdout
+    assert f"anomaly: a score of {level:g} is passed {often}, by 2 h of 2 recordings" in text
 
 
 @pytest.mark.parametrize(

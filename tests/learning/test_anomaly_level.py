@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sim.anomaly import DEADBAND_SHARE, MIN_PEAK, AnomalyRecord, ScorePeaks
-from sim.lab.learning.anomaly_level import MAX_LEVEL, WEEK_S, record_scores, weekly_level
+from sim.anomaly import DEADBAND_SHARE, MAX_LEVEL, MIN_PEAK, AnomalyRecord, ScorePeaks
+from sim.lab.learning.anomaly_level import WEEK_S, record_scores, weekly_level
 from sim.lab.learning.bins.candidates import BinsCandidate
 from sim.lab.learning.bins.learn import learn_bins
 from sim.lab.learning.calibrate import HeldOutScores

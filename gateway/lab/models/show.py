@@ -11,6 +11,7 @@ import click
 
 from gateway.console import CommandResult, Line, Part, Rows, conclude, json_option
 from gateway.entry import sentences
+from sim.anomaly import MAX_LEVEL
 from sim.artefacts import NO_VERDICT_TEXT, ModelVerdict, model_hash
 from sim.effects import effect_summary
 from sim.lab.formats import find_model
@@ -166,7 +167,8 @@ def show_model(shown: Model) -> Iterator[Part]:
         yield "calibration " + ", ".join(f"{h:g} s x {f:.2f}" for h, f in sorted(shown.calibration.items()))
     if (seen := shown.anomalies) is not None:
         spans = f"{seen.seconds / 3600.0:.3g} h of {seen.units} recordings or machines that were held out"
-        yield f"anomaly: a score of {seen.level:g} is passed once a week at most, by {spans}"
+        often = "once a week at most" if seen.level < MAX_LEVEL else "more often than once a week"
+        yield f"anomaly: a score of {seen.level:g} is passed {often}, by {spans}"
     if not shown.correction.identity:
         yield f"correction T' = {shown.correction.gain:.4g} T {shown.correction.offset:+.3g} {unit}"
     synthetic = ", SYNTHETIC: not learned from a plant" if origin.synthetic else ""

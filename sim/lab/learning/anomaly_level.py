@@ -11,15 +11,13 @@ from math import log
 
 from scipy.stats import chi2
 
-from sim.anomaly import MIN_PEAK, AnomalyRecord
+from sim.anomaly import MAX_LEVEL, MIN_PEAK, AnomalyRecord
 
 WEEK_S = 7 * 86_400.0
 TAIL_SHARE, MIN_TAIL = 0.25, 5
 """The share of the peaks that are the tail, and the fewest that make one."""
 CONFIDENCE = 0.75
 """With which the tail is no longer than what is taken."""
-MAX_LEVEL = 40.0
-"""What is broken passes it, where it is felt at all, and 99 is the highest score that there is."""
 MAX_PEAKS = 200
 """Of each model at most, in its file."""
 
