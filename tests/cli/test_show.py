@@ -40,7 +40,10 @@ def test_show_names_disturbance_machines_plain_members_and_borrowed_locations(tm
     assert data["plain"][0]["memory"] in (None, inf)
 
 
-@pytest.mark.parametrize(
+RARE, OFTEN = "once a week at most", "more often than once a week"
+
+
+@pytest.mark.parametrize(("level", "often"), [(17.3, RARE), (MAX_LEVEL, OFTEN)])
     ("level", "often"), [(17.3, "once a week at most"), (MAX_LEVEL, "more often than once a week")]
 )
 def test_how_often_a_score_is_passed_is_true_of_the_highest_level_too(tmp_path: Path, level: float, often: str) -> None:
