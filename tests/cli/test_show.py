@@ -44,8 +44,6 @@ RARE, OFTEN = "once a week at most", "more often than once a week"
 
 
 @pytest.mark.parametrize(("level", "often"), [(17.3, RARE), (MAX_LEVEL, OFTEN)])
-    ("level", "often"), [(17.3, "once a week at most"), (MAX_LEVEL, "more often than once a week")]
-)
 def test_how_often_a_score_is_passed_is_true_of_the_highest_level_too(tmp_path: Path, level: float, often: str) -> None:
     record = AnomalyRecord(seconds=7200.0, units=2, peaks=(), level=level)
     write_model_directory(tmp_path / "m", replace(two_modes(), anomalies=record))
