@@ -61,7 +61,7 @@ def _moments(log: MachineLog, count: int = MAX_MOMENTS) -> list[float]:
     shares = (np.arange(count) + 1.0) / (count + 1)
     times = np.interp(shares * ran[-1], ran, log.time)
     silent = (log.time - log.dt)[1:] - log.time[:-1]
-    nearest = np.rint(ran[:-1] / ran[-1] * (count + 1)).astype(int) - 1
+    nearest = np.rint(ran[:-1] / max(ran[-1], 1e-9) * (count + 1)).astype(int) - 1
     broken = np.flatnonzero((silent > BREAK_S) & (nearest >= 0) & (nearest < count))
     # The longest comes last, and stays.
     for row in broken[np.argsort(silent[broken], kind="stable")]:

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from sim.effects import MachineLog
 from sim.lab.discrepancy.fitting import build_frame, build_record, fit, move_frame, rivals, with_priors
 from sim.lab.discrepancy.fitting.candidates import catalogue_entry
 from sim.lab.discrepancy.naming import step
@@ -47,3 +48,12 @@ def test_a_cooler_that_fails_while_nobody_logs_is_no_wear(hours: float) -> None:
     moments = [found.best.shape.params[name] for name in ("at", "again")]
     for row, moment in zip(breaks, moments, strict=True):
         assert trace.times[row] < moment < trace.times[row + 1]
+
+
+def test_a_record_without_a_step_has_its_moments() -> None:
+    """Rows that each begin a run of their own: no time passes in any step."""
+    rows = np.zeros(3)
+    log = MachineLog(time=np.array([0.0, 4e3, 9e3]), dt=rows, running=rows + 1.0, smooth=rows, signals={})
+    for entry in rivals():
+        shapes = entry.candidate.shapes(log) if not entry.needs else []
+        assert all(np.isfinite(value) for shape in shapes for value in shape.values())
