@@ -12,8 +12,10 @@ import json
 import resource
 import subprocess
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
+from itertools import accumulate
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -62,10 +64,11 @@ def _car(data: Path, _out: Path) -> Sources:
     return [data / f"{name}.csv" for name in KNOWN_TRIPS], sorted(data.glob("*.csv"))
 
 
-def _rig(data: Path, out: Path) -> Sources:
+def _rig(data: Path, out: Path, break_s: int = 0) -> Sources:
     """Learned from the first half of the sound cooler's time; diagnosed: the other half, then the failing cooler.
 
     The record has the failing cooler first; here the rows of the sound one come first, as at a machine that wears.
+    Between the parts nothing is read for `break_s` seconds.
     """
     with (data / "rig_5s.csv").open(encoding="utf-8") as stream:
         head, *rows = csv.reader(stream)
@@ -73,7 +76,10 @@ def _rig(data: Path, out: Path) -> Sources:
     failing = {share: [row for row in rows if row[head.index("cooler")] == share] for share in ("20.00", "3.00")}
     half = len(sound) // 2
     learned = _written(out / "sound.csv", head, sound[:half])
-    return [learned], [_written(out / "failing.csv", head, [*sound[half:], *failing["20.00"], *failing["3.00"]])]
+    parts = [sound[half:], failing["20.00"], failing["3.00"]]
+    return [learned], [
+        _written(out / "failing.csv", head, [row for part in parts for row in part], _ends(parts, break_s))
+    ]
 
 
 def _transformer(data: Path, out: Path) -> Sources:
@@ -84,13 +90,22 @@ def _transformer(data: Path, out: Path) -> Sources:
     return [_written(out / "first.csv", head, rows[:half])], [_written(out / "second.csv", head, rows[half:])]
 
 
-def _written(path: Path, head: Sequence[str], rows: Sequence[Sequence[str]]) -> Path:
-    """The rows as a file, one time step apart where the first column is in seconds."""
+def _ends(parts: Sequence[Sequence[Sequence[str]]], break_s: int) -> dict[int, int]:
+    """The numbers of the rows with which the parts after the first begin, and the seconds of the break before each."""
+    return {sum(len(part) for part in parts[:number]): break_s for number in range(1, len(parts))}
+
+
+def _written(
+    path: Path, head: Sequence[str], rows: Sequence[Sequence[str]], breaks: Mapping[int, int] | None = None
+) -> Path:
+    """The rows as a file, one time step apart where the first column is in seconds, and `breaks` more (s) before those
+    of such numbers."""
     seconds = head[0] == "time"
+    behind = list(accumulate((breaks or {}).get(number, 0) for number in range(len(rows))))
     with path.open("w", encoding="utf-8", newline="") as stream:
         writer = csv.writer(stream)
         writer.writerow(head)
-        writer.writerows([str(5 * n), *row[1:]] if seconds else row for n, row in enumerate(rows))
+        writer.writerows([str(5 * n + behind[n]), *row[1:]] if seconds else row for n, row in enumerate(rows))
     return path
 
 
@@ -120,6 +135,14 @@ RECORDS = (
         column_map=str(MAPS / "hydraulic_rig.toml"),
         lay_out=_rig,
         known="the cooler goes from 100 % to 20 % at 22,230 s and to 3 % at 66,150 s; TS2 and TS4 follow TS1",
+        pieces=40,
+    ),
+    MeasuredRecord(
+        name="rig, logged with breaks",
+        folder="hydraulic_rig",
+        column_map=str(MAPS / "hydraulic_rig.toml"),
+        lay_out=partial(_rig, break_s=3600),
+        known="the same, with an hour in which nothing is read before each change of the cooler shows",
         pieces=40,
     ),
     MeasuredRecord(

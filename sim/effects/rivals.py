@@ -33,6 +33,8 @@ MAX_MOMENTS = 24
 """Moments of a record at which something is tried to begin, at most."""
 MAX_PAIR_MOMENTS = 16
 """The same of what comes twice, where every two of them are tried."""
+BREAK_S = 600.0
+"""Seconds without a step from which a record is broken off there."""
 NO_NAME = EffectRefusal("it has no name")
 SEARCH_COST_NATS = 3.0
 """Nats that looking at a dozen moments or hours costs."""
@@ -51,10 +53,20 @@ def _hour_words(seconds: float) -> str:
 
 
 def _moments(log: MachineLog, count: int = MAX_MOMENTS) -> list[float]:
-    """Moments inside the record, evenly over what it ran (at rest hardly anything begins to show), none at its ends."""
+    """Moments inside the record, evenly over what it ran (at rest hardly anything begins to show), none at its ends.
+
+    Where the record breaks off near one, that is the moment: what is changed at a machine is changed while nobody logs.
+    """
     ran = np.cumsum(log.dt * (log.running if log.running.any() else 1.0))
     shares = (np.arange(count) + 1.0) / (count + 1)
-    return [float(time) for time in np.interp(shares * ran[-1], ran, log.time)]
+    times = np.interp(shares * ran[-1], ran, log.time)
+    silent = (log.time - log.dt)[1:] - log.time[:-1]
+    nearest = np.rint(ran[:-1] / max(ran[-1], 1e-9) * (count + 1)).astype(int) - 1
+    broken = np.flatnonzero((silent > BREAK_S) & (nearest >= 0) & (nearest < count))
+    # The longest comes last, and stays.
+    for row in broken[np.argsort(silent[broken], kind="stable")]:
+        times[nearest[row]] = np.nextafter(log.time[row], np.inf)
+    return [float(time) for time in times]
 
 
 def _heat_law(heat: Callable[[Params, RecordView], Array]) -> RecordedLaw:

@@ -15,11 +15,13 @@ from sim.engine.simulation import simulate
 from sim.lab.discrepancy import naming
 from sim.lab.discrepancy.augment import augment_model
 from sim.lab.discrepancy.diagnosis import Diagnosis
+from sim.lab.discrepancy.evidence import fate
 from sim.lab.discrepancy.fitting import build_frame, build_record, heat_and_loss, move_frame, rivals
 from sim.lab.discrepancy.fitting.candidates import catalogue, catalogue_entry
 from sim.lab.discrepancy.fitting.effects import deviation
 from sim.lab.discrepancy.fitting.free_run_fit import fit
 from sim.lab.discrepancy.fitting.named import Named, main_effect
+from sim.lab.discrepancy.judging import dubious, insignificant
 from sim.lab.discrepancy.naming import ONE_CHAIN, begins, likeness, step, without_idle
 from sim.lab.discrepancy.rules import RULES
 from sim.lab.discrepancy.screen import refine_shape, screen
@@ -63,6 +65,41 @@ def test_what_does_no_better_than_its_special_case_is_that_case() -> None:
     for ahead, left in ((5.0, 1), (7.0, 2)):
         evidence = [special, replace(late, gain=special.gain + ahead)]
         assert len(without_idle(evidence, RULES)) == left
+
+
+@pytest.mark.parametrize(
+    ("once", "twice", "left"),
+    [
+        (5.0, 9.0, ["less-cooling", "current-heating"]),
+        (5.0, 12.0, ["less-cooling-twice", "current-heating"]),
+        (-2.0, 5.0, ["current-heating"]),
+        (5.0, 5.5, ["current-heating"]),
+    ],
+)
+def test_a_special_case_takes_the_names_place_where_the_wider_rival_does(
+    once: float, twice: float, left: list[str]
+) -> None:
+    record = build_record(model(), [plant(3, days=2)], ("Assorbimento",))
+    base = fit(move_frame(build_frame(record), record))
+    (name,) = step(base, [catalogue_entry("current-heating")], CURRENT, rules=RULES).evidence
+    entries = {entry.name: entry for entry in rivals()}
+    ahead = {"less-cooling": once, "less-cooling-twice": twice}
+    evidence = [name, *(replace(name, entry=entries[key], gain=name.gain + value) for key, value in ahead.items())]
+    found = without_idle(evidence, RULES)
+    assert {each.entry.name for each in found} == set(left)
+    assert max(found, key=lambda each: each.gain).entry.name == left[0]
+
+
+def test_a_name_that_explains_less_than_what_has_none_is_not_said_to_add_nothing() -> None:
+    record = build_record(model(), [plant(3, days=2)], ("Assorbimento",))
+    base = fit(move_frame(build_frame(record), record))
+    made = step(base, [catalogue_entry("current-heating")], CURRENT, rules=RULES)
+    (name,) = (replace(each, gain=40.0, fitted=base) for each in made.evidence)
+    rival = replace(name, entry=next(entry for entry in rivals() if entry.name == "less-cooling"), gain=100.0)
+    led = replace(made, evidence=(rival, name), cosines={})
+    assert fate(name, led, dubious(led), kept=False) == "explains 60.0 nats less than the best"
+    chance = replace(made, evidence=(replace(rival, gain=3.0), replace(name, gain=1.0)), cosines={})
+    assert fate(chance.evidence[1], chance, insignificant(chance), kept=False) == "adds nothing that chance does not"
 
 
 def test_special_cases_are_fitted_where_what_has_them_is(monkeypatch: pytest.MonkeyPatch) -> None:

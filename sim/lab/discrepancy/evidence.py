@@ -47,7 +47,7 @@ def fate(evidence: EffectEvidence, step: NamingStep, refusal: str, kept: bool) -
         return "not visible in these data: the model's own parameters imitate it"
     if evidence.entry.name in step.members or any(evidence is each for each in step.alike):
         return CANNOT_TELL
-    if step.best is not None and not refusal:
+    if step.best is not None and step.best.is_joint and step.best.gain >= step.rules.least_gain_nats:
         return f"explains {step.best.gain - evidence.gain:.1f} nats less than the best"
     return "adds nothing that chance does not"
 

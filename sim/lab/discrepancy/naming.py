@@ -291,14 +291,22 @@ def margin_of_class(gain: float, rules: DecisionRules) -> float:
 
 def without_idle(evidence: Sequence[EffectEvidence], rules: DecisionRules) -> list[EffectEvidence]:
     """The evidence without what does no better than a special case of itself, and a rival no better than the names, but
-    for one that the best rival cannot be told from."""
+    for one that the best rival cannot be told from.
 
-    def idle(wider: EffectEvidence) -> bool:
-        special = wider.entry.candidate.special
-        of = [
-            each.gain for each in evidence if each.entry.name in special or (wider.entry.rival and not each.entry.rival)
-        ]
-        return wider.gain - max(of, default=-np.inf) < margin_of_class(wider.gain, rules)
+    A special case stands for what does no better: with it a rival takes the names' place where the wider one does.
+    """
+    names = max((each.gain for each in evidence if not each.entry.rival), default=-np.inf)
+
+    def ahead(one: EffectEvidence, of: float) -> bool:
+        return one.gain - of >= margin_of_class(one.gain, rules)
+
+    def idle(one: EffectEvidence) -> bool:
+        special = one.entry.candidate.special
+        if not ahead(one, max((each.gain for each in evidence if each.entry.name in special), default=-np.inf)):
+            return True
+        wider = (each for each in evidence if one.entry.name in each.entry.candidate.special)
+        same = (one, *(each for each in wider if not ahead(each, one.gain)))
+        return one.entry.rival and not any(ahead(each, names) for each in same)
 
     left = [each for each in evidence if not idle(each)]
     best = max(left, key=lambda each: each.gain, default=None)

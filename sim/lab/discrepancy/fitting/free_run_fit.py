@@ -51,6 +51,8 @@ MOVING_SHARE = 0.5
 """The share of readings that differ from the one before, up to which a course is a staircase."""
 MIN_SCATTER = 1e-5
 """The relative scatter of the friction below which there is none."""
+LIKELIER_NATS = 6.0
+"""By which an earlier round of a fit is likelier than the last one where it is the fit."""
 SETTLED_LOG_STEP = 0.05
 """The fit ends when no part of the noise moves by more than this (log)."""
 
@@ -276,7 +278,7 @@ def fit(
             break
         first = _clip_strengths(named, np.concatenate([own, _halve_strengths(named, first[own.size :])]))
         point = _tangent(frame, run_frame(frame, first, start, named), start, reading)
-    cost = np.inf
+    cost, best = np.inf, None
     for _ in range(rounds):
         moved_point = _newton_steps(frame, point, start=start, reading=reading, noise=noise, prior=prior)
         fitted_noise, moved_cost = fit_local_noise(moved_point, frame, belief, noise, iterations)
@@ -285,8 +287,13 @@ def fit(
             break
         settled = largest_change(noise, fitted_noise) < SETTLED_LOG_STEP
         point, noise, cost = moved_point, fitted_noise, moved_cost
+        if best is None or cost < best[2]:
+            best = point, noise, cost
         if settled:
             break
+    # Steps under a noise that is wrong may lead away, and the noise then follows: what was likelier by far stays.
+    if best is not None and cost > best[2] + LIKELIER_NATS:
+        point, noise, cost = best
     return _finish_fit(frame, point, start=start, noise=noise, prior=prior, cost=cost)
 
 
