@@ -205,9 +205,13 @@ class Whitener:
         banded = 2.0 * np.log(self._band.factor[0]).sum() - self._prior_logdet
         return float(sensor + banded + self._scattering.logdet)
 
-    def smooth(self, residual: Array) -> Array:
-        """(m,) the residual without the errors of the reading, white and lasting: its mean given all readings, degC."""
-        noise, weighed = self.noise, self.weigh(residual[:, None])[:, 0]
+    def smooth(self, residual: Array, weighed: Array | None = None) -> Array:
+        """(m,) the residual without the errors of the reading, white and lasting: its mean given all readings, degC.
+
+        `weighed` (m,) is V^-1 times it, where that is at hand.
+        """
+        noise = self.noise
+        weighed = self.weigh(residual[:, None])[:, 0] if weighed is None else weighed
         error = noise.sensor**2 * weighed
         if noise.lasting > 0:
             # What lasts has the covariance lasting^2 e^(-|t - t'| / fades), whose product is a sum from either side.
