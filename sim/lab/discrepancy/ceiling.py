@@ -8,6 +8,7 @@ roughness.
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from sim.lab.tree_regressor import tree_regressor
 from sim.lab.discrepancy.diagnosis import Ceiling
 from sim.lab.discrepancy.fitting import Fitted
 from sim.lab.discrepancy.heat import Blocks, flips, heat_blocks
@@ -61,15 +62,13 @@ def ceiling(fitted: Fitted, seed: int) -> Ceiling | None:
 
 def _out_of_fold(features: Array, heat: Array, blocks: Blocks, cycles: Indices, seed: int) -> Array:
     """(b,) the trees' prediction of each block's heat, learned on the other folds' cycles."""
-    from sklearn.ensemble import HistGradientBoostingRegressor
-
     # Whole cycles are held out, not blocks: the blocks of one cycle share its scatter, and trees would learn it.
     rng = np.random.default_rng(seed)
     fold = rng.permutation(np.arange(cycles.size) % min(FOLDS, cycles.size))[np.searchsorted(cycles, blocks.cycle)]
     predicted = np.zeros(heat.size)
     for number in np.unique(fold):
         out = fold == number
-        trees = HistGradientBoostingRegressor(
+        trees = tree_regressor(
             max_iter=60,
             learning_rate=0.1,
             max_leaf_nodes=8,

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import ThreadpoolController
 
+from sim.lab.tree_regressor import tree_regressor
 from sim.lab.judge.past import (
     FittedRival,
     Past,
@@ -198,10 +199,8 @@ def boosted_trees(examples: Examples, horizon: float, seed: int) -> HorizonFit:
 
 
 def _trees(examples: Examples, outcomes: Array, seed: int) -> Regression:
-    from sklearn.ensemble import HistGradientBoostingRegressor
-
     weights = equal_shares(examples.groups)
-    trees: Regression = HistGradientBoostingRegressor(
+    trees: Regression = tree_regressor(
         learning_rate=0.1,
         max_iter=60,
         max_leaf_nodes=15,

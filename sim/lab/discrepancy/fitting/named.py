@@ -2,11 +2,12 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 from sim.effects import drop_features, effect_kind
 from sim.lab.discrepancy.fitting.candidates import CatalogueEntry, entry_of_effect
 from sim.lab.learning import contexts, first_switch
-from sim.sha import UNKNOWN, Effect, Model
+from sim.sha import UNKNOWN, Alphabet, Effect, Model
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,16 +111,22 @@ def running_locations(model: Model) -> tuple[str, ...]:
     switch = first_switch(model.alphabet)
     if switch is None:
         return tuple(location.name for location in model.sha.locations)
-    place = model.alphabet.channels.index(switch)
-    known = contexts(model.alphabet)
-    running = []
-    for location in model.sha.locations:
-        named = [name for name in known if location.name == name or location.name.startswith(f"{name} ")]
+    running = _named_running(model.alphabet, tuple(location.name for location in model.sha.locations))
+    return running or tuple(sorted(_running_locations(model, switch.rising, switch.falling)))
+
+
+@lru_cache(maxsize=64)
+def _named_running(alphabet: Alphabet, locations: tuple[str, ...]) -> tuple[str, ...]:
+    """Those of the locations whose name says that the first switch is on. Asked for each shape of each effect."""
+    switch = first_switch(alphabet)
+    if switch is None:
+        return ()
+    place, known, running = alphabet.channels.index(switch), contexts(alphabet), []
+    for location in locations:
+        named = [name for name in known if location == name or location.startswith(f"{name} ")]
         if named and known[max(named, key=len)][place] == 1:
-            running.append(location.name)
-    if running:
-        return tuple(running)
-    return tuple(sorted(_running_locations(model, switch.rising, switch.falling)))
+            running.append(location)
+    return tuple(running)
 
 
 def _running_locations(model: Model, rising: str, falling: str) -> set[str]:
