@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import ThreadpoolController
 
-from sim.lab.tree_regressor import tree_regressor
 from sim.lab.judge.past import (
     FittedRival,
     Past,
@@ -18,6 +17,7 @@ from sim.lab.judge.past import (
     trained_columns,
     weighted_quantiles,
 )
+from sim.lab.tree_regressor import tree_regressor
 from sim.sha import Array, Mask
 
 ORIGIN_STEP_S = 10.0
