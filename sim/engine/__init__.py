@@ -31,7 +31,7 @@ from sim.engine.particles import (
 )
 from sim.engine.particles_augmented import acting_paths, acting_stays, augmented_path_runs, real_age
 from sim.engine.plant import Plant, compile_plant
-from sim.engine.recursion import linear_recursion
+from sim.engine.recursion import linear_recursion, matrix_recursion
 from sim.engine.schedules import Policy, Schedule, resync_targets, schedule, step_coefficients
 from sim.engine.simulation import SimulatedRuns, simulate
 from sim.engine.simulation_augmented import SamplingPlan, augmented_plan

@@ -20,7 +20,7 @@ from sim.lab.discrepancy.fitting import (
 from sim.lab.discrepancy.judging import NamingResult, dubious, fastest_movement, greatest_heat, too_short
 from sim.lab.discrepancy.naming import NamingStep, step
 from sim.lab.discrepancy.rules import RULES
-from sim.lab.discrepancy.screen import TIME_PARAMETERS, Shape, refine_shape, screen, shortest_visible
+from sim.lab.discrepancy.screen import TIME_PARAMETERS, Projector, Shape, refine_shape, screen, shortest_visible
 from sim.sha import Trace
 from tests.discrepancy.plants import PERIOD, model, plant, sparse
 
@@ -68,7 +68,7 @@ def test_a_refinement_stops_at_two_rows() -> None:
     trace = plant(3, days=2)
     read = trace.signals["T"]
     base = fitted(replace(trace, signals={**trace.signals, "T": np.concatenate([read[:1], read[:-1]])}))
-    found = refine_shape(base, Shape(entry("dead-time"), {}, {"delay": 80.0, "blur": 0.0}), 1.0)
+    found = refine_shape(Projector(base), Shape(entry("dead-time"), {}, {"delay": 80.0, "blur": 0.0}), 1.0)
     assert found.params["delay"] == pytest.approx(2.0 * PERIOD, abs=0.1)
 
 

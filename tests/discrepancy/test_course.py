@@ -5,10 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from sim.engine import linear_recursion
 from sim.lab.discrepancy.fitting import course
 from sim.lab.discrepancy.fitting.baseline import Frame, build_frame
 from sim.lab.discrepancy.fitting.candidates import catalogue
-from sim.lab.discrepancy.fitting.course import CourseState, run_frame, scatter_response, window_grid, window_sensitivity
+from sim.lab.discrepancy.fitting.course import (
+    CourseState,
+    run_frame,
+    scatter_response,
+    window_grid,
+    window_response,
+    window_sensitivity,
+)
 from sim.lab.discrepancy.fitting.named import Named
 from sim.lab.discrepancy.fitting.record import build_record
 from sim.sha.trace import Array
@@ -56,6 +64,16 @@ def test_rough_heat_is_felt_as_late_as_the_rest(frame: Frame) -> None:
     starts = [times[int(np.argmax(grid.running > 0.5))] for grid in (at_once, late)]
     assert starts[1] - starts[0] == pytest.approx(240.0, abs=40.0)
     assert np.sum(late.running * late.dt) == pytest.approx(np.sum(at_once.running * at_once.dt), rel=0.02)
+
+
+@pytest.mark.parametrize("cut", [False, True], ids=["one run", "a run each cycle"])
+def test_a_response_by_windows_is_the_windows_of_the_response(frame: Frame, cut: bool) -> None:
+    record = frame.record.by_cycles() if cut else frame.record
+    rng = np.random.default_rng(1)
+    decay = np.where(record.runs.first, 0.0, rng.uniform(0.2, 1.0, len(record.runs)))
+    pushes = rng.standard_normal(decay.size)
+    expected = record.window_means(linear_recursion(decay, pushes, 0.0))
+    np.testing.assert_allclose(window_response(record, decay).means(pushes), expected, rtol=1e-9, atol=1e-9)
 
 
 def test_a_course_with_a_thermostat_stands_still(frame: Frame) -> None:

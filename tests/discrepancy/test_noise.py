@@ -25,6 +25,8 @@ from sim.sha.trace import Array, Mask
 NOISE = NoiseModel(sensor=0.05, process=0.004, rough=0.002, cycle=0.3, memory=500.0, rest=0.4, still=0.3)
 LASTING = replace(NOISE, lasting=0.2, fades=80.0)
 """The same with an error of the reading that lasts for a step or two."""
+REST = 5
+"""The place of the share at rest in `vector`."""
 
 
 def small_grid(seed: int = 1, size: int = 40) -> Grid:
@@ -171,7 +173,7 @@ def test_the_noise_is_found_again_from_its_own_draws() -> None:
         value = 0.5 * float(residual[:, 0] @ whitener.weigh(residual)[:, 0] + whitener.logdet)
 
         def derivatives() -> tuple[Array, Array]:
-            slopes, pulls = whitener.slopes(residual)
+            slopes, pulls = whitener.slopes(whitener.half_weigh(residual))
             return 0.5 * slopes, 0.5 * whitener.gram(pulls)
 
         return value, derivatives
@@ -198,8 +200,44 @@ def test_the_slopes_of_a_likelihood_are_those_of_its_differences(noise: NoiseMod
 
     moves = step * np.eye(point.size)
     expected = [(value(point + move) - value(point - move)) / (2.0 * step) for move in moves]
-    slopes, _ = Whitener(grid, noise).slopes(columns)
+    whitener = Whitener(grid, noise)
+    slopes, _ = whitener.slopes(whitener.half_weigh(columns))
     np.testing.assert_allclose(slopes, expected, rtol=1e-3, atol=1e-3 * np.max(np.abs(expected)))
+
+
+def test_the_slope_of_the_share_at_rest_holds_where_hardly_anything_else_acts_at_rest() -> None:
+    size = 400
+    running = (np.arange(size) % 100 < 60).astype(float)
+    grid = grid_of(
+        np.full(size, 60.0), np.full(size, 8e-4), running, 1e-3 * running, np.arange(size) == 0, np.arange(size) // 100
+    )
+    columns = np.cumsum(np.random.default_rng(3).standard_normal((size, 1)), axis=0)
+    noise = NoiseModel(sensor=0.03, process=0.002, rough=0.002, cycle=0.05, memory=1800.0, rest=0.2, still=0.08)
+    point, move = vector(noise), 1e-4 * (np.arange(7) == REST)
+
+    def value(at: Array) -> float:
+        whitener = Whitener(grid, noise_model(at))
+        return whitener.logdet + float(np.trace(whitener.gram(columns)))
+
+    expected = (value(point + move) - value(point - move)) / 2e-4
+    whitener = Whitener(grid, noise)
+    assert whitener.slopes(whitener.half_weigh(columns))[0][REST] == pytest.approx(expected, rel=1e-4)
+
+
+def test_a_fit_goes_straight_to_its_top_though_the_information_has_a_half_of_the_curvature() -> None:
+    centre = NoiseModel(sensor=0.1, process=0.01, rough=3e-4, cycle=0.02)
+    top = vector(centre) + np.array([0.2, -0.4, 0.3, 0.1, 0.05, -0.3, 0.6])
+    curvature = np.diag([4000.0, 25.0, 500.0, 3.0, 50.0, 10.0, 2.0])
+    known, asked = np.diag([4000.0, 11.0, 500.0, 3.0, 50.0, 10.0, 0.5]), list[float]()
+
+    def cost(trial: NoiseModel) -> tuple[float, Derivatives]:
+        off = vector(trial) - top
+        asked.append(0.5 * float(off @ curvature @ off))
+        return asked[-1], lambda: (curvature @ off, known)
+
+    fit_noise(cost, WindowBelief(centre, spread=(1e3,) * 5, still=1e3), centre, 12)
+    assert min(asked) < 0.02
+    assert len(asked) <= 8, "values asked for"
 
 
 @pytest.mark.parametrize("noise", [NOISE, LASTING])
@@ -209,7 +247,7 @@ def test_each_coordinate_pulls_at_a_residual_as_the_dense_covariance_moves(noise
     point, inverse = vector(noise), np.linalg.inv(dense(grid, noise))
     whitener = Whitener(grid, noise)
     # Weighed, since that is what they are for: where a run begins is not believed in, and has no weight.
-    pulls = whitener.weigh(whitener.slopes(residual)[1])
+    pulls = whitener.weigh(whitener.slopes(whitener.half_weigh(residual))[1])
     for number, move in enumerate(1e-4 * np.eye(point.size)):
         moved = (dense(grid, noise_model(point + move)) - dense(grid, noise_model(point - move))) / 2e-4
         expected = inverse @ moved @ inverse @ residual[:, 0]

@@ -24,7 +24,7 @@ from sim.lab.discrepancy.fitting.named import Named, main_effect
 from sim.lab.discrepancy.judging import dubious, insignificant
 from sim.lab.discrepancy.naming import ONE_CHAIN, begins, likeness, step, without_idle
 from sim.lab.discrepancy.rules import RULES
-from sim.lab.discrepancy.screen import refine_shape, screen
+from sim.lab.discrepancy.screen import Projector, refine_shape, screen
 from sim.lab.discrepancy.workflow import diagnose
 from sim.proof.verification import verify
 from sim.sha.automaton import Effect, Flow
@@ -196,7 +196,7 @@ def test_heat_of_the_current_that_is_on_its_way_for_minutes_looks_like_what_it_i
     best = screened.best()
     number = best["late-current-heating"]
     assert next(iter(best)) in ONE_CHAIN and screened.gain[number] > RULES.least_gain_nats
-    found = refine_shape(base, screened.shapes[number], 1e-5).params
+    found = refine_shape(Projector(base), screened.shapes[number], 1e-5).params
     # What is on its way is told; how it parts into heat and lateness, where both are short against the rows, is not.
     late = found.get("delay", 0.0) + found["lag"]
     assert found["gain"] * late == pytest.approx(4e-5 * (delay + lag), rel=0.4)
@@ -222,7 +222,7 @@ def test_a_moment_that_is_looked_for_lies_in_the_record() -> None:
     less = [entry for entry in rivals() if entry.name == "less-and-less-cooling"]
     screened, _ = screen(base, less, {})
     for shape in screened.shapes:
-        assert begin <= refine_shape(base, shape, 1e-5).params["at"] <= end
+        assert begin <= refine_shape(Projector(base), shape, 1e-5).params["at"] <= end
 
 
 def heated(lag: float, kind: str = "quadratic-current-heating", gain: float = 2e-7) -> Trace:

@@ -33,7 +33,7 @@ from sim.lab.discrepancy.proving import (
     with_the_gap_itself,
 )
 from sim.lab.discrepancy.rules import RULES
-from sim.lab.discrepancy.screen import candidate_shapes
+from sim.lab.discrepancy.screen import Projector, candidate_shapes
 from sim.lab.discrepancy.workflow import diagnose
 from sim.sha import Array
 from tests.discrepancy.plants import model, plant
@@ -208,7 +208,7 @@ def test_beside_a_name_of_what_lies_before_the_reading_no_other_heat_comes_late(
     def lags(*names: str) -> list[bool]:
         named = [Named(one, {}, {}) for one in catalogue() if one.name in names]
         entry = next(one for one in entries_besides(named) if one.name == "quadratic-current-heating")
-        shapes = candidate_shapes(parts[0], [entry], ROLES, parts[0].state.mean)
+        shapes = candidate_shapes(Projector(parts[0]), [entry], ROLES)
         return ["lag" in each.params for each in shapes]
 
     assert any(lags()) and any(lags("pump-cooling")) and not all(lags())

@@ -12,6 +12,7 @@ from sim.lab.discrepancy.diagnosis import Ceiling
 from sim.lab.discrepancy.fitting import Fitted
 from sim.lab.discrepancy.heat import Blocks, flips, heat_blocks
 from sim.lab.learning import Indices
+from sim.lab.tree_regressor import tree_regressor
 from sim.sha import Array
 
 FOLDS, DRAWS = 5, 4000
@@ -61,24 +62,22 @@ def ceiling(fitted: Fitted, seed: int) -> Ceiling | None:
 
 def _out_of_fold(features: Array, heat: Array, blocks: Blocks, cycles: Indices, seed: int) -> Array:
     """(b,) the trees' prediction of each block's heat, learned on the other folds' cycles."""
-    from sklearn.ensemble import HistGradientBoostingRegressor
-
     # Whole cycles are held out, not blocks: the blocks of one cycle share its scatter, and trees would learn it.
     rng = np.random.default_rng(seed)
     fold = rng.permutation(np.arange(cycles.size) % min(FOLDS, cycles.size))[np.searchsorted(cycles, blocks.cycle)]
     predicted = np.zeros(heat.size)
-    for number in np.unique(fold):
-        out = fold == number
-        trees = HistGradientBoostingRegressor(
-            max_iter=60,
-            learning_rate=0.1,
-            max_leaf_nodes=8,
-            min_samples_leaf=12,
-            l2_regularization=5.0,
-            early_stopping=False,
-            random_state=0,
-        )
-        with threadpool_limits(1):  # threads that wait for one another cost more than so few rows gain
+    with threadpool_limits(1):  # threads that wait for one another cost more than so few rows gain
+        for number in np.unique(fold):
+            out = fold == number
+            trees = tree_regressor(
+                max_iter=60,
+                learning_rate=0.1,
+                max_leaf_nodes=8,
+                min_samples_leaf=12,
+                l2_regularization=5.0,
+                early_stopping=False,
+                random_state=0,
+            )
             trees.fit(features[~out], heat[~out])
             predicted[out] = trees.predict(features[out])
     return predicted

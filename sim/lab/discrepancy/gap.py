@@ -81,7 +81,7 @@ def noise_floor(stated: Array, explained: Fitted, record: Record, seed: int, rul
     whitener = Whitener(explained.grid, explained.noise)
     noise = Whitener(explained.timed_grid, explained.noise).draw(rng, FLOOR_DRAWS)
     precision = whitener.gram(explained.columns) + np.diag(np.maximum(explained.prior, 1e-12))
-    taken = np.linalg.solve(precision, explained.columns.T @ whitener.weigh(noise))
+    taken = np.linalg.solve(precision, whitener.weigh(explained.columns).T @ noise)
     fitted = _rms(noise - explained.columns @ taken)
     beyond = window_sensitivity(move_frame(explained.frame, record), trial.state, trial.start)
     alone = trial.whitener.draw(rng, FLOOR_DRAWS)
@@ -177,7 +177,7 @@ def size_by_equal_cycles(trial: HeldOutRun, explained: Fitted, rng: np.random.Ge
     columns = window_sensitivity(move_frame(explained.frame, trial.record), trial.state, trial.start)
     noise = trial.whitener.draw(rng, EQUAL_DRAWS)
     precision = trial.whitener.gram(columns) + np.diag(np.maximum(explained.prior, 1e-12))
-    left = trial.restart_residual(noise - columns @ np.linalg.solve(precision, columns.T @ trial.whitener.weigh(noise)))
+    left = trial.restart_residual(noise - columns @ np.linalg.solve(precision, trial.whitener.weigh(columns).T @ noise))
     return scatter / _rms(np.array([scatter_of_equal_cycles(trial.record, one, rules) for one in left.T]))
 
 

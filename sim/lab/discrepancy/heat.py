@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sim.lab.discrepancy.fitting import Fitted, Record, Whitener, decay_and_pull, sensor_view
+from sim.lab.discrepancy.fitting import Fitted, Record, decay_and_pull, sensor_view
 from sim.lab.discrepancy.screen import Projector
 from sim.lab.learning import Indices, first_switch
 from sim.sha import Array
@@ -45,8 +45,7 @@ def implied_heat(fitted: Fitted) -> Array:
     heat; and where a switch between two rows moves the temperature by more than a reading errs by.
     """
     # The smoothed residual is an estimate of x in dx/dt = -k x + h; solved for h over each step, held constant in it.
-    left = Projector(fitted).residual
-    smoothed = Whitener(fitted.grid, fitted.noise).smooth(left)
+    smoothed = Projector(fitted).smoothed_residual
     grid = fitted.grid
     decay, pull = decay_and_pull(grid.k, grid.dt)
     before = np.concatenate([smoothed[:1], smoothed[:-1]])

@@ -15,7 +15,7 @@ from sim.effects import SINCE, TEMPERATURE, moment_words
 from sim.lab.discrepancy.advice import in_words
 from sim.lab.discrepancy.fitting import Fitted, hold_signal, lagged_signal, rivals
 from sim.lab.discrepancy.heat import since_switch
-from sim.lab.discrepancy.screen import Shape, candidate_shapes
+from sim.lab.discrepancy.screen import Projector, Shape, candidate_shapes
 from sim.lab.learning import first_switch
 from sim.sha import Array
 
@@ -204,12 +204,12 @@ def moments(days: Array, running: Array) -> list[float]:
     return [float(day) for day in np.interp(shares * ran[-1], ran, days)]
 
 
-def dated_rivals(fitted: Fitted, smooth: Array) -> list[LawForm]:
+def dated_rivals(projector: Projector) -> list[LawForm]:
     """The rivals without a name as laws: of the clock, of an event that fades, of a cooling that begins to change.
 
     They are those that read no signal; of a signal the expressions know more.
     """
-    shapes = candidate_shapes(fitted, [entry for entry in rivals() if not entry.needs], {}, smooth)
+    shapes = candidate_shapes(projector, [entry for entry in rivals() if not entry.needs], {})
     return [of_shapes((shape,)) for shape in shapes]
 
 

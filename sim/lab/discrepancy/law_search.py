@@ -20,10 +20,9 @@ from sim.lab.discrepancy.fitting import (
     Record,
     Whitener,
     automaton_effects,
-    heat_filter,
+    heat_response,
     move_frame,
     net_heat,
-    sensor_view,
     window_sensitivity,
     with_column,
 )
@@ -116,8 +115,8 @@ def candidate_laws(
     names, begin = signal_names(fitted), float(training.runs.time[0])
     projector = Projector(fitted)
     periods, scanned = _rhythms(training.times, projector.weighed_residual)
-    columns = law_columns(fitted, smooth_course(fitted), names, begin, periods)
-    by_date = dated_rivals(fitted, columns.values[TEMPERATURE])
+    columns = law_columns(fitted, projector.smooth, names, begin, periods)
+    by_date = dated_rivals(projector)
     scored = _score_forms(fitted, projector, columns, [*family(columns, training.running, begin), *by_date])
     best = [scored.forms[number] for number in np.argsort(-scored.gain, kind="stable")[:BEST].tolist()]
     scored = scored.concatenate(_score_forms(fitted, projector, columns, products(best, columns)))
@@ -134,7 +133,7 @@ def candidate_laws(
     there = law_columns(unseen, smooth_course(unseen), names, begin, periods)
     own = window_sensitivity(unseen.frame, trial.state, trial.record.reading[trial.record.window_first])
     chosen = _distinct(scored, rules)
-    sharper = _sharpen_rivals(fitted, scored, chosen)
+    sharper = _sharpen_rivals(projector, scored, chosen)
     chosen += range(len(scored.forms), len(scored.forms) + len(sharper))
     scored = scored.concatenate(_score_forms(fitted, projector, columns, sharper))
 
@@ -204,17 +203,17 @@ def _describe_law(
     )
 
 
-def _sharpen_rivals(fitted: Fitted, scored: _ScoredForms, chosen: Sequence[int]) -> list[LawForm]:
+def _sharpen_rivals(projector: Projector, scored: _ScoredForms, chosen: Sequence[int]) -> list[LawForm]:
     """Those of the chosen forms that are rivals', with their dates and times where the gain is greatest.
 
     A date that is driven to an end of the record is none.
     """
-    sharper, clock = [], fitted.frame.record.runs.time
+    sharper, clock = [], projector.fitted.frame.record.runs.time
     ends = {float(clock[0]), float(clock[-1])}
     for number in (each for each in chosen if scored.forms[each].shapes):
         (shape,) = scored.forms[number].shapes
         if shape.entry.candidate.refine:
-            params = refine_shape(fitted, shape, float(scored.strength[number])).params
+            params = refine_shape(projector, shape, float(scored.strength[number])).params
             if any(params[name] in ends and params[name] != value for name, value in shape.params.items()):
                 continue
             shape = Shape(shape.entry, shape.signals, {name: params[name] for name in shape.params})
@@ -251,10 +250,8 @@ def _heat(fitted: Fitted, columns: LawColumns, form: LawForm) -> Array:
 
 def _reading(fitted: Fitted, columns: LawColumns, forms: Sequence[LawForm]) -> Array:
     """(m, c) degC what the heats of forms do to the windows."""
-    frame, state = fitted.frame, fitted.state
-    added = heat_filter(frame, state)
-    heats = (_heat(fitted, columns, form) for form in forms)
-    return np.column_stack([frame.record.window_means(sensor_view(frame, state, added(heat))) for heat in heats])
+    added = heat_response(fitted.frame, fitted.state)
+    return np.column_stack([added(_heat(fitted, columns, form)) for form in forms])
 
 
 def _score_forms(fitted: Fitted, projector: Projector, columns: LawColumns, forms: list[LawForm]) -> _ScoredForms:

@@ -31,7 +31,6 @@ from sim.lab.discrepancy.screen import (
     screen,
     screen_shapes,
     shape_columns,
-    smooth_course,
 )
 from sim.lab.discrepancy.unmeasured import slow_heat
 from sim.sha import Array, Effect
@@ -206,12 +205,12 @@ def changes_at_a_moment(
     if best is None or best.fitted is None or best.gain < max(rules.least_gain_nats, LOOKED_AGAIN_SHARE * top):
         return
     around = without_last(best.fitted)
-    smooth = smooth_course(around)
+    projector = Projector(around)
     for name in CHANGES_AT_A_MOMENT:
         some = tuple(shape for shape in shapes if shape.entry.name == name)
         if some:
             told(name)
-            again = screen_shapes(around, some, shape_columns(around, some, smooth))
+            again = screen_shapes(projector, some, shape_columns(projector, some))
             yield confirm(before, _evidence(again, int(np.argmax(again.gain))), around)
 
 
@@ -363,14 +362,15 @@ def confirm(before: Fitted, evidence: EffectEvidence, around: Fitted | None = No
     shapes = _alternatives(before, evidence)
     # The three answers below are all taken in the linear problem around a point: strength, shape, and how far the
     # model's own parameters move to make room. The joint refit starts from there.
-    smooth, projector = smooth_course(around), Projector(around)
+    projector = Projector(around)
+    usual = projector if around is before else Projector(before)
     rates = before.own - before.frame.count[1]
     alternatives = []
     for shape in shapes:
-        strength = float(screen_shapes(around, (shape,), shape_columns(around, (shape,), smooth)).strength[0])
-        named = refine_shape(around, shape, strength)
+        size, score = projector.size_and_score(shape_columns(projector, (shape,))[:, 0])
+        named = refine_shape(projector, shape, score / size if size > 0 else 0.0)
         unit = Shape(named.entry, named.signals, _without_strength(named))
-        column = shape_columns(around, (unit,), smooth)[:, 0] * (1.0 if named.entry.whole else named.strength)
+        column = shape_columns(projector, (unit,))[:, 0] * (1.0 if named.entry.whole else named.strength)
         moved = projector.made_room(column)[: before.own]
         # The linear problem does not hold for a rate that changes by more than a factor e; Newton's steps go on.
         moved[rates:] = np.clip(moved[rates:], -1.0, 1.0)
@@ -392,8 +392,8 @@ def confirm(before: Fitted, evidence: EffectEvidence, around: Fitted | None = No
         last = fitted.state.named[-1]
         shape = Shape(evidence.entry, shape.signals, _without_strength(last))
         gain = fitted.likelihood - before.likelihood - evidence.entry.burden
-        size = amplitude(before, shape, last)
-        alternatives.append(replace(evidence, shape=shape, gain=gain, amplitude=size, fitted=fitted))
+        moves = amplitude(usual, shape, last)
+        alternatives.append(replace(evidence, shape=shape, gain=gain, amplitude=moves, fitted=fitted))
     return max(alternatives, key=lambda alternative: alternative.gain)
 
 
@@ -427,10 +427,10 @@ def begins(before: Fitted) -> tuple[Fitted, ...]:
     return before, replace(before, noise=replace(noise, process=process, lasting=lasting))
 
 
-def amplitude(before: Fitted, shape: Shape, named: Named) -> float:
+def amplitude(before: Projector, shape: Shape, named: Named) -> float:
     """degC rms over the windows of what an effect does that the parameters of the fit before cannot imitate."""
-    column = shape_columns(before, (shape,), smooth_course(before))[:, 0]
-    return abs(1.0 if named.entry.whole else named.strength) * _visible_size(before, column)
+    column = shape_columns(before, (shape,))[:, 0]
+    return abs(1.0 if named.entry.whole else named.strength) * _visible_size(before.fitted, column)
 
 
 def _visible_size(before: Fitted, column: Array) -> float:
@@ -453,12 +453,8 @@ def _cosines(before: Fitted, evidence: Sequence[EffectEvidence]) -> dict[str, fl
     if not evidence:
         return {}
     top = evidence[0]
-    around = before if top.fitted is None else replace(before, noise=top.fitted.noise)
-    smooth = smooth_course(around)
-    shapes = tuple(each.shape for each in evidence)
-    normal = screen_shapes(around, shapes, shape_columns(around, shapes, smooth)).normal
-    size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
-    cosine: Array = normal[0] / (size * size[0])
+    projector = Projector(before if top.fitted is None else replace(before, noise=top.fitted.noise))
+    cosine = projector.cosines(shape_columns(projector, [each.shape for each in evidence]))
     return {each.entry.name: float(cosine[number]) for number, each in enumerate(evidence) if number}
 
 

@@ -17,10 +17,8 @@ from sim.lab.discrepancy.fitting import (
     CatalogueEntry,
     Fitted,
     automaton_effects,
-    heat_filter,
     net_heat,
     rivals,
-    sensor_view,
     stated_rate,
 )
 from sim.lab.discrepancy.rules import DecisionRules
@@ -31,7 +29,6 @@ from sim.lab.discrepancy.screen import (
     candidate_shapes,
     screen_shapes,
     shape_columns,
-    smooth_course,
 )
 from sim.lab.learning import Indices
 from sim.sha import Array
@@ -74,12 +71,12 @@ def find_onset(
     borders = np.arange(side, starts.size - side + 1)
     if not borders.size:
         return None
-    smooth, projector = smooth_course(fitted), Projector(fitted)
-    every = candidate_shapes(fitted, (*entries, *rivals()), roles, smooth)
+    projector = Projector(fitted)
+    every = candidate_shapes(projector, (*entries, *rivals()), roles)
     lasting = tuple(shape for shape in every if DATE not in shape.params or _by_the_clock(shape))
-    all_along = screen_shapes(fitted, lasting, shape_columns(fitted, lasting, smooth)).gain.max() if lasting else 0.0
+    all_along = screen_shapes(projector, lasting, shape_columns(projector, lasting)).gain.max() if lasting else 0.0
     shapes = [shape for shape in lasting if _stateless(shape)]
-    begins = _best_of_each(projector, shapes, smooth, starts[_evenly(borders, FIRST)])
+    begins = _best_of_each(projector, shapes, starts[_evenly(borders, FIRST)])
     gains = np.array([_gains(projector, begins, start) for start in starts[_evenly(borders, BORDERS)]])
     best = begins[int(np.argmax(gains.max(axis=0)))]
     profile = np.array([_gains(projector, [best], start)[0] for start in starts[borders]])
@@ -90,7 +87,7 @@ def find_onset(
     p = min(float(scipy.stats.chi2.sf(2.0 * gain, 1)) * looks, 1.0)
     if p > rules.beginning_most_p or gain < rules.least_gain_nats or gain - float(all_along) < rules.margin_nats:
         return None
-    column = _onset_columns(fitted, [best], starts[before])
+    column = _onset_columns(projector, [best], starts[before])
     strength, carried = _agreement(projector, column)
     # What the model's own parameters imitate would be fitted away, as where an effect is named.
     left = column[:, 0] - fitted.columns @ np.linalg.lstsq(fitted.columns, column[:, 0], rcond=None)[0]
@@ -127,11 +124,11 @@ def _evenly(borders: Indices, most: int) -> Indices:
     return np.asarray(borders[np.unique(np.linspace(0, borders.size - 1, min(most, borders.size)).round().astype(int))])
 
 
-def _best_of_each(projector: Projector, shapes: Sequence[Shape], smooth: Array, starts: Array) -> list[_MayBegin]:
+def _best_of_each(projector: Projector, shapes: Sequence[Shape], starts: Array) -> list[_MayBegin]:
     """Of each effect the shape of the greatest gain at some of the `starts`; heat without a signal; and an offset."""
     record, best = projector.fitted.frame.record, dict[str, tuple[float, _MayBegin]]()
     for first in range(0, len(shapes), CHUNK_SHAPES):
-        some = [_shape_heat(projector.fitted, shape, smooth) for shape in shapes[first : first + CHUNK_SHAPES]]
+        some = [_shape_heat(projector, shape) for shape in shapes[first : first + CHUNK_SHAPES]]
         gains = np.max([_gains(projector, some, start) for start in starts], axis=0)
         for one, gain in zip(some, gains.tolist(), strict=True):
             if one.name not in best or gain > best[one.name][0]:
@@ -146,26 +143,25 @@ def _best_of_each(projector: Projector, shapes: Sequence[Shape], smooth: Array, 
     ]
 
 
-def _shape_heat(fitted: Fitted, shape: Shape, smooth: Array) -> _MayBegin:
+def _shape_heat(projector: Projector, shape: Shape) -> _MayBegin:
     """The shape with its heat along the smoothed course."""
-    record = fitted.frame.record
-    heat = net_heat(record, automaton_effects(shape.with_strength(1.0), record.model), smooth)
+    record = projector.fitted.frame.record
+    heat = net_heat(record, automaton_effects(shape.with_strength(1.0), record.model), projector.smooth)
     return _MayBegin(shape.entry.name, shape.entry.sign, heat)
 
 
-def _onset_columns(fitted: Fitted, begins: Sequence[_MayBegin], start: float) -> Array:
+def _onset_columns(projector: Projector, begins: Sequence[_MayBegin], start: float) -> Array:
     """(m, c) degC what each does to the windows at unit strength where it acts from `start` (s) on."""
-    frame, state, runs = fitted.frame, fitted.state, fitted.frame.record.runs
-    since = (runs.time > start).astype(float)
-    added = heat_filter(frame, state)
-    # Windowed one by one: at the knots all of them together would be most of the memory that a long record takes.
-    columns = (since if each.reading else sensor_view(frame, state, added(each.heat * since)) for each in begins)
-    return np.column_stack([frame.record.window_means(column) for column in columns])
+    record = projector.fitted.frame.record
+    since = (record.runs.time > start).astype(float)
+    return np.column_stack(
+        [record.window_means(since) if each.reading else projector.added(each.heat * since) for each in begins]
+    )
 
 
 def _gains(projector: Projector, begins: Sequence[_MayBegin], start: float) -> Array:
     """(c,) nats of each that acts from `start` (s) on, 0 where its sign is not physics or nothing of it is visible."""
-    columns = _onset_columns(projector.fitted, begins, start)
+    columns = _onset_columns(projector, begins, start)
     return alone(projector, columns, np.array([each.sign for each in begins]))[0]
 
 

@@ -8,6 +8,7 @@ shapes. The screen is conservative: the noise was fitted without the effect and 
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import scipy
@@ -20,13 +21,12 @@ from sim.lab.discrepancy.fitting import (
     Record,
     Whitener,
     automaton_effects,
-    heat_filter,
+    heat_response,
     hold_signal,
     net_heat,
     on_sensor,
     role_signals,
     sense_course,
-    sensor_view,
 )
 from sim.sha import Array
 
@@ -67,11 +67,43 @@ class Projector:
         stacked = np.column_stack([fitted.residual, fitted.columns])
         weighed = self._whitener.weigh(stacked)
         prior = np.maximum(fitted.prior, 1e-12)
-        self._weighed = weighed[:, 1:]
+        self._fit_weighed, self._weighed = weighed[:, 0], weighed[:, 1:]
         self._factor = scipy.linalg.cho_factor(fitted.columns.T @ self._weighed + np.diag(prior))
         best = scipy.linalg.cho_solve(self._factor, fitted.columns.T @ weighed[:, 0] - fitted.prior * fitted.off)
         self.residual = fitted.residual - fitted.columns @ best
         self.weighed_residual = weighed[:, 0] - self._weighed @ best
+
+    @cached_property
+    def smooth(self) -> Array:
+        """(n,) degC the temperature at the knots without the sensor's noise: free run plus the smoothed residual."""
+        return _course_at_knots(self.fitted, self._whitener.smooth(self.fitted.residual, self._fit_weighed))
+
+    @property
+    def smoothed_residual(self) -> Array:
+        """(m,) degC `residual` without the errors of the reading."""
+        return self._whitener.smooth(self.residual, self.weighed_residual)
+
+    @cached_property
+    def added(self) -> Callable[[Array], Array]:
+        """The fit's `heat_response`."""
+        return heat_response(self.fitted.frame, self.fitted.state)
+
+    def size_and_score(self, column: Array) -> tuple[float, float]:
+        """(c' P c, c' P r) of a column (m,) degC: the linear problem of its strength alone."""
+        weighed = self._weighed.T @ column
+        size = float(
+            self._whitener.gram(column[:, None])[0, 0] - weighed @ scipy.linalg.cho_solve(self._factor, weighed)
+        )
+        return size, float(column @ self.weighed_residual)
+
+    def cosines(self, columns: Array) -> Array:
+        """(c,) the cosine of each of the columns (m, c) degC with the first, in the product of P."""
+        # Columns of unit size: strengths run from degC to 1/s, and one normal matrix would lose its digits.
+        scale = np.sqrt(np.mean(columns**2, axis=0))
+        scaled = columns / np.where(scale > 1e-12, scale, 1.0)
+        _, weighed, _ = self.clean(scaled)
+        size = np.sqrt(np.maximum(np.einsum("ij,ij->j", scaled, weighed), 1e-300))
+        return np.asarray(weighed[:, 0] @ scaled / (size * size[0]))
 
     def made_room(self, column: Array) -> Array:
         """(p + r + e,) how the fit's parameters move when `column` (m,) degC is added to its course."""
@@ -102,16 +134,16 @@ def alone(projector: Projector, columns: Array, signs: Array) -> tuple[Array, Ar
 
 @dataclass(frozen=True, slots=True)
 class Screen:
-    """c shapes with their projected problem: `normal` (c, c) = C'PC and `score` (c,) = C'Pr, P the projected V^-1.
+    """c shapes with their projected problem: `size` (c,) = c'Pc and `score` (c,) = c'Pr, P the projected V^-1.
 
     `visible` (c,) is the share of each column's size that is left after projection. `by_cycle` (cycles, c) are the
-    parts of the scores and `information` (cycles, c) those of the normal matrix's diagonal. Columns are scaled to a
+    parts of the scores and `information` (cycles, c) those of the sizes. Columns are scaled to a
     root mean square of 1 degC, `scale` (c,) being their own: degC for one unit of strength.
     """
 
     shapes: tuple[Shape, ...]
     scale: Array
-    normal: Array
+    size: Array
     score: Array
     visible: Array
     by_cycle: Array
@@ -120,12 +152,12 @@ class Screen:
     @property
     def standardised_strengths(self) -> Array:
         """(c,) the best strengths over their standard errors."""
-        return np.asarray(self.score / np.sqrt(np.maximum(np.diag(self.normal), 1e-300)))
+        return np.asarray(self.score / np.sqrt(np.maximum(self.size, 1e-300)))
 
     @property
     def strength(self) -> Array:
         """(c,) the best strength of each shape alone, in the parameter's unit."""
-        return np.asarray(self.score / np.maximum(np.diag(self.normal) * self.scale, 1e-300))
+        return np.asarray(self.score / np.maximum(self.size * self.scale, 1e-300))
 
     @property
     def gain(self) -> Array:
@@ -150,9 +182,13 @@ class Screen:
 
 
 def smooth_course(fitted: Fitted) -> Array:
-    """(n,) degC the temperature at the knots without the sensor's noise: free run plus the smoothed residual."""
+    """(n,) degC `Projector.smooth` of a fit of which nothing else is asked."""
+    return _course_at_knots(fitted, Whitener(fitted.grid, fitted.noise).smooth(fitted.residual))
+
+
+def _course_at_knots(fitted: Fitted, smoothed: Array) -> Array:
+    """(n,) degC the free run and the `smoothed` residual (m,) of the windows."""
     record = fitted.frame.record
-    smoothed = Whitener(fitted.grid, fitted.noise).smooth(fitted.residual)
     # The residual is smoothed on windows and carried to the knots between them; the free run has the knots' own shape.
     out = fitted.state.mean.copy()
     runs, run = record.runs, record.runs.run[record.rows[record.begins]]
@@ -163,12 +199,10 @@ def smooth_course(fitted: Fitted) -> Array:
     return out
 
 
-def shape_columns(
-    fitted: Fitted, shapes: Sequence[Shape], smooth: Array, added: Callable[[Array], Array] | None = None
-) -> Array:
-    """(m, c) degC what one unit of strength of each shape does to the windows; `added` is the fit's `heat_filter`."""
+def shape_columns(projector: Projector, shapes: Sequence[Shape]) -> Array:
+    """(m, c) degC what one unit of strength of each shape does to the windows of a fit."""
+    fitted, smooth, added = projector.fitted, projector.smooth, projector.added
     record, state = fitted.frame.record, fitted.state
-    added = heat_filter(fitted.frame, state) if added is None else added
     out = []
     for shape in shapes:
         effects = automaton_effects(shape.with_strength(1.0), record.model)
@@ -180,17 +214,16 @@ def shape_columns(
             continue
         # A heat that depends on the temperature is taken along the smoothed reading, not along the free run: where
         # something is missing the free run is wrong, and a thermostat would open in it at the wrong times.
-        out.append(record.window_means(sensor_view(fitted.frame, state, added(net_heat(record, effects, smooth)))))
+        out.append(added(net_heat(record, effects, smooth)))
     return np.column_stack(out)
 
 
 def candidate_shapes(
-    fitted: Fitted, entries: Sequence[CatalogueEntry], roles: Mapping[str, str], smooth: Array
+    projector: Projector, entries: Sequence[CatalogueEntry], roles: Mapping[str, str]
 ) -> Iterator[Shape]:
     """Every shape of every entry whose signals are there, but those too short to be seen between the rows."""
-    record = fitted.frame.record
+    record, smooth, score = projector.fitted.frame.record, projector.smooth, projector.weighed_residual
     shortest = shortest_visible(record)
-    score = Projector(fitted).weighed_residual
     for entry in entries:
         signals = role_signals(entry, roles)
         if signals is None:
@@ -216,10 +249,10 @@ def shortest_visible(record: Record) -> float:
 
 def screen(fitted: Fitted, entries: Sequence[CatalogueEntry], roles: Mapping[str, str]) -> tuple[Screen, Screen]:
     """Every shape of every entry against what the fit leaves: under its noise, and under that of `quieter`."""
-    smooth = smooth_course(fitted)
-    shapes = tuple(candidate_shapes(fitted, entries, roles, smooth))
-    columns = shape_columns(fitted, shapes, smooth)
-    return screen_shapes(fitted, shapes, columns), screen_shapes(quieter(fitted), shapes, columns)
+    projector = Projector(fitted)
+    shapes = tuple(candidate_shapes(projector, entries, roles))
+    columns = shape_columns(projector, shapes)
+    return screen_shapes(projector, shapes, columns), screen_shapes(Projector(quieter(fitted)), shapes, columns)
 
 
 def quieter(fitted: Fitted) -> Fitted:
@@ -228,29 +261,27 @@ def quieter(fitted: Fitted) -> Fitted:
     return replace(fitted, noise=replace(fitted.noise, cycle=0.5 * fitted.noise.cycle))
 
 
-def screen_shapes(fitted: Fitted, shapes: tuple[Shape, ...], columns: Array) -> Screen:
+def screen_shapes(projector: Projector, shapes: tuple[Shape, ...], columns: Array) -> Screen:
     """The projected problem of the shapes' columns (m, c)."""
-    projector = Projector(fitted)
     # Columns of unit size: strengths run from degC to 1/s, and one normal matrix of them all would lose its digits.
     scale = np.sqrt(np.mean(columns**2, axis=0))
     scaled = columns / np.where(scale > 1e-12, scale, 1.0)
     # The cycles follow one another, so that each one's windows lie together.
-    begins = np.flatnonzero(np.diff(fitted.grid.cycle, prepend=-1))
+    begins = np.flatnonzero(np.diff(projector.fitted.grid.cycle, prepend=-1))
     width = columns.shape[1]
     parts, shares, before = np.empty((begins.size, width)), np.empty((begins.size, width)), np.empty(width)
-    normal = np.empty((width, width))
     for begin in range(0, width, CHUNK_COLUMNS):
         some = slice(begin, begin + CHUNK_COLUMNS)
         cleaned, weighed, before[some] = projector.clean(scaled[:, some])
-        normal[:, some] = scaled.T @ weighed
         parts[:, some] = np.add.reduceat(cleaned * projector.weighed_residual[:, None], begins)
         shares[:, some] = np.add.reduceat(cleaned * weighed, begins)
-    left = np.maximum(np.diag(normal), 0.0)
+    size = shares.sum(axis=0)
+    left = np.maximum(size, 0.0)
     visible = np.where((scale > 1e-12) & (before > 0), np.sqrt(left / np.maximum(before, 1e-300)), 0.0)
     return Screen(
         shapes=shapes,
         scale=scale,
-        normal=0.5 * (normal + normal.T),
+        size=size,
         score=scaled.T @ projector.weighed_residual,
         visible=visible,
         by_cycle=parts,
@@ -258,22 +289,18 @@ def screen_shapes(fitted: Fitted, shapes: tuple[Shape, ...], columns: Array) -> 
     )
 
 
-def refine_shape(fitted: Fitted, shape: Shape, strength: float) -> Named:
+def refine_shape(projector: Projector, shape: Shape, strength: float) -> Named:
     """The effect with its shape where the gain is greatest, searched from a shape of the screen."""
-    smooth = smooth_course(fitted)
-    projector = Projector(fitted)
-    shortest, added = shortest_visible(fitted.frame.record), heat_filter(fitted.frame, fitted.state)
+    record = projector.fitted.frame.record
+    shortest = shortest_visible(record)
     names = [name for name in shape.entry.candidate.refine if name in shape.params]
     if not names:
         return shape.with_strength(strength)
     best: list[tuple[float, Shape, float]] = []
 
     def loss(point: Array) -> float:
-        trial = _shape_at_point(shape, names, point, fitted.frame.record, shortest)
-        column = shape_columns(fitted, [trial], smooth, added)
-        _, weighed, _ = projector.clean(column)
-        size = float(column[:, 0] @ weighed[:, 0])
-        score = float(column[:, 0] @ projector.weighed_residual)
+        trial = _shape_at_point(shape, names, point, record, shortest)
+        size, score = projector.size_and_score(shape_columns(projector, [trial])[:, 0])
         if size <= 0:
             return 0.0
         wrong = shape.entry.sign * score < 0

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sim.lab.discrepancy.fitting import Fitted, Whitener, heat_filter, sensor_view, with_heats
+from sim.lab.discrepancy.fitting import Fitted, Whitener, heat_response, with_heats
 from sim.lab.discrepancy.heat import HOUR_S
 from sim.sha import Array
 
@@ -76,10 +76,7 @@ def _knot_columns(before: Fitted, spacing: float) -> Array:
     middle = record.runs.time - record.runs.dt / 2.0
     count = max(round(float(middle[-1] - middle[0]) / spacing), 1)
     knots, step = np.linspace(middle[0], middle[-1], count + 1, retstep=True)
-    added, columns = heat_filter(before.frame, before.state), []
-    for knot in knots:
-        heat = np.maximum(1.0 - np.abs(middle - knot) / step, 0.0)
-        columns.append(record.window_means(sensor_view(before.frame, before.state, added(heat))))
-    out = np.column_stack(columns)
+    added = heat_response(before.frame, before.state)
+    out = np.column_stack([added(np.maximum(1.0 - np.abs(middle - knot) / step, 0.0)) for knot in knots])
     top = np.abs(out).max(axis=0)
     return np.where(np.abs(out) < NEGLIGIBLE_SHARE * top, 0.0, out)[:, top > 0]

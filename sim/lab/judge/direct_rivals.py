@@ -17,6 +17,7 @@ from sim.lab.judge.past import (
     trained_columns,
     weighted_quantiles,
 )
+from sim.lab.tree_regressor import tree_regressor
 from sim.sha import Array, Mask
 
 ORIGIN_STEP_S = 10.0
@@ -198,10 +199,8 @@ def boosted_trees(examples: Examples, horizon: float, seed: int) -> HorizonFit:
 
 
 def _trees(examples: Examples, outcomes: Array, seed: int) -> Regression:
-    from sklearn.ensemble import HistGradientBoostingRegressor
-
     weights = equal_shares(examples.groups)
-    trees: Regression = HistGradientBoostingRegressor(
+    trees: Regression = tree_regressor(
         learning_rate=0.1,
         max_iter=60,
         max_leaf_nodes=15,

@@ -6,7 +6,7 @@ from sim.lab.discrepancy.fitting.course import (
     LATE_TOGETHER,
     CourseState,
     friction_heat,
-    heat_filter,
+    heat_response,
     row_later,
     run_frame,
     sensor_view,

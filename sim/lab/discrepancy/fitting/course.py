@@ -26,7 +26,8 @@ from sim.lab.discrepancy.fitting.effects import (
 )
 from sim.lab.discrepancy.fitting.named import Named, automaton_effects
 from sim.lab.discrepancy.fitting.noise import Grid, decay_and_pull
-from sim.lab.learning import RATE_PARAMETERS, steps
+from sim.lab.discrepancy.fitting.record import Record
+from sim.lab.learning import RATE_PARAMETERS, Indices, steps
 from sim.sha import Array, Effect
 
 ITERATIONS, STILL = 60, 1e-6
@@ -147,12 +148,65 @@ def step_rates(frame: Frame, log_rates: Array) -> Array:
     return np.asarray(rate[frame.record.runs.place])
 
 
-def heat_filter(frame: Frame, state: CourseState) -> Callable[[Array], Array]:
-    """What makes of a heat (n,) in degC/s, held over each step, what it adds to the bearing's temperature (n,) degC."""
-    runs = frame.record.runs
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WindowResponse:
+    """What pushes (n,) degC at the knots of a linear course do to the means of its windows, without the course itself.
+
+    A window's mean is a sum over its knots, by `share` (n,), and what the temperature at the end of the window before
+    leaves there, `carried` (m,); that end is such a sum, too, by `left` (n,), and `kept` (m,). So the recursion is over
+    windows alone, once the products within each are known. `begins` (m,) are the windows' first knots.
+    """
+
+    begins: Indices
+    share: Array
+    left: Array
+    carried: Array
+    kept: Array
+
+    def means(self, pushes: Array) -> Array:
+        """(m,) degC."""
+        own, end = (np.add.reduceat(pushes[: weight.size] * weight, self.begins) for weight in (self.share, self.left))
+        ends = linear_recursion(self.kept, end, 0.0)
+        own[1:] += self.carried[1:] * ends[:-1]
+        return own
+
+
+def window_response(record: Record, decay: Array) -> WindowResponse:
+    """The response of a course that keeps the share `decay` (n,) of itself over each step."""
+    last = record.rows[np.append(record.begins[1:], record.rows.size) - 1]
+    begins, knots = np.append(0, last[:-1] + 1), int(last[-1]) + 1  # none after the last reading is in a window
+    counts = np.diff(np.append(record.begins, record.rows.size))
+    read, ends = np.zeros(knots), np.zeros(knots)
+    read[record.rows], ends[last] = 1.0, 1.0
+    # From each knot on to the end of its window, backwards: how often what is there is read, and what is left at last.
+    onward = np.append(decay[1:knots], 0.0)
+    onward[last] = 0.0
+    share, left = (linear_recursion(onward[::-1], each[::-1], 0.0)[::-1] for each in (read, ends))
+    share = share / np.repeat(counts, np.diff(np.append(begins, knots)))
+    return WindowResponse(
+        begins=begins,
+        share=share,
+        left=np.ascontiguousarray(left),
+        carried=decay[begins] * share[begins],
+        kept=decay[begins] * left[begins],
+    )
+
+
+def heat_response(frame: Frame, state: CourseState) -> Callable[[Array], Array]:
+    """What makes of a heat (n,) in degC/s, held over each step, what it adds to the windows' readings (m,) degC."""
+    record = frame.record
+    runs = record.runs
     decay, pull = decay_and_pull(state.k + state.loss, runs.dt)
     decay, pull = np.where(runs.first, 0.0, decay), np.where(runs.first, 0.0, pull)
-    return lambda heat: linear_recursion(decay, pull * heat, 0.0)
+    if _reads_late(state):
+        return lambda heat: record.window_means(sensor_view(frame, state, linear_recursion(decay, pull * heat, 0.0)))
+    response = window_response(record, decay)
+    return lambda heat: response.means(pull * heat)
+
+
+def _reads_late(state: CourseState) -> bool:
+    """Whether the sensor shows the temperature later than it is."""
+    return any(named.entry.whole for named in state.named)
 
 
 def window_sensitivity(frame: Frame, state: CourseState, start: Array) -> Array:
@@ -162,24 +216,22 @@ def window_sensitivity(frame: Frame, state: CourseState, start: Array) -> Array:
     none, since it opens a row earlier or does not; it is told by differences of the simulation itself.
     """
     # Column by column: at the knots all of them together would be most of the memory that a diagnosis takes.
-    columns = [frame.record.window_means(column) for column in _knot_sensitivities(frame, state, start)]
-    return np.column_stack(columns)
+    return np.column_stack(list(_window_sensitivities(frame, state, start)))
 
 
-def _knot_sensitivities(frame: Frame, state: CourseState, start: Array) -> Iterator[Array]:
-    """The same at the knots (n,), one parameter after the other."""
-    model = frame.record.model
-    effects = [effect for named in state.named for effect in automaton_effects(named, model)]
+def _window_sensitivities(frame: Frame, state: CourseState, start: Array) -> Iterator[Array]:
+    """The columns (m,), one parameter after the other."""
+    record = frame.record
+    effects = [effect for named in state.named for effect in automaton_effects(named, record.model)]
     if any(effect_kind(effect).law == VALVE and not is_gradual(effect) for effect in effects):
-        yield from _by_differences(frame, state, start)
+        yield from (record.window_means(column) for column in _by_differences(frame, state, start))
         return
     heating = any(not on_sensor(effect) for effect in effects)
     here = _linear_steps(frame, state.log_rates, state.loss if heating else None)
-    carried, late = _carrier(frame, effects, here), any(named.entry.whole for named in state.named)
+    carried = _carrier(frame, state, effects, here)
     for forcing, read in _forcings(frame, state, here, heating=heating):
         column = carried(forcing)
-        column = sensor_view(frame, state, column) if late else column
-        yield column if read is None else column + read
+        yield column if read is None else column + record.window_means(read)
 
 
 def _forcings(
@@ -272,12 +324,18 @@ def _sense(frame: Frame, named: Sequence[Named], course: Array) -> Array:
     return course
 
 
-def _carrier(frame: Frame, effects: Sequence[Effect], here: _LinearSteps) -> Callable[[Array], Array]:
-    """What makes of pushes (n,) degC the courses (n,) degC, with what a housing gives back of them."""
-    housings = [effect for effect in effects if effect_kind(effect).law == HOUSING]
-    if not housings:
-        return lambda forcing: linear_recursion(here.decay, forcing, 0.0)
+def _carrier(
+    frame: Frame, state: CourseState, effects: Sequence[Effect], here: _LinearSteps
+) -> Callable[[Array], Array]:
+    """What makes of pushes (n,) degC the windows' readings (m,) degC, with what a housing gives back of them."""
     record, runs = frame.record, frame.record.runs
+    housings = [effect for effect in effects if effect_kind(effect).law == HOUSING]
+    if not housings and not _reads_late(state):
+        return window_response(record, here.decay).means
+    if not housings:
+        return lambda forcing: record.window_means(
+            sensor_view(frame, state, linear_recursion(here.decay, forcing, 0.0))
+        )
     coupling = sum(housing_coupling(record, effect) for effect in housings)
     # x = decay x' + push (coupling y) + forcing and y = keep y' + (1 - keep) (x + x') / 2, y = x where a run begins:
     # one lower band of the unknowns (x, y) of each knot, with y for a share of x put in at the step's end.
@@ -296,7 +354,7 @@ def _carrier(frame: Frame, effects: Sequence[Effect], here: _LinearSteps) -> Cal
         right = np.zeros(2 * len(runs))
         right[0::2] = forcing
         solved, _ = dtbtrs(bands, right, uplo="L", overwrite_b=True)
-        return np.asarray(solved[0::2])
+        return record.window_means(sensor_view(frame, state, np.asarray(solved[0::2])))
 
     return carry
 

@@ -94,16 +94,26 @@ def heat_and_loss(record: Record, effect: Effect, course: Array) -> tuple[Array,
             loss, heat = radiation_tangent(effect, gain=effect.params["gain"], about=course, around=around)
         case law:
             raise unknown("a diagnosis", effect.kind, law)
-    present = np.array([affects_location(effect, location.name) for location in record.model.sha.locations])[runs.place]
-    acting = present & np.isfinite(heat) & np.isfinite(loss)
-    late = deviation(record, effect) if heat_lag(effect) > 0 else nothing
-    return np.where(acting, heat, 0.0) + late, np.where(acting, loss, 0.0)
+    acting = np.isfinite(heat)
+    if loss is not nothing:
+        acting &= np.isfinite(loss)
+    if effect.locations:
+        acting &= _location_mask(record, effect)
+    heat = np.where(acting, heat, 0.0)
+    if heat_lag(effect) > 0:
+        heat += deviation(record, effect)
+    return heat, nothing if loss is nothing else np.where(acting, loss, 0.0)
+
+
+def _location_mask(record: Record, effect: Effect) -> Mask:
+    """(n,) where an effect's locations are."""
+    acting = np.array([affects_location(effect, location.name) for location in record.model.sha.locations])
+    return np.asarray(acting[record.runs.place])
 
 
 def housing_coupling(record: Record, effect: Effect) -> Array:
     """(n,) 1/s the coupling of a housing in each step, 0 where it does not act."""
-    acting = np.array([affects_location(effect, location.name) for location in record.model.sha.locations])
-    return np.asarray(np.where(acting[record.runs.place], effect.params["coupling"], 0.0))
+    return np.asarray(np.where(_location_mask(record, effect), effect.params["coupling"], 0.0))
 
 
 def _view(record: Record, effect: Effect) -> RecordView:

@@ -525,7 +525,8 @@ def restricted_likelihood(
     the slopes of minus that by the noise's coordinates (`noise.vector`), with its average information."""
     # Laplace's integral, exact for the linear problem around the free run: with N = C' V^-1 C + P the parameters'
     # posterior precision and g the score at the state, -2 ln L = ln |V| + ln |N| - ln |P| + misfit - g' N^-1 g.
-    gram = whitener.gram(np.column_stack([residual, columns]))
+    half = whitener.half_weigh(np.column_stack([residual, columns]))
+    gram = half.products(half)
     score = gram[1:, 0] - prior * off
     root = lower_root(gram[1:, 1:] + np.diag(prior))
     if root is None:
@@ -539,12 +540,15 @@ def restricted_likelihood(
     def derivatives() -> tuple[Array, Array]:
         # d ln |N| = tr(N^-1 C' dV^-1 C): the columns C R^-T, with N = R R', each weighed by itself. The misfit's
         # derivative is that of the residual left by the best parameters, which are where it does not change with them.
-        mixed = scipy.linalg.solve_triangular(root, columns.T, lower=True).T
-        slopes, pulls = whitener.slopes(np.column_stack([mixed, residual - columns @ best]))
+        mixing = np.zeros((1 + best.size, best.size + 1))
+        mixing[1:, :-1] = scipy.linalg.solve_triangular(root, np.eye(best.size), lower=True, trans="T")
+        mixing[:, -1] = np.append(1.0, -best)
+        mixed = half.mix(mixing)
+        slopes, pulls = whitener.slopes(mixed)
         # The average of observed and expected information needs no trace: D' P D / 2 of the pulls D = dV P r, with P
         # the inverse covariance that has the parameters taken out.
-        own = slopes.size
-        weighed = whitener.gram(np.column_stack([pulls, mixed]))
-        return 0.5 * slopes, 0.5 * (weighed[:own, :own] - weighed[:own, own:] @ weighed[own:, :own])
+        pulled = whitener.half_weigh(pulls)
+        with_columns = pulled.products(mixed)[:, :-1]
+        return 0.5 * slopes, 0.5 * (pulled.products(pulled) - with_columns @ with_columns.T)
 
     return -0.5 * (whitener.logdet + determinant + misfit), derivatives

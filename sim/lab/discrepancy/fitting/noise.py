@@ -21,8 +21,8 @@ import numpy as np
 import scipy
 
 from sim.effects import DisturbanceStep, disturbance_step
-from sim.engine import linear_recursion
-from sim.lab.discrepancy.fitting.scattering import Scattering, Spans, StateBand, column_spans
+from sim.engine import linear_recursion, matrix_recursion
+from sim.lab.discrepancy.fitting.scattering import HalfWeighed, Scattering, Spans, StateBand, column_spans
 from sim.lab.learning import Indices
 from sim.sha import Array, Mask
 
@@ -106,7 +106,8 @@ class Whitener:
         are at hand."""
         self.grid, self.noise = grid, noise
         self._rough = disturbance_step(noise.memory, grid.k, grid.dt) if rough is None else rough
-        self._precision, self._prior_logdet = _precision(grid, noise, self._rough)
+        self._plant = _plant_steps(grid)
+        self._precision, self._prior_logdet = _precision(grid, noise, self._plant, self._rough)
         factor = scipy.linalg.cholesky_banded(
             _reading_precision(self._precision, noise), lower=True, check_finite=False
         )
@@ -115,33 +116,39 @@ class Whitener:
         spans = column_spans(grid.heats) if spans is None else spans
         self._scattering = Scattering(self._band, grid.heats, noise.cycle, others, spans)
 
-    def gram(self, columns: Array) -> Array:
-        """(c, c) C' V^-1 C of the columns C (m, c), for half of what weighing them costs."""
+    def half_weigh(self, columns: Array) -> HalfWeighed:
+        """The columns (m, c) with what their products by V^-1 take, for half of what weighing them costs."""
         halved = self._band.half_solve(columns)
-        part = self._scattering.half(self._scattering.cross_products(columns, halved))
-        return np.asarray(columns.T @ columns * self._band.weight - halved.T @ halved - part.T @ part)
+        across = self._scattering.half(self._scattering.cross_products(columns, halved))
+        return HalfWeighed(columns, halved, across, self._band.weight)
+
+    def gram(self, columns: Array) -> Array:
+        """(c, c) C' V^-1 C of the columns C (m, c)."""
+        half = self.half_weigh(columns)
+        return half.products(half)
 
     def weigh(self, columns: Array) -> Array:
         """V^-1 times the columns (m, c)."""
-        left = self._unscatter(columns)
-        return self._band.residual_weights(left, self._band.solve(left))
+        left, halved, _ = self._unscatter(self.half_weigh(columns))
+        return self._band.residual_weights(left, self._band.back_solve(halved))
 
-    def slopes(self, columns: Array) -> tuple[Array, Array]:
-        """(the derivative of ln |V| + the sum of c' V^-1 c over the columns c (m, k), by each coordinate of `vector`;
+    def slopes(self, half: HalfWeighed) -> tuple[Array, Array]:
+        """(the derivative of ln |V| + the sum of c' V^-1 c over the columns c (m, k) by each coordinate of `vector`;
         (m, coordinates) dV V^-1 times the last column)."""
         # d(c' V^-1 c) = -(V^-1 c)' dV V^-1 c, and the derivative of ln |V| takes the columns of Z so from that of
         # ln |V0|: all of them are V0^-1 times something. In the states X that these stand for, dV0 is -X' dQ X with Q
         # the states' own precision, of whose band alone the products of X are needed.
         grid, noise, band, scattering = self.grid, self.noise, self._band, self._scattering
-        strengths, others = (
-            scattering.solve(scattering.cross_products(columns, band.half_solve(columns))),
-            scattering.others_besides(),
-        )
-        unscattered = columns - scattering.times(strengths)
+        others = scattering.others_besides()
+        unscattered, halved, strengths = self._unscatter(half)
         dense = np.column_stack([scattering.times(others), unscattered])
-        states = band.solve(dense)
+        states = band.back_solve(np.column_stack([scattering.halved_times(others), halved]))
         left = band.residual_weights(dense, states)
         size, products = float(np.sum(left**2)), _products(states, states, self._precision.shape[0])
+        known = inverse_band(band.factor, band.states)
+        # ln |V0| = ln |Q + H' H / sensor^2| - ln |Q| + 2 m ln sensor, by the determinant lemma.
+        products += np.vstack([known[:1], 2.0 * known[1:]])
+        size -= (grid.dt.size - band.weight * _reading_variance(known, band.states)) / noise.sensor**2
         inverse = scattering.inner_inverse()
         for piece in scattering.solve_cycles():
             mixed = inverse[piece.columns, piece.columns]
@@ -152,8 +159,8 @@ class Whitener:
                 piece.states @ mixed, np.vstack([piece.states, piece.after]), products.shape[0]
             )
         alike = np.diag(inverse) + np.sum(others[: inverse.shape[0]] ** 2, axis=1)
-        cycles = np.vstack([strengths[: inverse.shape[0]], np.zeros((others.shape[1], columns.shape[1]))])
-        point, logdet = vector(noise), self._unscattered_logdet(self._precision, self._prior_logdet, noise)
+        cycles = np.vstack([strengths[: inverse.shape[0]], np.zeros((others.shape[1], strengths.shape[1]))])
+        point = vector(noise)
         out, pulls, forced = np.empty(point.size), np.empty((grid.dt.size, point.size)), np.zeros((states.shape[0], 0))
         of_states = [number for number in range(point.size) if number not in (SENSOR, CYCLE)]
         for number in range(point.size):
@@ -161,36 +168,35 @@ class Whitener:
                 out[number] = 2.0 * float(np.sum(1.0 - alike) - np.sum(cycles**2))
                 pulls[:, number] = 2.0 * scattering.times(cycles[:, -1:])[:, 0]
                 continue
-            trial = noise_model(point + DERIVATIVE_STEP * (np.arange(point.size) == number))
             if number == SENSOR:
-                moved, prior, change = self._precision, self._prior_logdet, -2.0 * noise.sensor**2 * size
+                out[number] = -2.0 * noise.sensor**2 * size
                 pulls[:, number] = 2.0 * noise.sensor**2 * left[:, -1]
-            else:
-                rough = self._rough if number != MEMORY else disturbance_step(trial.memory, grid.k, grid.dt)
-                moved, prior = _precision(grid, trial, rough)
-                by_step = (moved - self._precision) / DERIVATIVE_STEP
-                change = float(np.sum(by_step * products))
-                forced = np.column_stack([forced, _banded_times(by_step, states[:, -1])])
-            out[number] = change + (self._unscattered_logdet(moved, prior, trial) - logdet) / DERIVATIVE_STEP
+                continue
+            (low, low_prior), (high, high_prior) = (
+                self._moved_precision(noise_model(point + side * DERIVATIVE_STEP * (np.arange(point.size) == number)))
+                for side in (-1.0, 1.0)
+            )
+            by_step = (high - low) / (2.0 * DERIVATIVE_STEP)
+            forced = np.column_stack([forced, _banded_times(by_step, states[:, -1])])
+            out[number] = float(np.sum(by_step * products)) - (high_prior - low_prior) / (2.0 * DERIVATIVE_STEP)
         # dV0 V^-1 c = -H Q^-1 dQ X.
         solved = scipy.linalg.solveh_banded(self._precision, forced, lower=True, check_finite=False)
         pulls[:, of_states] = -sum(solved[part :: band.states] for part in range(0, band.states, 2))
         return out, pulls
 
-    @staticmethod
-    def _unscattered_logdet(precision: Array, prior_logdet: float, noise: NoiseModel) -> float:
-        """ln |V0|, without the columns of Z."""
-        # The determinant lemma: |A + U U'| = |A| |I + U' A^-1 U|.
-        factor = scipy.linalg.cholesky_banded(_reading_precision(precision, noise), lower=True, check_finite=False)
-        windows = precision.shape[1] // (precision.shape[0] - 2)
-        return float(2.0 * windows * np.log(noise.sensor) + 2.0 * np.log(factor[0]).sum() - prior_logdet)
+    def _moved_precision(self, trial: NoiseModel) -> tuple[Array, float]:
+        """The states' banded precision under a noise near this one, and its log-determinant."""
+        grid, same = self.grid, trial.memory == self.noise.memory
+        rough = self._rough if same else disturbance_step(trial.memory, grid.k, grid.dt)
+        return _precision(grid, trial, self._plant, rough)
 
-    def _unscatter(self, columns: Array) -> Array:
-        """(m, c) columns that V0^-1 weighs as V^-1 weighs the given ones."""
+    def _unscatter(self, half: HalfWeighed) -> tuple[Array, Array, Array]:
+        """((m, c) columns that V0^-1 weighs as V^-1 weighs the given ones, the same half solved, the strengths of the
+        columns of Z that they are without)."""
         scattering = self._scattering
-        return columns - scattering.times(
-            scattering.solve(scattering.cross_products(columns, self._band.half_solve(columns)))
-        )
+        strengths = scattering.back_solve(half.across)
+        left = half.columns - scattering.times(strengths)
+        return left, half.halved - scattering.halved_times(strengths), strengths
 
     @property
     def logdet(self) -> float:
@@ -199,9 +205,13 @@ class Whitener:
         banded = 2.0 * np.log(self._band.factor[0]).sum() - self._prior_logdet
         return float(sensor + banded + self._scattering.logdet)
 
-    def smooth(self, residual: Array) -> Array:
-        """(m,) the residual without the errors of the reading, white and lasting: its mean given all readings, degC."""
-        noise, weighed = self.noise, self.weigh(residual[:, None])[:, 0]
+    def smooth(self, residual: Array, weighed: Array | None = None) -> Array:
+        """(m,) the residual without the errors of the reading, white and lasting: its mean given all readings, degC.
+
+        `weighed` (m,) is V^-1 times it, where that is at hand.
+        """
+        noise = self.noise
+        weighed = self.weigh(residual[:, None])[:, 0] if weighed is None else weighed
         error = noise.sensor**2 * weighed
         if noise.lasting > 0:
             # What lasts has the covariance lasting^2 e^(-|t - t'| / fades), whose product is a sum from either side.
@@ -214,10 +224,10 @@ class Whitener:
     def heat(self, residual: Array) -> tuple[Array, Array]:
         """(mean, variance) (m,) of the rough heat h at each window, degC/s, given all readings."""
         band, scattering = self._band, self._scattering
-        mean = band.solve(self._unscatter(residual[:, None]))[1 :: band.states, 0]
+        mean = band.back_solve(self._unscatter(self.half_weigh(residual[:, None]))[1])[1 :: band.states, 0]
         # What is not known of the columns' sizes adds to what the states themselves leave open.
-        besides = band.solve(scattering.times(scattering.others_besides()))[1 :: band.states]
-        variance = inverse_diagonal(band.factor)[1 :: band.states] + np.sum(besides**2, axis=1)
+        besides = band.back_solve(scattering.halved_times(scattering.others_besides()))[1 :: band.states]
+        variance = inverse_band(band.factor, band.states)[0, 1 :: band.states] + np.sum(besides**2, axis=1)
         inverse = scattering.inner_inverse()
         for piece in scattering.solve_cycles():
             heats = piece.states[1 :: band.states]
@@ -229,7 +239,7 @@ class Whitener:
         grid, noise = self.grid, self.noise
         size = (grid.dt.size, count)
         heat, deviation = np.zeros(count), np.zeros(count)
-        decay, variance, heat_step = _steps(grid, noise, self._rough)
+        decay, (variance, heat_step) = self._plant.decay, _steps(grid, noise, self._plant, self._rough)
         into, fresh = heat_step.coupling, np.sqrt(heat_step.dd)
         variance = variance + noise.rough**2 * heat_step.own
         out = np.empty(size)
@@ -256,9 +266,15 @@ class Whitener:
 SENSOR, CYCLE, MEMORY, LASTS = 0, 3, 4, 7
 """Places in `vector`; from LASTS on stands the error that lasts."""
 DERIVATIVE_STEP = 1e-4
-"""By how much a coordinate is moved for the derivatives of the banded precision and of its determinant."""
-LONGEST_STEP, HALVINGS = 1.5, 6
-"""How far a step may move a coordinate (a factor of 4 or so), and how often it is halved where it leads up."""
+"""By how much a coordinate is moved to either side for the derivatives of the states' banded precision. To one side
+alone, the share at rest would have a slope that is several nats off: where hardly anything else acts at rest, it weighs
+by its inverse square, in two large parts that nearly cancel."""
+LONGEST_STEP, SHORTENED = 1.5, 6
+"""How far a step may move a coordinate (a factor of 4 or so), and how often it is made shorter where it leads up."""
+NEAR_NATS = 3.0
+"""Nats that a step has gained at most where the top is so near that a parabola through both its ends holds."""
+MIN_CURVATURE_SHARE = 0.05
+"""Of the curvature that the information foresees along a step, the least that is believed of the slopes' change."""
 ENOUGH = 0.01
 """Nats that a step must promise: no decision is that fine."""
 
@@ -274,6 +290,13 @@ def _reading_precision(precision: Array, noise: NoiseModel) -> Array:
         posterior[2, ::3] += weight
         posterior[0, 2::3] += weight
     return posterior
+
+
+def _reading_variance(known: Array, states: int) -> float:
+    """degC^2 the sum over the windows of the variance of what is read there without the reading's own error, of the
+    states' covariance in banded form."""
+    read = known[0, 0::states].sum()
+    return float(read if states == 2 else read + (2.0 * known[2, 0::3] + known[0, 2::3]).sum())
 
 
 def _banded_times(band: Array, column: Array) -> Array:
@@ -298,40 +321,72 @@ def _products(left: Array, right: Array, rows: int) -> Array:
     return out
 
 
-def _steps(grid: Grid, noise: NoiseModel, rough: DisturbanceStep) -> tuple[Array, Array, DisturbanceStep]:
-    """(decay, variance of the process and of late switches, the rough heat's part of x) of the step to each window."""
+@dataclass(frozen=True, slots=True)
+class _PlantSteps:
+    """What no noise changes of the step to each window (m,): `decay` of x, and `spread` (s), the variance that white
+    noise of 1 degC/sqrt(s) leaves of itself."""
+
+    decay: Array
+    spread: Array
+
+
+def _plant_steps(grid: Grid) -> _PlantSteps:
+    return _PlantSteps(np.exp(-grid.k * grid.dt), decay_and_pull(2 * grid.k, grid.dt)[1])
+
+
+def _steps(grid: Grid, noise: NoiseModel, plant: _PlantSteps, rough: DisturbanceStep) -> tuple[Array, DisturbanceStep]:
+    """(variance of the process and of late switches, the rough heat's part of x) of the step to each window."""
     white = grid.running + (1.0 - grid.running) * noise.still**2  # where part of a step ran: by variance
     white = np.maximum(noise.process**2 * white, LEAST_PROCESS**2)
-    variance = white * decay_and_pull(2 * grid.k, grid.dt)[1] + grid.late
+    variance = white * plant.spread + grid.late
     # Of the heat only a share acts at rest: it is what reaches x, and the heat itself goes on as ever.
     share = noise.rest + (1.0 - noise.rest) * grid.running
     step = replace(rough, carried=share * rough.carried, xx=share**2 * rough.xx, xd=share * rough.xd)
-    return np.exp(-grid.k * grid.dt), variance, step
+    return variance, step
 
 
-def inverse_diagonal(factor: Array) -> Array:
-    """(n,) the diagonal of (L L')^-1 of a banded Cholesky factor L (b + 1, n) in lower form.
+def inverse_band(factor: Array, states: int) -> Array:
+    """(b + 1, n) the band of (L L')^-1 in lower form, of a banded Cholesky factor L (b + 1, n) of blocks of `states`.
 
-    The recursion of Takahashi, Fagan and Chin (1973): an entry of the inverse within the band takes only such of later
-    rows, so that the inverse is never formed.
+    The recursion of Takahashi, Fagan and Chin (1973) by blocks: with D_t and B_t those of L on and below the diagonal,
+    S_t = (D_t D_t')^-1 + G_t S_t+1 G_t' and S_t,t+1 = G_t S_t+1, where G_t = -(B_t D_t^-1)'. It is linear in what is to
+    be known of S_t, so that it is solved at once, and the inverse is never formed.
     """
-    width, n = factor.shape[0] - 1, factor.shape[1]
-    # Plain floats: a row has a dozen products, and there is nothing to do for whole arrays at once.
-    pivots, below = factor[0].tolist(), (factor[1:] / factor[0]).T.tolist()
-    band = [[0.0] * (n + width + 1) for _ in range(width + 1)]  # band[d][j] is the entry (j + d, j)
-    for j in range(n - 1, -1, -1):
-        ratios = below[j]
-        for d in range(width, 0, -1):
-            band[d][j] = -sum(ratio * band[abs(d - e)][j + min(d, e)] for e, ratio in enumerate(ratios, start=1))
-        band[0][j] = pivots[j] ** -2.0 - sum(ratio * band[e][j] for e, ratio in enumerate(ratios, start=1))
-    return np.array(band[0][:n])
+    width, windows = factor.shape[0] - 1, factor.shape[1] // states
+    each = range(states)
+    columns = [factor[:, at::states] for at in each]
+    nothing = np.zeros(windows)
+    below = [[columns[j][states + i - j] if states + i - j <= width else nothing for j in each] for i in each]
+    root: list[list[Array]] = [[nothing for _ in each] for _ in each]  # D^-1
+    for j in each:
+        root[j][j] = 1.0 / columns[j][0]
+        for i in range(j + 1, states):
+            root[i][j] = -sum(columns[k][i - k] * root[k][j] for k in range(j, i)) * (1.0 / columns[i][0])
+    gain = np.stack([[-sum(below[c][k] * root[k][a] for k in range(a, states)) for c in each] for a in each])
+    gain[:, :, -1] = 0.0
+    pairs = [(a, b) for a in each for b in range(a + 1)]
+    step, own = np.empty((windows, len(pairs), len(pairs))), np.empty((windows, len(pairs)))
+    for row, (a, b) in enumerate(pairs):
+        own[:, row] = sum(root[k][a] * root[k][b] for k in range(a, states))
+        for column, (c, d) in enumerate(pairs):
+            step[:, row, column] = gain[a, c] * gain[b, d] + (gain[a, d] * gain[b, c] if c != d else 0.0)
+    found = matrix_recursion(step[::-1], own[::-1], np.zeros(len(pairs)))[::-1]
+    blocks = [[found[:, pairs.index((max(a, b), min(a, b)))] for b in each] for a in each]
+    out = np.zeros_like(factor)
+    for j in each:
+        for i in range(j, states):
+            out[i - j, j::states] = blocks[i][j]
+        for i in each:
+            if states + i - j <= width:
+                out[states + i - j, j:-states:states] = sum(blocks[i][c][1:] * gain[j, c, :-1] for c in each)
+    return out
 
 
-def _precision(grid: Grid, noise: NoiseModel, rough: DisturbanceStep) -> tuple[Array, float]:
+def _precision(grid: Grid, noise: NoiseModel, plant: _PlantSteps, rough: DisturbanceStep) -> tuple[Array, float]:
     """(4, 2m) the banded precision of the states (x, h) at the windows, lower form, and its log-determinant; (5, 3m)
     with the error that lasts."""
     m = grid.dt.size
-    decay, variance, step = _steps(grid, noise, rough)
+    variance, step = _steps(grid, noise, plant, rough)
     heat = max(noise.rough, LEAST_HEAT) ** 2
     # A Markov chain's precision has a block of two rows a window and one to its neighbour: with z' = F z + q, cov q =
     # Q, the step to each window adds Q^-1 to its own block, F' Q^-1 F to the block before, -Q^-1 F between them.
@@ -343,7 +398,7 @@ def _precision(grid: Grid, noise: NoiseModel, rough: DisturbanceStep) -> tuple[A
     # Q^-1 = (a b; b d), written out: two rows need no solver. In lower form row i of `band` is the i-th subdiagonal.
     determinant = qx * qh - cross**2
     a, b, d = qh / determinant, -cross / determinant, qx / determinant
-    f11, f12, f22 = (np.where(grid.first, 0.0, part) for part in (decay, step.carried, step.keep))
+    f11, f12, f22 = (np.where(grid.first, 0.0, part) for part in (plant.decay, step.carried, step.keep))
     band = np.zeros((4, 2 * m))
     band[0, 0::2] += a
     band[1, 0::2] += b
@@ -448,23 +503,63 @@ def fit_noise(
         low[LASTS + 1], high[LASTS + 1] = BRIEFEST, SLOWEST
     point = np.clip(vector(begin), low, high)
     value, derivatives = cost(point)
+    earlier: tuple[Array, Array] | None = None
     # Few iterations are enough, since the fit comes back here with better parameters.
     for _ in range(iterations):
         slopes, information = derivatives()
         slopes, information = slopes + (point - centre) / spread**2, information + np.diag(spread**-2.0)
-        free = ~(((point <= low) & (slopes > 0)) | ((point >= high) & (slopes < 0)))
-        step = np.zeros(point.size)
-        step[free] = -np.linalg.solve(information[np.ix_(free, free)], slopes[free])
+        if earlier is not None:
+            information = _with_secant(information, point - earlier[0], slopes - earlier[1])
+        step = _bounded_step(slopes, information, low - point, high - point)
         step *= min(1.0, LONGEST_STEP / max(float(np.max(np.abs(step))), LONGEST_STEP))
-        if -0.5 * float(slopes @ step) < ENOUGH:
+        promised = float(slopes @ step)
+        if -0.5 * promised < ENOUGH:
             break
-        for _half in range(HALVINGS):
+        for _shorter in range(SHORTENED):
             moved = np.clip(point + step, low, high)
             after, derivatives = cost(moved)
             if after < value:
                 break
-            step = 0.5 * step
+            # The lowest point of the parabola through both ends and the slope at the first.
+            share = -0.5 * promised / max(after - value - promised, 1e-300) if np.isfinite(after) else 0.1
+            share = min(max(share, 0.1), 0.5)
+            step, promised = share * step, share * promised
         else:
             break
+        # Far from the top the slopes change as no parabola's would: what they say of it there holds nowhere else.
+        gained = value - after
+        earlier = (point, slopes) if gained < NEAR_NATS else None
         point, value = moved, after
+        if gained < ENOUGH:
+            break
     return noise_model(point), value
+
+
+def _bounded_step(slopes: Array, information: Array, least: Array, most: Array) -> Array:
+    """Newton's step (c,) within `least` and `most`: where it would leave them it ends there, and the rest is solved
+    again beside that (active set: Nocedal & Wright 2006, ch. 16)."""
+    free = ~(((least >= 0) & (slopes > 0)) | ((most <= 0) & (slopes < 0)))
+    step = np.zeros(slopes.size)
+    while free.any():
+        rest = slopes[free] + information[np.ix_(free, ~free)] @ step[~free]
+        step[free] = -np.linalg.solve(information[np.ix_(free, free)], rest)
+        beyond = free & ((step < least) | (step > most))
+        if not beyond.any():
+            break
+        step, free = np.clip(step, least, most), free & ~beyond
+    return step
+
+
+def _with_secant(information: Array, step: Array, change: Array) -> Array:
+    """The information that would have foreseen by how much the slopes changed over the last step (Broyden, Fletcher,
+    Goldfarb and Shanno's update, 1970).
+
+    The average information has only a half of the curvature, or less, in what is not in these data: the process noise
+    at rest beside that while the machine runs. Without the update, steps along that go from side to side of the top.
+    """
+    foreseen, curvature = information @ step, float(change @ step)
+    if curvature <= MIN_CURVATURE_SHARE * float(step @ foreseen):
+        return information
+    return np.asarray(
+        information - np.outer(foreseen, foreseen) / float(step @ foreseen) + np.outer(change, change) / curvature
+    )

@@ -17,8 +17,9 @@ from scipy.linalg.lapack import dtbtrs
 from sim.lab.learning import Indices
 from sim.sha import Array
 
-CHUNK_WINDOWS = 256
-"""Windows that are worked out at a time."""
+CYCLES_IN_PIECE, MIN_PIECE_WINDOWS = 3, 64
+"""Cycles of the usual length, and windows at least, that are worked out at a time: with more of them columns are solved
+where they are nothing yet, and with fewer each piece costs more than what is in it."""
 NEGLIGIBLE_SHARE = 1e-10
 """The share of a column's size below which what is left of it is nothing: of the order of rounding."""
 
@@ -43,12 +44,9 @@ class StateBand:
         """(states m, c) half of the solution: only down the factor."""
         return _solve_factor(self.factor, self.push(columns), "N")
 
-    def solve(self, columns: Array) -> Array:
-        """(states m, c) the states' means given the columns (m, c)."""
-        solved = scipy.linalg.cho_solve_banded(
-            (self.factor, True), self.push(columns), overwrite_b=True, check_finite=False
-        )
-        return np.asarray(solved)
+    def back_solve(self, halved: Array) -> Array:
+        """(states m, c) the states' means given columns that are half solved: the way back up the factor."""
+        return _solve_factor(self.factor, halved, "T")
 
     def residual_weights(self, columns: Array, solved: Array) -> Array:
         """(m, c) V0^-1 times the columns, by the states' means given them."""
@@ -72,6 +70,26 @@ class StateBand:
     def part(self, begin: int, end: int) -> Array:
         """The factor's columns of some windows."""
         return self.factor[:, self.states * begin : self.states * end]
+
+
+@dataclass(frozen=True, slots=True)
+class HalfWeighed:
+    """`columns` (m, c) on half of the way to V^-1 times them: `halved` (states m, c) down the states' factor, `across`
+    (C + c, c) down that of M; `weight` (1/degC^2) is that of one reading. All of it is linear in the columns."""
+
+    columns: Array
+    halved: Array
+    across: Array
+    weight: float
+
+    def products(self, other: "HalfWeighed") -> Array:
+        """(c, d) C' V^-1 D of the columns C with those of `other`, D."""
+        plain = self.columns.T @ other.columns * self.weight
+        return np.asarray(plain - self.halved.T @ other.halved - self.across.T @ other.across)
+
+    def mix(self, mixing: Array) -> "HalfWeighed":
+        """The columns times `mixing` (c, k)."""
+        return HalfWeighed(self.columns @ mixing, self.halved @ mixing, self.across @ mixing, self.weight)
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,9 +175,8 @@ class Scattering:
         others = across[self.count :] - self._border.T @ cycles
         return np.vstack([cycles, scipy.linalg.solve_triangular(self._corner, others, lower=True, check_finite=False)])
 
-    def solve(self, across: Array) -> Array:
-        """(C + c, k) M^-1 times (C + c, k)."""
-        half = self.half(across)
+    def back_solve(self, half: Array) -> Array:
+        """(C + c, k) R'^-1 times (C + c, k): with `half` before, M^-1."""
         others = scipy.linalg.solve_triangular(
             self._corner, half[self.count :], lower=True, trans="T", check_finite=False
         )
@@ -170,6 +187,13 @@ class Scattering:
         out = np.asarray(self.others @ strengths[self.count :])
         for piece in self._pieces:
             out[piece.rows] += piece.own @ strengths[piece.columns]
+        return out
+
+    def halved_times(self, strengths: Array) -> Array:
+        """(states m, k) Z, half solved, times (C + c, k)."""
+        states, out = self.band.states, np.asarray(self._others @ strengths[self.count :])
+        for piece in self._pieces:
+            out[states * piece.rows.start : states * piece.rows.stop] += piece.halved @ strengths[piece.columns]
         return out
 
     def inner_inverse(self) -> Array:
@@ -239,7 +263,8 @@ def _pieces(band: StateBand, columns: Array, scatter: float, spans: Spans) -> It
     m, count = columns.shape
     reach = band.reach
     carried, size, low = np.zeros((reach, count)), np.zeros(count), 0
-    edges = [*range(0, max(m - CHUNK_WINDOWS // 2, 1), CHUNK_WINDOWS), m]
+    length = max(CYCLES_IN_PIECE * m // max(count, 1), MIN_PIECE_WINDOWS)
+    edges = [*range(0, max(m - length // 2, 1), length), m]
     for begin, end in pairwise(edges):
         high = max(int(np.searchsorted(spans.begin, end)), low)
         own = columns[begin:end, low:high] * scatter
