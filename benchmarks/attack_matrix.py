@@ -183,7 +183,7 @@ def killed_and_set_back(stand: Stand) -> int:
 
 
 def disarmed_while_none_runs(stand: Stand) -> int:
-    """`decanter plc disarm` while no gateway runs holds against mode = "armed" in a file that was saved before."""
+    """`decanter disarm` while no gateway runs holds against mode = "armed" in a file that was saved before."""
     with stand.gateway("armed"):
         pass
     code = _disarm(stand)
@@ -192,7 +192,7 @@ def disarmed_while_none_runs(stand: Stand) -> int:
 
 
 def disarmed_without_socket(stand: Stand) -> int:
-    """`decanter plc disarm` where the running gateway's control socket is gone: usable blocks after it has ended."""
+    """`decanter disarm` where the running gateway's control socket is gone: usable blocks after it has ended."""
     with stand.gateway("shadow") as gateway:
         stand.arm()
         stand.wait_well(gateway, "written")
@@ -207,8 +207,8 @@ def disarmed_without_socket(stand: Stand) -> int:
 
 
 def _disarm(stand: Stand) -> int:
-    """The exit code of `decanter plc disarm` by hand."""
-    command = [sys.executable, "-m", "gateway.cli.main", "plc", "disarm", "--config", str(stand.rig.plant)]
+    """The exit code of `decanter disarm` by hand."""
+    command = [sys.executable, "-m", "gateway.cli.main", "disarm", "--config", str(stand.rig.plant)]
     return subprocess.run([*command, "--by", "Bea", "--reason", "enough"], capture_output=True, check=False).returncode
 
 

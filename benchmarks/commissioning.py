@@ -15,6 +15,7 @@ import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
@@ -85,9 +86,8 @@ class Walk:
             answers=answers,
         )
         self.commands += 1
-        name = " ".join(
-            words[1:3] if (words[1:2] and words[1] in ("scan", "test")) or words[2:3] == ["--write"] else words[1:2]
-        )
+        own = words[1:] if words[0] == "plc" else words
+        name = " ".join(takewhile(str.isalpha, own[: 2 if own[0] in ("check", "scan") else 1]))
         self.seconds[name] = self.seconds.get(name, 0.0) + time.monotonic() - begun
         if code != expect:
             raise WalkError(f"decanter {' '.join(words)}: exit code {code} instead of {expect}; it said:\n{said}")
@@ -184,7 +184,7 @@ def _configure(walked: Walk) -> None:
     walked.note("What the gateway may write: one block, of as many words as this PLC takes in one request.")
     walked.run("bind", "--block", f"holding:{BLOCK}", "--timer", 5, "--keep", "writeback.mode=shadow", *config)
     walked.run("check", *config)
-    walked.run("plan", *config)
+    walked.run("check", "plan", *config)
 
 
 def _number(walked: Walk, name: str) -> int:
@@ -203,10 +203,10 @@ def _prove(walked: Walk, soak_s: float) -> None:
         walked.person.moves_plant(position, dict.fromkeys(FLAGS, on))
         walked.person.writes_down(walked.folder / f"hmi{number}.csv", (*FLAGS, *ANALOGUE))
         complete = ("--complete",) if number == 3 else ()
-        walked.run("verify", "--against", f"hmi{number}.csv", *complete, *config)
+        walked.run("check", "hmi", "--against", f"hmi{number}.csv", *complete, *config)
     walked.plc.order("release")
     walked.plc.order("resume")
-    walked.run("soak", "--seconds", soak_s, "--record", "out/soak.csv", *config)
+    walked.run("check", "soak", "--seconds", soak_s, "--record", "out/soak.csv", *config)
     walked.run("replay", "out/soak.csv", *config)
 
 
@@ -215,13 +215,13 @@ def _write(walked: Walk, *, conformance: bool) -> None:
     config = ("--config", "plant.toml")
     walked.note("The write-back: the PLC's programmer gets the function block, then the loop tests with the HMI.")
     walked.run("codegen", "--device", "devices/plant.toml", "--out", "out/decanter.st")
-    walked.run("plan", "--write", *config)
-    walked.run("test", "heartbeat", *config, expect=6)
-    walked.run("arm", "--reason", "commissioning of line 2", "--minutes", 30, *config)
-    walked.run("test", "alarms", "--ask", *config, answers=walked.person.answers)
-    walked.run("test", "heartbeat", *config)
+    walked.run("check", "plan", "--write", *config)
+    walked.run("check", "write", "heartbeat", *config, expect=6)
+    walked.decanter("arm", "--reason", "commissioning of line 2", "--minutes", 30, *config)
+    walked.run("check", "write", "alarms", "--ask", *config, answers=walked.person.answers)
+    walked.run("check", "write", "heartbeat", *config)
     if conformance:
-        walked.run("test", "conformance", "--ask", *config, answers=walked.person.answers)
+        walked.run("check", "write", "conformance", "--ask", *config, answers=walked.person.answers)
 
 
 def _run_armed(walked: Walk) -> None:
@@ -249,7 +249,7 @@ def _run_armed(walked: Walk) -> None:
 
 def _sign(walked: Walk) -> None:
     """Take the arming back, make the report, and see that a changed byte is found."""
-    walked.run("disarm", "--config", "plant.toml")
+    walked.decanter("disarm", "--config", "plant.toml")
     walked.run("report", "--config", "plant.toml", "--site", "line 2", "--out", "out/acceptance")
     walked.run("report", "--verify", "--out", "out/acceptance")
     page = walked.folder / "out/acceptance/report.html"
@@ -258,7 +258,7 @@ def _sign(walked: Walk) -> None:
     walked.note("Somebody changes one byte of the page:")
     walked.run("report", "--verify", "--out", "out/acceptance", expect=1)
     page.write_bytes(whole)
-    walked.run("audit", "--config", "plant.toml", "--last", 6)
+    walked.decanter("audit", "--config", "plant.toml", "--last", 6)
 
 
 # ---------------------------------------------------------------- the command

@@ -176,10 +176,10 @@ def walk(hour: Hour, wheel: Path | None, warmest: float, model: Path | None = No
 
 
 def _watched(hour: Hour) -> dict[str, Any]:
-    """`decanter status`, as often as somebody looks, until a prediction and a block are there; it counts once."""
+    """`decanter top --once`, as often as somebody looks, until a prediction and a block are there; it counts once."""
     begun = time.monotonic()
     while True:
-        data: dict[str, Any] = json.loads(hour.call("decanter status --json")[1] or "{}")
+        data: dict[str, Any] = json.loads(hour.call("decanter top --once --json")[1] or "{}")
         status = data.get("status") or {}
         shadow = status.get("writeback", {})
         if status.get("prediction") and status.get("forecast") and shadow.get("mode") == "shadow":
@@ -190,7 +190,7 @@ def _watched(hour: Hour) -> dict[str, Any]:
         time.sleep(0.5)
     seen = status["prediction"]
     words = f"{seen['measured']:.1f} degC measured, {seen['mean']:.1f} predicted, write-back {shadow['mode']}"
-    hour.typed.append(Typed("decanter status", time.monotonic() - begun, words))
+    hour.typed.append(Typed("decanter top --once", time.monotonic() - begun, words))
     return status
 
 

@@ -236,7 +236,7 @@ def service(box: Box) -> None:
     exposure = float(re.findall(r": (\d[\d.]*)", line)[0])
     box.checked(f"systemd-analyze security: {exposure}, 2.0 or better", exposure <= 2.0, line)
     box.checked("it runs as its own user", box.run("ps -o user= -p " + box.shown("MainPID")).strip() == "decanter")
-    status = json.loads(box.run("decanter status --json", check=False))["status"]
+    status = json.loads(box.run("decanter top --once --json", check=False))["status"]
     box.checked(
         "the kernel tells it in its sandbox whether the clock is steered", status["clock"]["synchronised"] is not None
     )
@@ -277,7 +277,7 @@ def service(box: Box) -> None:
 
 def _link(box: Box) -> dict[str, Any]:
     """The link of a running gateway; {} before it answers."""
-    found = json.loads(box.run("decanter status --json", check=False) or "{}")
+    found = json.loads(box.run("decanter top --once --json", check=False) or "{}")
     link: dict[str, Any] = found.get("status", {}).get("link", {})
     return link
 
@@ -319,7 +319,7 @@ def life(box: Box, package: str, newer: str, broken: str) -> None:
         return box.run(f"{stop}; find {' '.join(KEPT)} -type f | sort | xargs sha256sum; id decanter")
 
     def runs() -> bool:
-        found = json.loads(box.run("decanter status --json", check=False) or "{}")
+        found = json.loads(box.run("decanter top --once --json", check=False) or "{}")
         return box.shown("ActiveState") == "active" and bool(found.get("status"))
 
     before = starts()
@@ -332,9 +332,9 @@ def life(box: Box, package: str, newer: str, broken: str) -> None:
     refused = box.run(f"dpkg -i {broken}; systemctl enable decanter", check=False)
     box.until("it runs after an upgrade that failed", runs)
     box.checked("an upgrade that fails leaves it running", starts() > before, refused)
-    kept = json.loads(box.run("decanter config history --json"))["configurations"]
+    kept = json.loads(box.run("decanter keep history --json"))["configurations"]
     box.checked(f"{len(kept)} configurations that it took over are kept", len(kept) > 1)
-    box.run("decanter support /var/lib/decanter/support.zip")
+    box.run("decanter keep support /var/lib/decanter/support.zip")
     before, stays = starts(), files()
     box.run("dpkg -r decanter-gateway")
     gone = not box.run("pgrep -u decanter", check=False) and not box.run("ls /usr/lib/decanter", check=False)

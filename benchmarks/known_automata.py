@@ -5,8 +5,8 @@ Three families over a switch and a level of three bins. `context`: the law depen
 which the location may depend on the whole word.
 
 `python -m benchmarks.known_automata` learns automata of the family `free` from ever more traces of 30 stays: what comes
-back must not get worse with more of them. Truth is the smallest automaton with the same targets; the error is that of
-free runs of the whole model over eight new traces.
+back must not get worse with more of them. Truth is the smallest automaton with the same targets in which no location
+stands for both positions of the switch; the error is that of free runs of the whole model over eight new traces.
 """
 
 from collections import Counter
@@ -36,6 +36,7 @@ from sim.sha.trace import Trace
 
 PLANT = Alphabet((Switch("On", "ON", "OFF"), Bins("Load", (1.0, 2.0), ("L_0", "L_1", "L_2"))), gap=60.0)
 SYMBOLS = ("ON", "OFF", "L_0", "L_1", "L_2")
+POSITIONS = {"ON": 1, "OFF": 0}
 LEVELS = (0.5, 1.5, 2.5)
 PERIOD, TAU, SCATTER, SENSOR = 4.0, 200.0, 1.0, 0.1
 """Seconds between rows, time constant (s), degC from stay to stay, degC of the sensor."""
@@ -48,14 +49,19 @@ Family = Literal["context", "direction", "free"]
 
 @dataclass(frozen=True, slots=True)
 class Automaton:
-    """`after` (state, symbol) -> state, `target` state -> degC; the word since the beginning starts in state 0."""
+    """`after` (state, symbol) -> state, `target` state -> degC, `on` state -> position of the switch, None if unknown.
+
+    The word since the beginning starts in state 0.
+    """
 
     after: Mapping[tuple[int, str], int]
     target: tuple[float, ...]
+    on: tuple[int | None, ...]
 
     def minimal(self) -> tuple[int, ...]:
-        """The location of each state of the smallest automaton with the same targets after every word (Moore 1956)."""
-        block = _numbers([(target,) for target in self.target])
+        """The location of each state of the smallest automaton with the same targets and positions of the switch after
+        every word (Moore 1956)."""
+        block = _numbers(list(zip(self.target, self.on, strict=True)))
         while True:
             finer = _numbers(
                 [
@@ -92,8 +98,17 @@ def _targets(laws: int, rng: np.random.Generator) -> list[float]:
 
 
 def _free(laws: int, rng: np.random.Generator) -> Automaton:
-    after = {(state, symbol): int(rng.integers(laws)) for state in range(laws) for symbol in SYMBOLS}
-    return Automaton(after, tuple(_targets(laws, rng)))
+    free = {(law, symbol): int(rng.integers(laws)) for law in range(laws) for symbol in SYMBOLS}
+    targets = _targets(laws, rng)
+    # Each location once for each position of the switch, before it is known as well.
+    states = list(product((None, 0, 1), range(laws)))
+    place = {state: number for number, state in enumerate(states)}
+    after = {
+        (place[on, law], symbol): place[POSITIONS.get(symbol, on), free[law, symbol]]
+        for on, law in states
+        for symbol in SYMBOLS
+    }
+    return Automaton(after, tuple(targets[law] for _, law in states), tuple(on for on, _ in states))
 
 
 def _remembering(family: Family, laws: int, rng: np.random.Generator) -> Automaton:
@@ -105,11 +120,11 @@ def _remembering(family: Family, laws: int, rng: np.random.Generator) -> Automat
         for symbol in SYMBOLS:
             new = int(symbol[-1]) if symbol.startswith("L") else level
             turn = int(new > level) if new != level and family == "direction" else direction
-            switched = {"ON": 1, "OFF": 0}.get(symbol, on)
-            after[place[on, level, direction], symbol] = place[switched, new, turn]
+            after[place[on, level, direction], symbol] = place[POSITIONS.get(symbol, on), new, turn]
     targets = _targets(laws, rng)
     law = [*range(laws), *rng.integers(laws, size=max(len(states) - laws, 0)).tolist()]
-    return Automaton(after, tuple(targets[number] for number in rng.permutation(law)[: len(states)]))
+    own = tuple(targets[number] for number in rng.permutation(law)[: len(states)])
+    return Automaton(after, own, tuple(on for on, _, _ in states))
 
 
 def traces_of(
@@ -253,14 +268,13 @@ def query_p(difference: float, rng: np.random.Generator, kind: str = "exponentia
     """
     targets = (20.0, 20.0, 20.0, 50.0, 50.0 + difference, 80.0)
     after = {
-        (3 * on + level, symbol): 3 * {"ON": 1, "OFF": 0}.get(symbol, on)
-        + (int(symbol[-1]) if symbol.startswith("L") else level)
+        (3 * on + level, symbol): 3 * POSITIONS.get(symbol, on) + (int(symbol[-1]) if symbol.startswith("L") else level)
         for on in (0, 1)
         for level in range(3)
         for symbol in SYMBOLS
     }
     settings = LshaSettings(default_flow=kind)
-    teacher, flowing = _flowing(traces_of(Automaton(after, targets), rng), settings)
+    teacher, flowing = _flowing(traces_of(Automaton(after, targets, (0, 0, 0, 1, 1, 1)), rng), settings)
     classes = build_classes(teacher.words, "context")
     pooled = flowing.sample.pool_classes(classes.of_state, len(classes), settings.n_min)
     low, middle = (_evidence(pooled, classes.keys, level) for level in (0, 1))

@@ -54,7 +54,7 @@ MISTAKES: tuple[tuple[str, int, str], ...] = (
     ("plc scan registers holding:200-100 --host 127.0.0.1", 2, "'holding:200-100' is no stretch of one table"),
     # Plant files and device files.
     ("run", 2, "there is no plant file: neither"),
-    ("status", 2, "there is no plant file: neither"),
+    ("top --once", 2, "there is no plant file: neither"),
     ("run --config none.toml", 2, "none.toml: there is no such file"),
     ("run --config empty", 2, "empty: device: is missing"),
     ("run --config garbage", 2, "garbage: byte 0 is not UTF-8"),
@@ -66,10 +66,10 @@ MISTAKES: tuple[tuple[str, int, str], ...] = (
     ("run --config half_armed.toml", 2, "half_armed.toml: writeback: mode 'armed'"),
     ("run --config text_as_number.toml", 2, "text_as_number.toml: device.port: must be a"),
     ("run --config not_toml.toml", 2, "not_toml.toml: is not TOML: Expected ']' at"),
-    ("status --config good.toml", 3, "no gateway runs"),
-    ("plc arm --config good.toml --reason test --minutes 5", 2, "good_device.toml: has no [writeback] table"),
+    ("top --once --config good.toml", 3, "no gateway runs"),
+    ("arm --config good.toml --reason test --minutes 5", 2, "good_device.toml: has no [writeback] table"),
     (
-        "plc arm --by Ada --config good.toml --reason test --minutes 5000",
+        "arm --by Ada --config good.toml --reason test --minutes 5000",
         2,
         "good_device.toml: has no [writeback] table",
     ),
@@ -124,7 +124,7 @@ MISTAKES: tuple[tuple[str, int, str], ...] = (
     ("model show garbage", 2, "garbage: byte 0 is not UTF-8"),
     ("model simulate none --trace day.csv", 2, "none: there is no model directory, store,"),
     ("model check none 'Pr[<=60](<> Temp > 80)'", 2, "none: there is no model directory, store,"),
-    ("model promote none v1", 2, "none: is no model store"),
+    ("model version promote none v1", 2, "none: is no model store"),
 )
 """What is typed after `decanter`, the exit code, and words of the answer."""
 

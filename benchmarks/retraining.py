@@ -2,8 +2,8 @@
 
 A plant runs for `--days` at a scan every `--period` s (`sim.plant`, production of four runs a day), its friction being
 `--wear` times what it was when the present model was learned, from `--learned-days` of it. Its historian is written
-as a gateway writes it; then `decanter model retrain` runs as a process of its own, and its processor time and greatest
-resident memory are printed, against the goals of ten minutes and 500 MB for thirty days at 1 Hz.
+as a gateway writes it; then `decanter model version retrain` runs as a process of its own, and its processor time and
+greatest resident memory are printed, against the goals of ten minutes and 500 MB for thirty days at 1 Hz.
 
 With `--kills` the same retraining is killed (SIGKILL) at random moments, begun anew each time, and has to come to the
 same version as the one that nobody killed, while the store's current version stays what it was and loads.
@@ -66,7 +66,7 @@ def write_historian(path: Path, trace: Trace) -> None:
 
 def command(folder: Path, library: str) -> list[str]:
     """The retraining as it is called, its diagnosis included."""
-    program = [sys.executable, "-m", "decanter_gateway", "model", "retrain", str(folder / "store")]
+    program = [sys.executable, "-m", "decanter_gateway", "model", "version", "retrain", str(folder / "store")]
     given = ("--historian", str(folder / "historian.sqlite"), "--library", str(folder / library))
     # At the lowest priority it would wait for whatever else runs here, which is not what is measured.
     return [*program, *given, "--full-speed", "--json"]

@@ -18,7 +18,7 @@ from benchmarks.figures import Figure, give
 
 PROMISED_MS = 200.0
 BEGIN_MS = 500.0
-BEGINNING = ("model show", "model prove", "model learn", "plc probe", "run")
+BEGINNING = ("model show", "model judge proof", "model learn", "plc probe", "run")
 """Commands whose beginning is measured: each has other rooms to load."""
 DECANTER = Path(sys.executable).with_name("decanter")
 

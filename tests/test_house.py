@@ -13,7 +13,7 @@ import click
 import pytest
 
 from gateway.cli.main import main
-from gateway.entry.lazy import LazyGroup
+from gateway.entry.lazy import FirstWordCommand, LazyGroup
 from tests.conftest import COMPUTING
 
 ROOT = Path(__file__).parent.parent
@@ -101,7 +101,7 @@ def test_no_measured_data_lies_in_the_project() -> None:
 
 
 def lazy_commands(
-    group: LazyGroup, words: tuple[str, ...] = ()
+    group: LazyGroup | FirstWordCommand, words: tuple[str, ...] = ()
 ) -> Iterator[tuple[tuple[str, ...], str, click.Command]]:
     """Every command of the tables: its words, its line in the table, and the command itself."""
     context = click.Context(group)
@@ -109,7 +109,9 @@ def lazy_commands(
         command = group.get_command(context, name)
         assert command is not None
         yield (*words, name), line, command
-    for name, inner in group.commands.items():
+        if isinstance(command, FirstWordCommand):
+            yield from lazy_commands(command, (*words, name))
+    for name, inner in group.commands.items() if isinstance(group, LazyGroup) else ():
         assert isinstance(inner, LazyGroup)
         yield from lazy_commands(inner, (*words, name))
 

@@ -3,7 +3,7 @@
 import click
 
 from gateway.cli.alarm import alarm
-from gateway.cli.config import config
+from gateway.cli.former import FORMER
 from gateway.cli.historian import historian
 from gateway.cli.machine import machine
 from gateway.cli.model import model
@@ -19,16 +19,16 @@ COMMANDS: Table = {
         "Run the main job on this computer, with a picture.",
     ),
     "run": ("gateway.cli.plant.run:run", "Run the gateway with a configuration file."),
-    "top": ("gateway.cli.plant.top:top", "Watch a running gateway: the live panel, or a line a change."),
-    "status": ("gateway.cli.plant.top:status", "Show once how a running gateway is, by an exit code too."),
+    "top": ("gateway.cli.plant.top:top", "Watch a running gateway; --once: one look, and an exit code."),
     "reload": ("gateway.cli.plant.reload:reload", "Let a running gateway read its plant file anew."),
+    "arm": ("gateway.commission.commands:arm", "Let blocks be written: by whom, why and for how many minutes."),
+    "disarm": ("gateway.commission.commands:disarm", "Take the arming back."),
+    "audit": ("gateway.commission.commands:audit", "Show and verify the audit log."),
     "emulate": (
         "gateway.cli.setup.emulate:emulate",
         "Start the software PLC, which replays a trace.",
     ),
-    "backup": ("gateway.cli.keep.backup:backup", "Copy all that a gateway is into a new folder, while it runs."),
-    "restore": ("gateway.cli.keep.backup:restore", "Put a backup's files back in their places."),
-    "support": ("gateway.cli.keep.support:support", "Put what support needs into one file, without secrets."),
+    "keep": ("gateway.cli.kept:keep", "Keep it: backup, restore, support, history, diff, rollback."),
     "certificates": (
         "gateway.cli.setup.certificates:certificates",
         "Make certificates and keys for Modbus/TCP Security or OPC UA.",
@@ -45,12 +45,12 @@ EXAMPLES = {
     "demo": "demo --seconds 40 --out out/demo",
     "run": "run --config plant.toml",
     "top": "top --config plant.toml",
-    "status": "status --json",
     "reload": "reload --config plant.toml",
+    "arm": "arm --by 'A. Rossi' --reason 'loop test' --minutes 30",
+    "disarm": "disarm --reason 'tests are done'",
+    "audit": "audit",
     "emulate": "emulate --device config/devices/decanter_plc.toml --trace out/traces/cd8.csv --port 15020",
-    "backup": "backup /media/usb/gateway-2026-05-04 --config plant.toml",
-    "restore": "restore /media/usb/gateway-2026-05-04 --by 'A. Rossi'",
-    "support": "support --config plant.toml",
+    "keep": "keep backup /media/usb/gateway-2026-05-04 --config plant.toml",
     "certificates": "certificates out/certificates --host 192.168.1.10",
     "diagnose": "diagnose --model out/model --traces out/traces --out out/diagnosis",
     "docs": "docs commissioning",
@@ -59,9 +59,9 @@ EXAMPLES = {
 
 
 ELSEWHERE = {
-    "check": "`decanter plc check --offline` for the files alone, `decanter plc check` for the PLC too",
+    "check": "`decanter plc check files` for the files alone, `decanter plc check` for the PLC too",
     "ingest": "`decanter trace ingest`",
-    "regress": "`decanter model regress`",
+    "regress": "`decanter model judge regression`",
 }
 
 
@@ -71,6 +71,7 @@ ELSEWHERE = {
     table=COMMANDS,
     examples=EXAMPLES,
     elsewhere=ELSEWHERE,
+    former=FORMER,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 @click.version_option(package_name="decanter-gateway")
@@ -85,7 +86,7 @@ def main(traceback: bool) -> None:
     """
 
 
-for group in (plc, machine, alarm, historian, user, config, trace, model):
+for group in (plc, machine, alarm, historian, user, trace, model):
     main.add_command(group)
 
 if __name__ == "__main__":

@@ -5,7 +5,7 @@ from types import ModuleType
 
 import click
 
-from gateway.entry import LazyGroup, Table
+from gateway.entry import FirstWordCommand, LazyGroup, Table
 
 COMMANDS: Table = {
     "doctor": (
@@ -28,43 +28,62 @@ COMMANDS: Table = {
         "gateway.commission.import_list:import_list",
         "Take the tags of an I/O list (CSV, XLSX) into the device file.",
     ),
-    "check": ("gateway.commission.commands:check", "Check the configuration, and with the device every tag of it."),
-    "plan": (
-        "gateway.commission.commands:plan",
-        "The requests of one scan, and their longest time; with --write what would be written.",
-    ),
-    "verify": (
-        "gateway.commission.commands:verify",
-        "Compare with the HMI: two values per analogue, both states per bool.",
-    ),
+    "check": ("gateway.cli.plc:check", "Check the plant by levels: files, plan, device, HMI, a soak, what is written."),
     "served": (
         "gateway.commission.commands:served",
         "Where peers find each tag, its quality and its age, if the gateway serves them.",
-    ),
-    "soak": (
-        "gateway.commission.commands:soak",
-        "Read for a longer time: cycle times, losses, the period to be recommended.",
     ),
     "codegen": (
         "gateway.commission.writeback.codegen:codegen",
         "Generate the PLC's side of the write-back as Structured Text.",
     ),
-    "arm": ("gateway.commission.commands:arm", "Let blocks be written: by whom, why and for how many minutes."),
-    "disarm": ("gateway.commission.commands:disarm", "Take the arming back."),
-    "test": (
-        "gateway.commission.writeback.test:test",
-        "Test the PLC's side: alarm bits, heartbeats, the contract; needs an arming.",
-    ),
-    "audit": ("gateway.commission.commands:audit", "Show and verify the audit log."),
     "report": ("gateway.commission.commands:report", "Make or verify the site acceptance report: page, paper, JSON."),
     "replay": ("gateway.commission.commands:replay", "Send a recording through the gateway, without a PLC."),
 }
-
+CHECKS: Table = {
+    "files": ("gateway.commission.commands:check_files", "Check the files alone; nothing is asked of the device."),
+    "plan": (
+        "gateway.commission.commands:plan",
+        "The requests of one scan, and their longest time; with --write what would be written.",
+    ),
+    "device": (
+        "gateway.commission.commands:check",
+        "Check the configuration, and with the device every tag of it.",
+    ),
+    "hmi": (
+        "gateway.commission.commands:verify",
+        "Compare with the HMI: two values per analogue, both states per bool.",
+    ),
+    "soak": (
+        "gateway.commission.commands:soak",
+        "Read for a longer time: cycle times, losses, the period to be recommended.",
+    ),
+    "write": (
+        "gateway.commission.writeback.test:test",
+        "Test the PLC's side: alarm bits, heartbeats, the contract; needs an arming.",
+    ),
+}
+CHECK_EXAMPLES = {
+    "files": "plc check files",
+    "plan": "plc check plan --write",
+    "device": "plc check device",
+    "hmi": "plc check hmi --against hmi.csv",
+    "soak": "plc check soak --seconds 60",
+    "write": "plc check write alarms --ask",
+}
+check = FirstWordCommand(
+    "check",
+    table=CHECKS,
+    examples=CHECK_EXAMPLES,
+    usual="device",
+    short_help="Check the plant by levels: files, plan, device, HMI, a soak, what is written.",
+    help="Check a plant, level by level: each asks more of it than the one before.",
+)
 
 ELSEWHERE = {
-    "write": "`decanter plc plan --write`",
-    "loop": "`decanter plc test alarms` and `decanter plc test heartbeat`",
-    "conformance": "`decanter plc test conformance`",
+    "write": "`decanter plc check plan --write`",
+    "loop": "`decanter plc check write alarms` and `decanter plc check write heartbeat`",
+    "conformance": "`decanter plc check write conformance`",
 }
 
 
@@ -77,16 +96,9 @@ EXAMPLES = {
     "watch": "plc watch --config plant.toml",
     "bind": "plc bind Coppia 40104 --type uint16 --scale 0.1 --units % --config plant.toml",
     "import": "plc import io_list.csv --config plant.toml --host 192.168.1.10",
-    "check": "plc check --offline",
-    "plan": "plc plan --write",
-    "verify": "plc verify --against hmi.csv",
+    "check": "plc check files",
     "served": "plc served --config plant.toml",
-    "soak": "plc soak --seconds 60",
     "codegen": "plc codegen --target openplc --permit-at %IX0.0 --out block.st",
-    "arm": "plc arm --by 'A. Rossi' --reason 'loop test' --minutes 30",
-    "disarm": "plc disarm --reason 'tests are done'",
-    "test": "plc test alarms --ask",
-    "audit": "plc audit",
     "report": "plc report --site 'Plant 1'",
     "replay": "plc replay out/soak.jsonl",
 }
@@ -94,13 +106,6 @@ EXAMPLES = {
 
 class CommissioningGroup(LazyGroup):
     """The group whose commands share the options of the connection, which only its own help lists."""
-
-    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """The command; its help says where the shared options are."""
-        command = super().get_command(ctx, cmd_name)
-        if command is not None and any(type(option) is _connection().SharedOption for option in command.params):
-            command.epilog = f"Connection, --json and records: see `decanter plc --help`.\n\n{command.epilog}"
-        return command
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """The group's own options and commands, then the shared options."""

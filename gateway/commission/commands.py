@@ -5,7 +5,14 @@ from typing import Any
 
 import click
 
-from gateway.commission.options import audit_option, link_options, only_option, period_option, record_options
+from gateway.commission.options import (
+    audit_option,
+    link_options,
+    only_option,
+    period_option,
+    plant_options,
+    record_options,
+)
 from gateway.console import json_option, socket_option
 
 _PATH = click.Path(path_type=Path)
@@ -71,8 +78,20 @@ def watch(**options: Any) -> None:
     work(**options)
 
 
+@click.command(short_help="Check the files alone; nothing is asked of the device.")
+@link_options
+def check_files(**options: Any) -> None:
+    """Check files, places, limits, models and write-back contract; nothing is asked of the device.
+
+    Of a plant of several machines all are checked, one after another, where --machine names none.
+    """
+    from gateway.commission.check import check as work
+
+    work(offline=True, **options)
+
+
 @click.command(short_help="Check the configuration, and with the device every tag of it.")
-@click.option("--offline", is_flag=True, help="Only what can be checked without the device.")
+@click.option("--offline", is_flag=True, hidden=True)
 @link_options
 def check(**options: Any) -> None:
     """Check files, places, limits, models and write-back contract; then read every tag, and see the heartbeat move.
@@ -104,7 +123,9 @@ def plan(**options: Any) -> None:
 @click.option("--against", "listed", type=_PATH, help="Readings of the HMI (CSV, XLSX): tag, value and, if any, time.")
 @only_option
 @click.option(
-    "--readings", type=_PATH, help="For readings with times: what was recorded (decanter plc soak --record, historian)."
+    "--readings",
+    type=_PATH,
+    help="For readings with times: what was recorded (decanter plc check soak --record, historian).",
 )
 @click.option("--within", type=click.FloatRange(0), default=2.0, show_default=True, help="Seconds around such a time.")
 @click.option("--clock-offset", type=float, default=0.0, help="Seconds by which the HMI's clock is ahead.")
@@ -259,7 +280,7 @@ def report(**options: Any) -> None:
 
 @click.command(short_help="Send a recording through the gateway, without a PLC.")
 @click.argument("recording", type=click.Path(path_type=Path))
-@link_options
+@plant_options
 def replay(**options: Any) -> None:
     """Send a RECORDING through the gateway as if it came from the PLC: events, predictions, alarms, blocks.
 

@@ -1,4 +1,4 @@
-"""`decanter plc plan`: the requests of one scan and their longest time, or what would be written; nothing is sent."""
+"""`decanter plc check plan`: the requests of a scan and their longest time, or what would be written; sends nothing."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict
@@ -76,7 +76,7 @@ def _reference(place: str, count: int) -> str:
 
 
 def plan(given: SharedOptions, period: float | None, write: bool, audit: Path | None) -> None:
-    """Carry out `decanter plc plan`; its options and its help are in commission/commands.py."""
+    """Carry out `decanter plc check plan`; its options and its help are in commission/commands.py."""
     if write and period is not None:
         raise click.UsageError("--period is for the plan of a scan, not for --write")
     if audit is not None and not write:

@@ -102,7 +102,7 @@ async def replay_recording(site: Site, config: Config, recording: SiteRecording,
             log=config.log.model_copy(update={"path": kept.with_name("log.jsonl")}),
             links=(replace(first, map=replace(first.map, heartbeat=heartbeat)),),
         )
-        seen = await _replay(shadow, recording, progress)
+        seen = await follow_recording(shadow, recording, SteppedClock(recording.times[0]), progress)
         scores = scorecard(kept)
     data = {
         "recording": str(recording.path),
@@ -128,8 +128,10 @@ async def replay_recording(site: Site, config: Config, recording: SiteRecording,
     return CommandResult(data, complaint if needed else "")
 
 
-async def _replay(config: Config, recording: SiteRecording, progress: Progress) -> ReplayTally:
-    clock = SteppedClock(recording.times[0])
+async def follow_recording(
+    config: Config, recording: SiteRecording, clock: SteppedClock, progress: Progress
+) -> ReplayTally:
+    """Let a gateway of this configuration start, take the recording by this clock, and stop."""
     seen, stop = ReplayTally(), asyncio.Event()
     columns = {
         name: [value if isfinite(value) else None for value in column] for name, column in recording.columns.items()

@@ -1,4 +1,4 @@
-"""`decanter plc soak`: scans at their period for a longer time; what they take and lose, which period holds."""
+"""`decanter plc check soak`: scans at their period for a longer time; what they take and lose, which period holds."""
 
 import asyncio
 import time
@@ -200,7 +200,7 @@ def recommend_period(seconds: Sequence[float], factor: float = 1.0) -> float:
 
 
 def soak(given: SharedOptions, seconds: float, period: float | None, record: Path | None) -> None:
-    """Carry out `decanter plc soak`; its options and its help are in commission/commands.py."""
+    """Carry out `decanter plc check soak`; its options and its help are in commission/commands.py."""
 
     async def work(site: Site) -> CommandResult:
         with progress("soak") as report:

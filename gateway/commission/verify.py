@@ -1,4 +1,4 @@
-"""`decanter plc verify`: what the HMI shows against what the PLC says, now or at the time of the reading."""
+"""`decanter plc check hmi`: what the HMI shows against what the PLC says, now or at the time of the reading."""
 
 import asyncio
 import time
@@ -85,7 +85,7 @@ async def compare_with_list(
     elif times:
         raise ListError(
             f"{shown[0].where}: the readings have times, and nothing was recorded to compare them with; give "
-            "--readings FILE (see decanter plc soak --record), or take the times out to compare with the PLC now"
+            "--readings FILE (see decanter plc check soak --record), or take the times out to compare with the PLC now"
         )
     points = []
     for reading in shown:
@@ -196,7 +196,7 @@ def verify(
     complete: bool,
     anew: bool,
 ) -> None:
-    """Carry out `decanter plc verify`; its options and its help are in commission/commands.py."""
+    """Carry out `decanter plc check hmi`; its options and its help are in commission/commands.py."""
 
     def tell(sentence: str) -> None:
         click.echo(sentence, err=True)

@@ -36,7 +36,7 @@ BEARING_COLUMNS = ("bearing", "blocks", "model", "hottest", "alarms", "in 5 min"
 
 
 def fitness(setting: DemoRun, model: Model) -> dict[str, str]:
-    """Whether the model may be used, as `decanter model validate` judges it along the run's trace, and why not.
+    """Whether the model may be used, as `decanter model judge validation` judges it along the run's trace, and why not.
 
     A model of a simulated plant is judged by how it serves that plant.
     """

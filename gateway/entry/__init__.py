@@ -2,4 +2,4 @@
 
 from gateway.entry.exits import Exit, exit_code, fail, print_json, run_command, sentence, sentences
 from gateway.entry.interrupt import interruptible
-from gateway.entry.lazy import LazyGroup, Table
+from gateway.entry.lazy import FirstWordCommand, LazyGroup, Table

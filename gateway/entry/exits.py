@@ -48,10 +48,11 @@ class Exit(IntEnum):
 
 @dataclass(slots=True)
 class CallAnswer:
-    """How a call is answered: whether it asked for JSON, and whether its one object was printed already."""
+    """How a call is answered: whether it asked for JSON, whether its one object was printed, whether it complained."""
 
     as_json: bool = False
     given: bool = False
+    complained: bool = False
 
 
 def print_json(data: Mapping[str, Any]) -> None:
@@ -75,6 +76,8 @@ def fail(sentence: str, code: int = Exit.USAGE, *, answer: CallAnswer | None = N
     context = click.get_current_context(silent=True)
     if answer is None and context is not None:
         answer = context.find_object(CallAnswer)
+    if answer is not None:
+        answer.complained = True
     if answer is not None and answer.as_json and not answer.given:
         print_json({"ok": False, "exit": int(code), "reason": sentence})
     click.secho(f"decanter: {sentence}", fg="red", err=True)

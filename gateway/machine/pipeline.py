@@ -18,6 +18,7 @@ from drivers.supervision import Supervisor
 from gateway.machine.alarm_desk import AlarmDesk
 from gateway.machine.alarms import (
     AlarmBoard,
+    AlarmCondition,
     SensorWatch,
     acknowledge_words,
     alarm_name,
@@ -129,7 +130,7 @@ class Machine:
             self.model = self.followed[0].model
             self.writing = self._open_writeback(rng)
             self.link, self.counters = LinkHealth(log), RunCounters()
-            conditions = make_conditions(config, self.inputs, complains=isinstance(driver, Complains))
+            conditions = self._make_conditions()
             self.alarms = AlarmBoard(
                 conditions,
                 watched=config.watched_temperatures,
@@ -372,10 +373,19 @@ class Machine:
             return ""
         return f"nothing has been on record for {most:g} s: {self.historian.stuck}"
 
+    def _make_conditions(self) -> dict[str, AlarmCondition]:
+        """The alarms by their names, with the limits that go with the models that run now."""
+        records = {one.tag: one.model.loaded.model.anomalies for one in self.followed if one.model is not None}
+        return make_conditions(
+            self.config,
+            self.inputs,
+            complains=isinstance(self.driver, Complains),
+            anomaly_levels={tag: record.level for tag, record in records.items() if record is not None},
+        )
+
     def _begin_new_model(self, one: FollowedTemperature, now: float) -> None:
         """Another model runs from this scan on: its inputs are watched, and the historian knows whose rows follow."""
-        complains = isinstance(self.driver, Complains)
-        self.alarms.conditions = make_conditions(self.config, self.inputs, complains=complains)
+        self.alarms.conditions = self._make_conditions()
         self._rely_on_models(one)
         one.note_run(now)
 

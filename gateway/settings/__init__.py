@@ -2,6 +2,7 @@
 
 from gateway.settings.alarm_kinds import (
     ALARM_KINDS,
+    ANOMALY_FLOOR,
     FAULT_THRESHOLD,
     LEAST_URGENT,
     OF_PLANT,

@@ -10,13 +10,14 @@ from pydantic import Field, field_validator
 
 from drivers.errors import did_you_mean
 from drivers.settings import Line, Section
+from sim.anomaly import DEADBAND_SHARE
 from sim.phrase import Phrase
 
 if TYPE_CHECKING:
     from gateway.settings.config import Config
 
-ANOMALY_DEADBAND_SHARE = 1 / 3
-"""Of its limit, by which the anomaly score has to fall below that before its alarm returns."""
+ANOMALY_FLOOR = 10.0
+"""The anomaly score that is worth an alarm where neither the plant file nor the model's own record says another."""
 MOST_URGENT, LEAST_URGENT = 1, 4
 """The priorities: 1 is the most urgent."""
 
@@ -53,7 +54,8 @@ class AlarmPlace:
     """Of what an alarm would be: a machine, or its temperature `tag`, whose model and limit `config` has then.
 
     `inputs` are the tags that its models read, or that are watched; `complains`: its driver hears what is wrong with
-    the device. `stale_after`: for how long (s) a reading may be held.
+    the device. `stale_after`: for how long (s) a reading may be held. `anomaly_level` is the score that the model's own
+    record says is passed once a week at most; None without such a record.
     """
 
     config: "Config"
@@ -61,6 +63,7 @@ class AlarmPlace:
     inputs: tuple[str, ...] = ()
     complains: bool = False
     stale_after: float = 0.0
+    anomaly_level: float | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -126,6 +129,12 @@ def yes_or_no(_: AlarmPlace) -> float:
 def flag_value(wrong: object) -> float:
     """1 for what is wrong, 0 where nothing is."""
     return float(bool(wrong))
+
+
+def _anomaly_limit(at: AlarmPlace) -> float:
+    """What the plant file says, else what the model's record says."""
+    stated = at.config.alarms.anomaly
+    return max(ANOMALY_FLOOR, at.anomaly_level or 0.0) if stated is None else stated
 
 
 def _has_model(at: AlarmPlace) -> bool:
@@ -232,9 +241,10 @@ ALARM_KINDS: Mapping[str, AlarmKind] = {
         past=Phrase("did not fit the model", it="non seguiva il modello", de="passte nicht zum Modell"),
         cause=HEAT,
         applies=_has_model,
-        limit=lambda at: at.config.alarms.anomaly,
-        more=lambda at: {"deadband": at.config.alarms.anomaly * ANOMALY_DEADBAND_SHARE},
-        watches="how unlikely the newest readings are by the model (out of distribution), against `alarms.anomaly`",
+        limit=_anomaly_limit,
+        more=lambda at: {"deadband": _anomaly_limit(at) * DEADBAND_SHARE},
+        watches="how unlikely the newest readings are by the model (out of distribution), against `alarms.anomaly`, or "
+        "the level that the model's own record says is passed once a week at most",
         response=Phrase(
             "the readings of {tag} do not fit the model: look at the machine and at its sensors",
             it="le letture di {tag} non seguono il modello: controllare la macchina e i suoi sensori",

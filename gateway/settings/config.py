@@ -23,7 +23,7 @@ from drivers.named_files import normal_path
 from drivers.settings import ConfigError, FilePath, Line, Section, read_toml, validate_section
 from drivers.tag import DType
 from gateway.replacement import ReplacementError, files_version, has_newer_files, settle
-from gateway.settings.alarm_kinds import OF_PLANT, AlarmRow, alarm_problems
+from gateway.settings.alarm_kinds import ANOMALY_FLOOR, OF_PLANT, AlarmRow, alarm_problems
 from gateway.settings.devices import DeviceMap, WritebackLayout
 from gateway.settings.links import DeviceLink, DeviceSection, link_problems, make_links
 from gateway.settings.northbound import NorthboundSection
@@ -125,12 +125,12 @@ class AlarmSection(Section):
     )
     tags: Names = Field((), description="the tags of the temperatures to watch")
     p_limit: float = Field(0.5, gt=0, le=1, description="the probability of passing the limit that is worth an alarm")
-    anomaly: float = Field(
-        10.0,
+    anomaly: float | None = Field(
+        None,
         gt=0,
         le=100,
-        description="the anomaly score worth an alarm, at most 100 (minus the decimal logarithm of a chance: 3 comes "
-        "once in a thousand windows of a right model, and within hours of a learned one)",
+        description="the anomaly score worth an alarm, at most 100 (minus the decimal logarithm of a chance), or no "
+        f"key for what the model's own record says is passed once a week at most, {ANOMALY_FLOOR:g} at least",
     )
     unfamiliar: float = Field(
         1.2,

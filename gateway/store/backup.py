@@ -348,7 +348,7 @@ def _digest(path: Path) -> str:
 
 
 def _signed_bytes(seal: str) -> bytes:
-    return f"decanter backup {seal}\n".encode()
+    return f"decanter keep backup {seal}\n".encode()
 
 
 def _seal(content: Mapping[str, Any]) -> str:

@@ -12,6 +12,7 @@ from math import inf, isfinite
 from pathlib import Path
 from typing import Any
 
+from sim.anomaly import AnomalyRecord
 from sim.artefacts.effect_lines import effect_line_part, read_effect_line
 from sim.artefacts.json_node import JsonNode, parse_json, written_number
 from sim.effects import check_effect, check_sha, in_sensor_scale, of_machine
@@ -82,6 +83,7 @@ KEYS = (
     "machines",
     "borrowed",
     "plain",
+    "anomalies",
     "provenance",
 )
 
@@ -137,6 +139,7 @@ def model_document(model: Model) -> dict[str, Any]:
         **({"machines": _machines_part(model.machines)} if model.machines else {}),
         **({"borrowed": sorted(model.borrowed)} if model.borrowed else {}),
         **({"plain": [_plain_part(member) for member in model.plain]} if model.plain else {}),
+        **({"anomalies": _anomalies_part(model.anomalies)} if model.anomalies is not None else {}),
         "provenance": _provenance_part(model.provenance),
     }
 
@@ -192,6 +195,7 @@ def parse_model(text: str, file: str | Path = "model.json") -> Model:
         machines=root.get("machines").table(_read_machine) if "machines" in root.value else {},
         borrowed=_read_borrowed_names(root, sha),
         plain=tuple(_read_plain(node) for node in root.get("plain").each()) if "plain" in root.value else (),
+        anomalies=_read_anomalies(root.get("anomalies")) if "anomalies" in root.value else None,
         unit=unit,
     )
     try:
@@ -413,6 +417,30 @@ def _read_calibration(node: JsonNode) -> dict[float, float]:
     if len(factors) < len(pairs):
         raise node.error("a horizon is given twice; keep one factor for each")
     return factors
+
+
+def _anomalies_part(record: AnomalyRecord) -> dict[str, Any]:
+    """What the anomaly score did on data held out."""
+    return {
+        "seconds": written_number(record.seconds),
+        "units": record.units,
+        "level": written_number(record.level),
+        "peaks": [written_number(peak) for peak in record.peaks],
+    }
+
+
+def _read_anomalies(node: JsonNode) -> AnomalyRecord:
+    """The record that `_anomalies_part` wrote."""
+    node.require_keys(("seconds", "units", "level", "peaks"))
+    try:
+        return AnomalyRecord(
+            seconds=node.get("seconds").number(),
+            units=node.get("units").integer(),
+            level=node.get("level").number(),
+            peaks=tuple(peak.number() for peak in node.get("peaks").each()),
+        )
+    except ValueError as error:
+        raise node.error(str(error)) from None
 
 
 def _plain_part(member: PlainMember) -> dict[str, Any]:

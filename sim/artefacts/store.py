@@ -123,7 +123,7 @@ def promote(store: Path, version: str, force: Force | None = None) -> None:
         raise file_error(
             store / VERSIONS_FOLDER / version,
             None,
-            f"is not promoted, as {reason}; see `decanter model prove {store}@{version}`, learn "
+            f"is not promoted, as {reason}; see `decanter model judge proof {store}@{version}`, learn "
             "another model, or force it with a name and a reason",
         )
     try:

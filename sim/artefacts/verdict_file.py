@@ -72,7 +72,9 @@ class ModelVerdict:
         return json_text({"format": FORMAT, "version": VERSION, **self.plain()}, indent=1) + "\n"
 
 
-NO_VERDICT_TEXT = "not judged where it was made: `decanter model validate` or `skill` say what it foresees"
+NO_VERDICT_TEXT = (
+    "not judged where it was made: `decanter model judge validation` or `judge skill` say what it foresees"
+)
 """What there is to say of a model without a verdict."""
 
 

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import inf, isfinite
 
+from sim.anomaly import AnomalyRecord
 from sim.sha.automaton import SHA, Distribution, Edge, Effect, Flow, Location
 from sim.sha.events import Alphabet, alphabet_symbols
 from sim.units import DEFAULT_UNIT
@@ -122,6 +123,7 @@ class Model:
     (`sim.effects.correction`), while `sha` alone is the automaton's own. `borrowed` are the locations that no data have
     shown: their parameters are another's, or what physics says. `plain` are the forecasters that may stand beside it.
     A model of a type of machine has what it knows of each of them in `machines`, by name (`sim.effects.of_machine`).
+    `anomalies` is what its anomaly score did on data held out; None where nobody looked.
     """
 
     sha: SHA
@@ -138,6 +140,7 @@ class Model:
     unit: str = DEFAULT_UNIT
     sensor_memory: float = 0.0
     machines: Mapping[str, MachineCorrection] = field(default_factory=dict)
+    anomalies: AnomalyRecord | None = None
 
 
 def plain_model(model: Model, member: PlainMember) -> Model:

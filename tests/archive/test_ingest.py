@@ -666,4 +666,4 @@ def test_a_watch_takes_an_open_file_when_it_is_closed_and_counts_one_that_is_not
 
 def test_the_names_that_somebody_tries_first_say_where_the_commands_are() -> None:
     refused(decanter("ingest", "usb"), 2, "`decanter trace ingest`")
-    refused(decanter("regress", "models"), 2, "`decanter model regress`")
+    refused(decanter("regress", "models"), 2, "`decanter model judge regression`")

@@ -45,7 +45,7 @@ def misled() -> Any:
 
 def run(models: Path, traces: Path, *options: object) -> tuple[int, dict[str, Any]]:
     standard = ("--standard", traces / "standard.toml", "--history", models.parent / "history.jsonl")
-    done = decanter("model", "regress", models, *standard, *options, "--json")
+    done = decanter("model", "judge", "regression", models, *standard, *options, "--json")
     return done.exit_code, only_object(done.stdout)
 
 
@@ -74,7 +74,9 @@ def test_a_model_that_was_learned_worse_is_told_since_when_until_somebody_accept
     assert run(models, traces)[0] == 1 and len(asked) == 4
     code, data = run(models, traces, "--accept", "another product")
     assert code == 0 and len(data["worse"]) == 2
-    shown = decanter("model", "regress", models, "--standard", traces, "--history", tmp_path / "history.jsonl")
+    shown = decanter(
+        "model", "judge", "regression", models, "--standard", traces, "--history", tmp_path / "history.jsonl"
+    )
     assert (shown.exit_code, len(asked)) == (0, 4)
     assert "standard set, 2 traces, CRPS in °C, program" in " ".join(shown.stdout.split())
     assert shown.stdout.endswith(f"nothing became worse; history: {tmp_path / 'history.jsonl'}\n")
@@ -155,7 +157,7 @@ def test_the_program_has_a_name_and_another_source_another_hash(monkeypatch: pyt
 def test_wrong_input_has_one_sentence(traces: Path, tmp_path: Path) -> None:
     write_model_directory(tmp_path / "m", two_modes())
     listing, history = tmp_path / "standard.toml", tmp_path / "history.jsonl"
-    call = ("model", "regress", tmp_path / "m", "--standard", listing, "--history", history)
+    call = ("model", "judge", "regression", tmp_path / "m", "--standard", listing, "--history", history)
     for text, sentence in (
         ("traces = []", 'traces: is no list of paths; write traces = ["cycles/*.csv"]'),
         ('traces = ["a.csv"]\nmaps = "x"', "maps: is no key of a standard set"),
@@ -167,7 +169,7 @@ def test_wrong_input_has_one_sentence(traces: Path, tmp_path: Path) -> None:
         refused(decanter(*call), 2, sentence)
     listing.write_text(f'traces = ["{traces}/t5.csv"]', encoding="utf-8")
     (tmp_path / "none").mkdir()
-    refused(decanter("model", "regress", tmp_path / "none", *call[3:]), 2, "has no model in it")
+    refused(decanter("model", "judge", "regression", tmp_path / "none", *call[4:]), 2, "has no model in it")
     history.write_text('{"kind": "other"}\n', encoding="utf-8")
     refused(decanter(*call), 2, "history.jsonl:1: is no row of a history of regressions")
     history.write_text("", encoding="utf-8")
@@ -193,7 +195,7 @@ def test_what_is_accepted_is_the_models_and_the_seed_of_that_run(traces: Path, t
     assert run(models, traces)[0] == 0 and run(models, traces, "--seed", 1)[0] == 0
     worsened(models / "a")
     worsened(models / "b")
-    accepted = decanter("model", "regress", models / "a", *history, "--accept", "another product", "--json")
+    accepted = decanter("model", "judge", "regression", models / "a", *history, "--accept", "another product", "--json")
     assert accepted.exit_code == 0
     row = opened_rows(tmp_path / "history.jsonl")[-1]
     assert (row["kind"], row["models"], row["seed"]) == ("accepted", ["models/a"], 0)
@@ -220,10 +222,20 @@ def test_a_model_that_is_gone_is_reported_where_its_place_is_asked(traces: Path,
     shutil.rmtree(models / "b")
     # Another place says nothing of it, and does not make it forgotten.
     alone = decanter(
-        "model", "regress", models / "a", "--standard", traces, "--history", tmp_path / "history.jsonl", "--json"
+        "model",
+        "judge",
+        "regression",
+        models / "a",
+        "--standard",
+        traces,
+        "--history",
+        tmp_path / "history.jsonl",
+        "--json",
     )
     assert (alone.exit_code, only_object(alone.stdout)["gone"]) == (0, [])
-    shown = decanter("model", "regress", models, "--standard", traces, "--history", tmp_path / "history.jsonl")
+    shown = decanter(
+        "model", "judge", "regression", models, "--standard", traces, "--history", tmp_path / "history.jsonl"
+    )
     assert shown.exit_code == 1
     assert "models/b was in the run of 20" in shown.stdout and "and is not there any more\n" in shown.stdout
     assert shown.stdout.endswith(f"nothing became worse, 1 gone; history: {tmp_path / 'history.jsonl'}\n")
@@ -258,7 +270,16 @@ def test_traces_of_the_set_that_are_missing_or_unreadable_make_the_run_fail(trac
     (tmp_path / "set/broken.csv").write_text("x\n", encoding="utf-8")
     listing = tmp_path / "standard.toml"
     listing.write_text('traces = ["set", "none.csv", "gone/*.csv"]', encoding="utf-8")
-    call = ("model", "regress", tmp_path / "m", "--standard", listing, "--history", tmp_path / "history.jsonl")
+    call = (
+        "model",
+        "judge",
+        "regression",
+        tmp_path / "m",
+        "--standard",
+        listing,
+        "--history",
+        tmp_path / "history.jsonl",
+    )
     data = only_object(decanter(*call, "--json").stdout)
     named = [problem.partition(":")[0] for problem in data["trace_problems"]]
     assert sorted(named) == [f"{tmp_path}/gone/*.csv", f"{tmp_path}/none.csv", f"{tmp_path}/set/broken.csv"]
@@ -278,7 +299,7 @@ def test_a_set_without_a_trace_of_former_runs_says_that_nothing_was_compared(tra
 
     def notes(standard: Path) -> list[str]:
         call = ("--standard", standard, "--history", tmp_path / "history.jsonl", "--json")
-        return list(only_object(decanter("model", "regress", tmp_path / "m", *call).stdout)["notes"])
+        return list(only_object(decanter("model", "judge", "regression", tmp_path / "m", *call).stdout)["notes"])
 
     assert notes(first) == []
     assert notes(second) == ["compared with no former run: none has these traces"]
@@ -298,20 +319,20 @@ def test_a_model_that_cannot_be_run_does_not_hinder_the_others(traces: Path, tmp
     models = two_models(tmp_path / "models")
     (models / "b/model.json").write_text("{}", encoding="utf-8")
     options = ("--standard", traces, "--history", tmp_path / "history.jsonl")
-    shown = decanter("model", "regress", models / "a", models / "b", *options)
+    shown = decanter("model", "judge", "regression", models / "a", models / "b", *options)
     assert shown.exit_code == 1 and f"models/b: {models / 'b'}" in " ".join(shown.stdout.split())
     end = f"nothing became worse, 1 not run along every trace; history: {tmp_path / 'history.jsonl'}\n"
     assert shown.stdout.endswith(end)
     # Below a folder it may have been so ever since: it is said.
-    below = decanter("model", "regress", models, *options)
+    below = decanter("model", "judge", "regression", models, *options)
     assert below.exit_code == 0 and below.stdout.endswith(end)
-    refused(decanter("model", "regress", models / "b", *options), 2, str(models / "b"))
+    refused(decanter("model", "judge", "regression", models / "b", *options), 2, str(models / "b"))
 
 
 def test_a_row_of_the_history_that_was_edited_has_one_sentence(traces: Path, tmp_path: Path) -> None:
     write_model_directory(tmp_path / "m", two_modes())
     history = tmp_path / "history.jsonl"
-    call = ("model", "regress", tmp_path / "m", "--standard", traces, "--history", history)
+    call = ("model", "judge", "regression", tmp_path / "m", "--standard", traces, "--history", history)
     assert decanter(*call).exit_code == 0
     result, *_, last = opened_rows(history)
     for row, change, sentence in (
@@ -334,13 +355,15 @@ def test_paths_that_are_no_utf8_or_lead_in_a_circle_are_a_sentence(traces: Path,
     strange = tmp_path / "set" / os.fsdecode(b"t\xe9.csv")
     strange.parent.mkdir()
     shutil.copy(traces / "t5.csv", strange)
-    said = refused(decanter("model", "regress", models, "--standard", strange.parent, "--history", history), 2)
+    said = refused(
+        decanter("model", "judge", "regression", models, "--standard", strange.parent, "--history", history), 2
+    )
     assert "t\\udce9.csv': is no UTF-8; rename" in said and not history.exists()
     write_model_directory(models / os.fsdecode(b"m\xe9"), two_modes())
-    said = refused(decanter("model", "regress", models, "--standard", traces, "--history", history), 2)
+    said = refused(decanter("model", "judge", "regression", models, "--standard", traces, "--history", history), 2)
     assert "m\\udce9': is no UTF-8; rename" in said and not history.exists()
     (tmp_path / "loop").symlink_to(tmp_path / "loop")
-    call = ("model", "regress", models / "a", "--standard", traces, "--history")
+    call = ("model", "judge", "regression", models / "a", "--standard", traces, "--history")
     refused(decanter(*call, tmp_path / "loop/history.jsonl"), 2, "is a link that leads back to itself")
 
 

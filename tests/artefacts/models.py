@@ -4,6 +4,7 @@ from math import inf
 
 from hypothesis import strategies as st
 
+from sim.anomaly import AnomalyRecord
 from sim.sha.automaton import SHA, Distribution, Edge, Flow, Input, Location
 from sim.sha.events import DECANTER, Alphabet, Bins, Switch
 from sim.sha.model import Model, Provenance, Stay
@@ -135,6 +136,15 @@ provenances = st.builds(
 )
 
 
+records = st.builds(
+    AnomalyRecord,
+    seconds=noises,
+    units=st.integers(1, 500),
+    peaks=st.lists(noises, max_size=3).map(tuple),
+    level=noises,
+)
+
+
 @st.composite
 def models(draw: st.DrawFn) -> Model:
     """Any model: everything that the JSON form has to hold."""
@@ -153,4 +163,5 @@ def models(draw: st.DrawFn) -> Model:
         draw(st.dictionaries(places, stays, max_size=2)),
         draw(st.dictionaries(sizes, sizes, max_size=3)),
         draw(provenances),
+        anomalies=draw(st.none() | records),
     )

@@ -126,6 +126,13 @@ def changed(path: str, value: Any) -> str:
         ("alphabet/uppaal/0", ["W_ON"], "alphabet.uppaal[0]: a pair"),
         ("semi_markov/off/law/params/shape", -1, "shape=-1"),
         ("calibration/0/horizon", 300.0, "calibration: a horizon is given twice"),
+        (
+            "anomalies",
+            {"seconds": 60, "units": 0, "level": 12, "peaks": []},
+            "anomalies: a record of anomaly scores needs at least one unit",
+        ),
+        ("anomalies", {"seconds": 60, "units": 1, "level": -1, "peaks": []}, "finite numbers of at least 0"),
+        ("anomalies", {"seconds": 60, "units": 1, "peaks": []}, "anomalies: the key 'level' is missing"),
         ("provenance/settings/seed", [], "provenance.settings.seed: a text, a number, true or false is needed"),
     ],
 )

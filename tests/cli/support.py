@@ -1,12 +1,15 @@
 """What the command line's tests share: a run of `decanter` in this process, and checks on what came out."""
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NoReturn
 
+import click
 from click.testing import CliRunner, Result
 
 from gateway.cli.main import main
+from gateway.entry import FirstWordCommand, LazyGroup
 
 ROOT = Path(__file__).parents[2]
 DATA = ROOT.parent / "shared" / "data"
@@ -18,6 +21,34 @@ def decanter(*arguments: object) -> Result:
     if result.exception is not None and not isinstance(result.exception, SystemExit):
         raise result.exception
     return result
+
+
+Tree = LazyGroup | FirstWordCommand
+"""What has commands by their names."""
+
+
+def command_paths(tree: Tree = main, before: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Tree]]:
+    """Every command by its words, with what has it; then the works of one that does several."""
+    context = click.Context(tree)
+    for name in tree.list_commands(context) if isinstance(tree, LazyGroup) else tree.table:
+        command = tree.get_command(context, name)
+        assert command is not None
+        if not isinstance(command, LazyGroup):
+            yield (*before, name), tree
+        if isinstance(command, LazyGroup | FirstWordCommand):
+            yield from command_paths(command, (*before, name))
+
+
+def find_command(words: tuple[str, ...]) -> click.Command:
+    """The command that these words call, as the tables have it. Raises KeyError for a word that is in none."""
+    command: click.Command = main
+    for word in words:
+        assert isinstance(command, LazyGroup | FirstWordCommand)
+        found = command.get_command(click.Context(command), word)
+        if found is None or found.hidden:
+            raise KeyError(word)
+        command = found
+    return command
 
 
 def _no_such_number(word: str) -> NoReturn:

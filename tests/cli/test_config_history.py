@@ -42,7 +42,7 @@ class PlantFolder:
         configurations.keep_configuration(load_plant(self.plant), now=1_700_000_000.0, note=note)
 
     def type(self, *words: str) -> tuple[int, str]:
-        done = CliRunner().invoke(main, ["config", *words, "--config", str(self.plant)])
+        done = CliRunner().invoke(main, ["keep", *words, "--config", str(self.plant)])
         return done.exit_code, done.output
 
 

@@ -45,21 +45,25 @@ class Absent:
 def test_rank_says_where_persistence_is_better_than_the_model_and_where_it_is_not(plant: Path, tmp_path: Path) -> None:
     page = tmp_path / "rank.html"
     options = ("--runs", 100, "--skill", "--page", page, "--json")
-    lost = only_object(decanter("model", "rank", plant / "model", "--traces", plant / "still", *options).stdout)
+    lost = only_object(
+        decanter("model", "judge", "rank", plant / "model", "--traces", plant / "still", *options).stdout
+    )
     told = [row["verdict"] for row in lost["forecasts"]["worth"]]
     assert told[0] == "worse" and [row["best"] for row in lost["forecasts"]["worth"]] == ["persistence"] * 3
     sentence = lost["forecasts"]["sentences"][0]
     assert sentence.startswith("at 60 s persistence is better (CRPS ")
     assert sentence.endswith(": the model is not worth its trouble there")
     assert sentence in page.read_text(encoding="utf-8")
-    won = only_object(decanter("model", "rank", plant / "model", "--traces", plant / "own", *options).stdout)
+    won = only_object(decanter("model", "judge", "rank", plant / "model", "--traces", plant / "own", *options).stdout)
     verdicts = {row["horizon"]: row["verdict"] for row in won["forecasts"]["worth"]}
     # Forty minutes hold no eight spans of 900 s.
     assert (verdicts[60.0], verdicts[900.0]) == ("better", "not known")
     rows = won["forecasts"]["by machine"]
     assert {(row["machine"], row["method"]) for row in rows} == {("own", "two modes"), ("own", "persistence")}
     assert all(0.0 <= row["coverage"] <= 1.0 and 0 < row["forecasts"] <= 40 for row in rows)
-    without = only_object(decanter("model", "rank", plant / "model", "--traces", plant / "own", "--json").stdout)
+    without = only_object(
+        decanter("model", "judge", "rank", plant / "model", "--traces", plant / "own", "--json").stdout
+    )
     assert without["forecasts"] is None
 
 
@@ -70,7 +74,18 @@ def test_validate_reports_forecasts_beside_the_rivals_that_are_there(
     room = SimpleNamespace(Past=Past, rivals=lambda seed: rivals)
     monkeypatch.setitem(sys.modules, "sim.lab.judge.rivals", room)  # type: ignore[arg-type]
     out = tmp_path / "out"
-    command = ("model", "validate", plant / "model", "--traces", plant, "--training", plant / "own", "--out", out)
+    command = (
+        "model",
+        "judge",
+        "validation",
+        plant / "model",
+        "--traces",
+        plant,
+        "--training",
+        plant / "own",
+        "--out",
+        out,
+    )
     done = decanter(*command, "--runs", 100, "--no-pictures", "--jobs", 1, "--rivals")
     assert done.exit_code == 0, done.output
     found = json.loads((out / "skill.json").read_text(encoding="utf-8"))["two modes"]
@@ -87,10 +102,10 @@ def test_validate_reports_forecasts_beside_the_rivals_that_are_there(
 
 
 def test_skill_in_a_ranking_needs_traces_and_rivals_need_training(plant: Path, tmp_path: Path) -> None:
-    misused(decanter("model", "rank", "--results", tmp_path, "--skill"), "--skill forecasts along traces")
+    misused(decanter("model", "judge", "rank", "--results", tmp_path, "--skill"), "--skill forecasts along traces")
     some = (plant / "model", "--traces", plant / "own", "--rivals")
-    misused(decanter("model", "rank", *some), "--rivals are fitted to traces: name them with --training")
-    misused(decanter("model", "validate", *some, "--out", tmp_path / "o"), "--rivals are fitted to traces")
+    misused(decanter("model", "judge", "rank", *some), "--rivals are fitted to traces: name them with --training")
+    misused(decanter("model", "judge", "validation", *some, "--out", tmp_path / "o"), "--rivals are fitted to traces")
 
 
 def test_what_has_no_forecast_is_a_note_and_the_ranking_goes_on(plant: Path, tmp_path: Path) -> None:
@@ -98,7 +113,7 @@ def test_what_has_no_forecast_is_a_note_and_the_ranking_goes_on(plant: Path, tmp
     elsewhere = replace(two_modes(), temperature="TCuscinettiAlimentazione")
     write_model_directory(tmp_path / "elsewhere", replace(elsewhere, sha=replace(elsewhere.sha, name="elsewhere")))
     options = ("--traces", tmp_path / "short.csv", "--runs", 100, "--skill", "--json")
-    found = only_object(decanter("model", "rank", plant / "model", tmp_path / "elsewhere", *options).stdout)[
+    found = only_object(decanter("model", "judge", "rank", plant / "model", tmp_path / "elsewhere", *options).stdout)[
         "forecasts"
     ]
     assert found["sentences"] == [] and found["by horizon"] == []

@@ -6,16 +6,19 @@ import re
 import subprocess
 import sys
 
+from tests.cli.support import command_paths
+
 STEPS: tuple[tuple[frozenset[str], str], ...] = (
     (
         frozenset(),
         """diagnose docs completion emulate model-check model-correct model-cycles model-export model-fleet model-learn
-        model-lineage model-rank model-regress model-retrain model-shadow model-skill model-tune model-validate""",
+        model-tune model-judge model-judge-rank model-judge-regression model-judge-skill model-judge-validation
+        model-version model-version-lineage model-version-retrain model-version-shadow keep plc-check""",
     ),
     (
         frozenset({"asyncio"}),
-        """plc-arm plc-audit plc-check plc-disarm plc-doctor plc-guess plc-plan plc-probe plc-replay
-        plc-report plc-served plc-soak plc-verify plc-watch""",
+        """arm audit disarm plc-check-device plc-check-files plc-check-hmi plc-check-plan plc-check-soak plc-doctor
+        plc-guess plc-probe plc-replay plc-report plc-served plc-watch""",
     ),
     (
         frozenset({"pydantic"}),
@@ -26,15 +29,15 @@ STEPS: tuple[tuple[frozenset[str], str], ...] = (
     (frozenset({"tomlkit"}), "machine-add machine-list machine-remove plc-bind plc-import"),
     (
         frozenset({"cryptography", "sqlite3"}),
-        "certificates config-diff config-history config-rollback backup restore support plc-test",
+        "certificates keep-diff keep-history keep-rollback keep-backup keep-restore keep-support plc-check-write",
     ),
     (
         frozenset({"numpy"}),
-        """historian-import init model-promote model-prove model-show model-simulate trace-map trace-show
+        """historian-import init model-version-promote model-judge-proof model-show model-simulate trace-map trace-show
         trace-synth""",
     ),
     (frozenset({"lark"}), "trace-ingest"),
-    (frozenset({"rich", "argon2", "scipy"}), "demo status top user-add user-list user-password user-remove"),
+    (frozenset({"rich", "argon2", "scipy"}), "demo top user-add user-list user-password user-remove"),
 )
 """What the commands of a step may load beside what those of the steps before may; their order is that of loading."""
 HEAVY = [
@@ -78,7 +81,6 @@ PROGRAM = """
 import json, sys
 import click
 from gateway.cli.main import main
-from gateway.entry import LazyGroup
 
 def leaf(path):
     command, context = main, None
@@ -87,20 +89,11 @@ def leaf(path):
         command = command.get_command(context, name)
     return command.get_help(click.Context(command, info_name=path[-1], parent=context))
 
-def paths(group, before=()):
-    for name in (*group.table, *group.commands):
-        inner = group.commands.get(name)
-        if isinstance(inner, LazyGroup):
-            yield from paths(inner, (*before, name))
-        else:
-            yield (*before, name)
-
 order, heavy = json.loads(sys.argv[1])
-known = {"-".join(path): path for path in paths(main)}
 loaded = {}
-for name in (*order, *sorted(set(known) - set(order))):
-    leaf(known[name])
-    loaded[name] = [each for each in heavy if each in sys.modules]
+for path in order:
+    leaf(path)
+    loaded["-".join(path)] = [each for each in heavy if each in sys.modules]
 print(json.dumps(loaded))
 """
 
@@ -112,14 +105,16 @@ def dearest(report: str, most: int = 10) -> list[str]:
 
 
 def test_a_leaf_loads_no_library_that_it_has_no_use_for() -> None:
-    order = [name for _, names in STEPS for name in names.split()]
+    known = {"-".join(path): path for path, _ in command_paths()}
+    named = [name for _, names in STEPS for name in names.split()]
+    assert sorted(known) == sorted(named), "a command without a place in STEPS, or a place without a command"
+    order = [known[name] for name in named]
     command = [sys.executable, "-P", "-X", "importtime", "-c", PROGRAM, json.dumps([order, HEAVY])]
     environment = {**os.environ, "PYDANTIC_DISABLE_PLUGINS": "__all__"}
     done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
     print("dearest imports of all commands together (us):", *dearest(done.stderr), sep="\n  ")
     assert done.returncode == 0, done.stderr[-2000:]
     loaded: dict[str, list[str]] = json.loads(done.stdout)
-    assert sorted(loaded) == sorted(order), "a command without a place in STEPS, or a place without a command"
     may: set[str] = set()
     for step, names in STEPS:
         may |= step

@@ -1,22 +1,18 @@
 """A trace that meets a model is encoded by the model's alphabet, whatever thresholds its column map has or finds."""
 
 import json
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NoReturn
 
-import click
 import pytest
 
-from gateway.cli.main import main
-from gateway.entry.lazy import LazyGroup
 from sim.lab.formats.find import find_model
 from sim.lab.recordings.column_map import load_map
 from sim.lab.recordings.traces import load_traces
 from sim.sha.events import encode
 from sim.sha.model import Model
 from sim.sha.trace import Trace
-from tests.cli.support import ROOT, decanter, refused
+from tests.cli.support import ROOT, command_paths, decanter, find_command, refused
 
 OWN = ROOT / "config" / "traces" / "decanter.toml"
 AUTOMATIC = """
@@ -32,12 +28,12 @@ MEETING: dict[str, list[str]] = {
     "model check": [MODEL, "Pr[<=3600](<> Temp >= 50)", "--events", TRACE, "--from", "trace:1200", "--runs", "100"],
     "model correct": [MODEL, "--traces", TRACE, "--out", OUT],
     "model export": [MODEL, "--uppaal", "--trace", TRACE, "--out", OUT],
-    "model prove": [MODEL, "--traces", TRACE],
-    "model rank": [MODEL, "--traces", TRACE, "--runs", "100", "--jobs", "1", "--no-skill", *RESAMPLED],
-    "model regress": [MODEL, "--standard", TRACE, "--history", OUT],
+    "model judge proof": [MODEL, "--traces", TRACE],
+    "model judge rank": [MODEL, "--traces", TRACE, "--runs", "100", "--jobs", "1", "--no-skill", *RESAMPLED],
+    "model judge regression": [MODEL, "--standard", TRACE, "--history", OUT],
     "model simulate": [MODEL, "--trace", TRACE, "--runs", "100"],
-    "model skill": [MODEL, "--traces", TRACE, "--period", "3600"],
-    "model validate": [
+    "model judge skill": [MODEL, "--traces", TRACE, "--period", "3600"],
+    "model judge validation": [
         MODEL,
         "--traces",
         TRACE,
@@ -51,25 +47,15 @@ MEETING: dict[str, list[str]] = {
     ],
 }
 """Commands that take a model and, by a column map, traces; `diagnose` has a test of its own."""
-FORGETTING = {"model lineage", "model retrain"}
+FORGETTING = {"model version lineage", "model version retrain"}
 """Those that take the readings of such traces alone: they encode them for each model (tests/retraining)."""
 LEARNING = {"demo", "historian import", "model fleet", "model learn", "model tune", "trace ingest", "trace show"}
 """Those that meet no model, or only one that they learn from these very traces."""
 
 
-def leaves(group: LazyGroup, path: str = "") -> Iterator[tuple[str, click.Command]]:
-    context = click.Context(group)
-    for name in group.list_commands(context):
-        command = group.get_command(context, name)
-        assert command is not None
-        if isinstance(command, LazyGroup):
-            yield from leaves(command, f"{path}{name} ")
-        else:
-            yield f"{path}{name}", command
-
-
 def test_each_command_with_a_column_map_is_among_these() -> None:
-    mapped = {path for path, command in leaves(main) if any("--map" in option.opts for option in command.params)}
+    every = {" ".join(words): find_command(words) for words, _ in command_paths()}
+    mapped = {words for words, command in every.items() if any("--map" in option.opts for option in command.params)}
     assert mapped == {*MEETING, "diagnose", *FORGETTING, *LEARNING}
 
 

@@ -13,7 +13,6 @@ import pytest
 from click.testing import CliRunner, Result
 
 from gateway.cli.main import main
-from gateway.cli.plc import COMMANDS
 from gateway.outside.status import connect
 from gateway.store.audit import read, verify
 from sim.plc.record.recording import read_recording
@@ -22,7 +21,7 @@ from tests.plc.bench import DECANTER, PATIENCE_S, ROOT, Process, running, wait_u
 pytestmark = pytest.mark.usefixtures("patient_disk")
 
 HELD_BACK = r"has not taken its row within|its readings are .* s old|WritePermit was read|it waited .* to be sent"
-MINE = ("codegen", "plan", "arm", "disarm", "test", "audit", "report")
+MINE = ("plc codegen", "plc check plan", "arm", "disarm", "plc check write", "audit", "plc report")
 
 
 @pytest.fixture(scope="module")
@@ -47,9 +46,8 @@ def free_port() -> int:
 
 
 @pytest.mark.parametrize("name", MINE)
-def test_every_command_that_writes_is_in_the_table_and_has_its_help(name: str) -> None:
-    assert name in COMMANDS
-    done = CliRunner().invoke(main, ["plc", name, "--help"])
+def test_every_command_that_writes_has_its_help(name: str) -> None:
+    done = CliRunner().invoke(main, [*name.split(), "--help"])
     assert done.exit_code == 0 and done.output.startswith("Usage: ")
 
 

@@ -1,4 +1,4 @@
-"""`decanter model rank` and `model tune` from end to end, and their sentences for what cannot be used."""
+"""`decanter model judge rank` and `model tune` from end to end, and their sentences for what cannot be used."""
 
 import signal
 import sqlite3
@@ -45,7 +45,7 @@ def test_rank_runs_models_marks_what_they_were_trained_on_and_writes_page_and_pi
 ) -> None:
     page, picture = tmp_path / "r.html", tmp_path / "r.png"
     options = ("--traces", traces, "--runs", 100, "--semantics", "both", "--page", page, "--picture", picture)
-    found = only_object(decanter("model", "rank", model, rival, *options, "--json").stdout)
+    found = only_object(decanter("model", "judge", "rank", model, rival, *options, "--json").stdout)
     rows = {row["entrant"]: row for row in found["models"]}
     kinds = ("carried", "resampled")
     assert set(rows) == {f"decanter ({name}) ({kind})" for name in ("model", "rival") for kind in kinds}
@@ -61,35 +61,37 @@ def test_rank_reads_an_earlier_campaign_with_what_it_knew_of_its_models(
     model: Path, traces: Path, tmp_path: Path
 ) -> None:
     out = tmp_path / "campaign"
-    done = decanter("model", "validate", model, "--traces", traces, "--out", out, "--runs", 100, "--no-pictures")
+    done = decanter(
+        "model", "judge", "validation", model, "--traces", traces, "--out", out, "--runs", 100, "--no-pictures"
+    )
     assert done.exit_code == 0
-    (row,) = only_object(decanter("model", "rank", "--results", out, "--json").stdout)["models"]
+    (row,) = only_object(decanter("model", "judge", "rank", "--results", out, "--json").stdout)["models"]
     kept = {one["criterion"]: one["kept"] for one in row["findings"]}
     assert (kept["verified"], kept["from a plant"], kept["unseen"]) == (None, False, True)
     assert row["seen"] == {"cd17": "content"}
-    fresh = only_object(decanter("model", "rank", model, "--traces", traces, "--runs", 100, "--json").stdout)
+    fresh = only_object(decanter("model", "judge", "rank", model, "--traces", traces, "--runs", 100, "--json").stdout)
     assert fresh["scores"]["decanter"] == pytest.approx(row_scores(out))
-    (checked,) = only_object(decanter("model", "rank", model, "--results", out, "--json").stdout)["models"]
+    (checked,) = only_object(decanter("model", "judge", "rank", model, "--results", out, "--json").stdout)["models"]
     assert next(one["kept"] for one in checked["findings"] if one["criterion"] == "verified") is not None
-    text = decanter("model", "rank", "--results", out, "--allow-synthetic", "--limit", "unseen", "2").stdout
+    text = decanter("model", "judge", "rank", "--results", out, "--allow-synthetic", "--limit", "unseen", "2").stdout
     assert "unseen not kept: 1 trace that it was not trained on (at least 2)" in text
     assert "from a plant not kept" not in text
 
 
 def row_scores(out: Path) -> dict[str, float]:
-    found = only_object(decanter("model", "rank", "--results", out, "--json").stdout)
+    found = only_object(decanter("model", "judge", "rank", "--results", out, "--json").stdout)
     scores = found["scores"]["decanter"]
     assert isinstance(scores, dict)
     return scores
 
 
 def test_rank_says_what_it_cannot_use(model: Path, traces: Path, wrong: Path) -> None:
-    misused(decanter("model", "rank", model), "--traces, or --results")
-    misused(decanter("model", "rank", "--traces", traces), "--traces, or --results")
-    refused(decanter("model", "rank", "--results", wrong / "folder"), 2, "results.json", "finished campaign")
-    refused(decanter("model", "rank", "--results", wrong / "garbage"), 2, "no results of a campaign")
-    refused(decanter("model", "rank", wrong / "none", "--traces", traces), 2, "none")
-    some = ("model", "rank", model, "--traces", traces)
+    misused(decanter("model", "judge", "rank", model), "--traces, or --results")
+    misused(decanter("model", "judge", "rank", "--traces", traces), "--traces, or --results")
+    refused(decanter("model", "judge", "rank", "--results", wrong / "folder"), 2, "results.json", "finished campaign")
+    refused(decanter("model", "judge", "rank", "--results", wrong / "garbage"), 2, "no results of a campaign")
+    refused(decanter("model", "judge", "rank", wrong / "none", "--traces", traces), 2, "none")
+    some = ("model", "judge", "rank", model, "--traces", traces)
     refused(decanter(*some, "--limit", "speed", "3"), 2, "no limit 'speed'", "coverage_low")
     refused(decanter(*some, "--weights", 0, 0, 0), 2, "weights of the score")
     refused(decanter(*some, "--picture", "r.txt"), 2, "r.txt: cannot be a picture")

@@ -1,4 +1,4 @@
-"""`decanter model skill` from end to end, with rivals that are known, and its sentences for what cannot be scored."""
+"""`decanter model judge skill` from end to end, with known rivals, and its sentences for what cannot be scored."""
 
 import sys
 from collections.abc import Mapping, Sequence
@@ -68,7 +68,9 @@ def test_skill_speaks_by_horizon_machine_and_time_and_draws_it(plant: Path, tmp_
         "--period",
         120,
     )
-    found = only_object(decanter("model", "skill", plant / "model", *options, "--picture", picture, "--json").stdout)
+    found = only_object(
+        decanter("model", "judge", "skill", plant / "model", *options, "--picture", picture, "--json").stdout
+    )
     assert {row["method"] for row in found["by horizon"]} == {"decanter", "persistence"}
     assert {row["horizon"] for row in found["by horizon"]} == {60.0, 300.0}
     # A trace's machine is the one that the column map says: here, the folder of its file.
@@ -78,7 +80,7 @@ def test_skill_speaks_by_horizon_machine_and_time_and_draws_it(plant: Path, tmp_
     assert all(0.0 <= row["coverage"] <= 1.0 and row["crps"] > 0.0 for row in found["by machine"])
     assert [row["best other"] for row in found["differences"]] == ["persistence"] * 2
     assert picture.stat().st_size > 10_000
-    text = decanter("model", "skill", plant / "model", *options, "--horizons", 60, "--period", 600).stdout
+    text = decanter("model", "judge", "skill", plant / "model", *options, "--horizons", 60, "--period", 600).stdout
     assert "forecasts by horizon" in text and "the same by machine" in text
 
 
@@ -99,7 +101,7 @@ def test_skill_asks_rivals_with_the_past_alone(plant: Path, monkeypatch: pytest.
         "--period",
         60,
     )
-    found = only_object(decanter("model", "skill", plant / "model", *options, "--json").stdout)
+    found = only_object(decanter("model", "judge", "skill", plant / "model", *options, "--json").stdout)
     rows = {row["method"]: row for row in found["by horizon"]}
     assert set(rows) == {"decanter", "persistence", "thirty"}
     assert len({row["forecasts"] for row in rows.values()}) == 1
@@ -112,12 +114,12 @@ def test_skill_asks_rivals_with_the_past_alone(plant: Path, monkeypatch: pytest.
 
 
 def test_skill_says_what_cannot_be_scored(plant: Path, tmp_path: Path) -> None:
-    short = ("model", "skill", plant / "model", "--traces", plant / "short.csv", "--scan", 10)
+    short = ("model", "judge", "skill", plant / "model", "--traces", plant / "short.csv", "--scan", 10)
     refused(decanter(*short), 2, "short: no forecast for 60, 300, 900 s came due; it lasts 40 s", "longer traces")
     both = decanter(*short, "--traces", plant / "a.csv", "--horizons", 60, "--period", 600, "--json")
     assert only_object(both.stdout)["notes"] == ["short: no forecast for 60 s came due; it lasts 40 s"]
     (tmp_path / "empty.csv").write_text("time,MarciaDecanter,Assorbimento,TCuscinettiRiduttore\n", encoding="utf-8")
-    refused(decanter("model", "skill", plant / "model", "--traces", tmp_path / "empty.csv"), 2, "empty.csv")
+    refused(decanter("model", "judge", "skill", plant / "model", "--traces", tmp_path / "empty.csv"), 2, "empty.csv")
     misused(decanter(*short, "--horizons", "300,60"), "'300,60': give positive seconds in ascending order")
     misused(decanter(*short, "--rivals"), "--rivals are fitted to traces: name them with --training")
     refused(decanter(*short, "--picture", tmp_path / "x.txt"), 2, "cannot be a picture")
@@ -128,7 +130,7 @@ def test_a_long_trace_gets_so_many_forecasts_however_fine_the_scan(
 ) -> None:
     rival = Clairvoyant()
     monkeypatch.setitem(sys.modules, "sim.lab.judge.rivals", SimpleNamespace(rivals=lambda seed: (rival,)))
-    words = ("model", "skill", str(plant / "model"), "--traces", str(plant / "a.csv"), "--horizons", "60")
+    words = ("model", "judge", "skill", str(plant / "model"), "--traces", str(plant / "a.csv"), "--horizons", "60")
     rivals = ("--rivals", "--training", str(plant / "b" / "b.csv"), "--json")
     counts = []
     for scan in ("1", "0.01"):

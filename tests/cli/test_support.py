@@ -130,7 +130,7 @@ def planted(folder: Path) -> dict[str, str]:
 
 def bundle_of(path: Path) -> tuple[Mapping[str, str], str]:
     file = path.parent / "support.zip"
-    done = CliRunner().invoke(main, ["support", str(file), "--config", str(path)])
+    done = CliRunner().invoke(main, ["keep", "support", str(file), "--config", str(path)])
     assert done.exit_code == 0, done.output
     assert file.stat().st_mode & 0o77 == 0
     with zipfile.ZipFile(file) as archive:
@@ -180,7 +180,7 @@ def test_of_a_plant_file_that_cannot_be_used_there_is_the_reason(broken: str, tm
 def test_a_bundle_that_is_there_is_not_replaced(tmp_path: Path) -> None:
     path = plant_file(tmp_path)
     (tmp_path / "support.zip").touch()
-    done = CliRunner().invoke(main, ["support", str(tmp_path / "support.zip"), "--config", str(path)])
+    done = CliRunner().invoke(main, ["keep", "support", str(tmp_path / "support.zip"), "--config", str(path)])
     assert done.exit_code == 2 and "is there already" in done.output
 
 

@@ -8,14 +8,14 @@ import sys
 import pytest
 
 from gateway.entry.threads import VARIABLES
-from tests.cli.support import ROOT
+from tests.cli.support import ROOT, command_paths
 
 WALK = """
 import json, os, runpy, sys, warnings
 
 warnings.simplefilter("ignore", RuntimeWarning)
 given = dict(os.environ)
-variables = json.loads(sys.argv[1])
+variables, every = map(json.loads, sys.argv[1:])
 
 
 class Met(BaseException):
@@ -43,14 +43,6 @@ def told(run):
         return "not loaded"
 
 
-def leaves(group, path):
-    for name in group.list_commands(click.Context(group)):
-        if name not in group.commands:
-            yield [*path, name]
-        elif isinstance(group.commands[name], LazyGroup):
-            yield from leaves(group.commands[name], [*path, name])
-
-
 sys.meta_path.insert(0, BeforeNumpy())
 os.execv = become
 sys.stdout, answers = sys.stderr, {}
@@ -59,11 +51,9 @@ for module in ("decanter_gateway", "gateway.cli.main"):
         sys.argv = ["decanter", *(command or ["--help"])]
         answers[" ".join([module, *command[:1]])] = told(lambda: runpy.run_module(module, run_name="__main__"))
 
-import click
 from gateway.cli.main import main
-from gateway.entry import LazyGroup
 
-for command in leaves(main, []):
+for command in every:
     answers[" ".join(command)] = told(lambda: main.main([*command, "--help"]))
 # Its help needs no numpy, its work does.
 answers["model learn"] = told(lambda: main.main(["model", "learn", "--traces", "nothing", "--out", "nothing"]))
@@ -91,7 +81,7 @@ def test_every_command_has_said_how_many_threads_before_numpy_is_loaded(
     given: dict[str, str], wanted: list[str]
 ) -> None:
     done = subprocess.run(
-        [sys.executable, "-c", WALK, json.dumps(VARIABLES)],
+        [sys.executable, "-c", WALK, json.dumps(VARIABLES), json.dumps([words for words, _ in command_paths()])],
         cwd=ROOT,
         env=clean(**given),
         capture_output=True,

@@ -1,4 +1,4 @@
-"""`decanter model validate`: nine stages seen, every bad artefact and trace its sentence, nothing lost or half done."""
+"""`decanter model judge validation`: nine stages seen, each bad artefact and trace its sentence, nothing lost."""
 
 import csv
 import json
@@ -22,7 +22,7 @@ QUICK = ("--runs", 200, "--no-pictures", "--jobs", 1)
 
 
 def validate(model: object, traces: object, out: Path, *more: object) -> Result:
-    return decanter("model", "validate", model, "--traces", traces, "--out", out, *QUICK, *more)
+    return decanter("model", "judge", "validation", model, "--traces", traces, "--out", out, *QUICK, *more)
 
 
 def stage(out: Path, place: str, number: int) -> dict[str, Any]:
@@ -38,7 +38,7 @@ def done(model: Path, traces: Path, tmp_path_factory: pytest.TempPathFactory) ->
     """A campaign of one model under both semantics along two traces, with pictures."""
     out = tmp_path_factory.mktemp("campaign") / "out"
     options = ("--semantics", "both", "--runs", 300, "--jobs", 1, "--training", traces)
-    result = decanter("model", "validate", model, "--traces", traces, "--out", out, *options)
+    result = decanter("model", "judge", "validation", model, "--traces", traces, "--out", out, *options)
     assert result.exit_code == 0, result.output
     return out, result
 
@@ -112,7 +112,7 @@ def test_several_models_share_the_traces_and_get_a_report_each_and_one_index(
     model: Path, traces: Path, tmp_path: Path
 ) -> None:
     out, small = tmp_path / "out", written(tmp_path / "set", files())
-    result = decanter("model", "validate", model, model, small, "--traces", traces, "--out", out, *QUICK)
+    result = decanter("model", "judge", "validation", model, model, small, "--traces", traces, "--out", out, *QUICK)
     assert result.exit_code == 0
     index = (out / "index.html").read_text(encoding="utf-8")
     places = sorted(path.name for path in out.iterdir() if path.is_dir())
@@ -191,7 +191,18 @@ def test_names_from_outside_are_text_everywhere_and_lead_nowhere(model: Path, tr
     document = (model / "model.json").read_text(encoding="utf-8").replace('"ON/0-100"', '"<script>2&\'../..  $x$"')
     (tmp_path / "model.json").write_text(document, encoding="utf-8")
     result = decanter(
-        "model", "validate", tmp_path / "model.json", "--traces", where, "--out", out, "--runs", 100, "--jobs", 1
+        "model",
+        "judge",
+        "validation",
+        tmp_path / "model.json",
+        "--traces",
+        where,
+        "--out",
+        out,
+        "--runs",
+        100,
+        "--jobs",
+        1,
     )
     assert result.exit_code == 0
     assert {one.trace for one in read_results(out)} >= set(names[:5])
@@ -328,7 +339,9 @@ def test_artefacts_that_cannot_run_are_checked_against_the_traces_and_the_report
 
 def test_one_model_that_cannot_run_does_not_stop_the_other(model: Path, traces: Path, tmp_path: Path) -> None:
     small = written(tmp_path / "set", without("flow_conditions.txt")(files()))
-    result = decanter("model", "validate", small, model, "--traces", traces, "--out", tmp_path / "out", *QUICK)
+    result = decanter(
+        "model", "judge", "validation", small, model, "--traces", traces, "--out", tmp_path / "out", *QUICK
+    )
     assert result.exit_code == 0
     assert [bool(one.failure) for one in read_results(tmp_path / "out")] == [True, True, False, False]
 
@@ -434,10 +447,10 @@ def test_the_public_artefacts_go_through_their_stages_and_have_no_edge_for_decan
 
 def test_validate_explains_itself_and_refuses_wrong_usage(model: Path, traces: Path) -> None:
     for flag in ("-h", "--help"):
-        said = decanter("model", "validate", flag)
+        said = decanter("model", "judge", "validation", flag)
         assert said.exit_code == 0 and "nine stages" in " ".join(said.stdout.split())
-    misused(decanter("model", "validate", model, "--traces", traces), "--out")
-    misused(decanter("model", "validate", "--traces", traces, "--out", "x"), "MODEL")
+    misused(decanter("model", "judge", "validation", model, "--traces", traces), "--out")
+    misused(decanter("model", "judge", "validation", "--traces", traces, "--out", "x"), "MODEL")
     misused(validate(model, traces, traces / "out", "--runs", 5), "--runs")
 
 

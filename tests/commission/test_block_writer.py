@@ -327,7 +327,7 @@ def test_an_arming_that_is_over_is_put_on_record_by_the_command_that_finds_it(tm
         with pytest.raises(WriteForbidden) as caught:
             arming_in_force(places, now)
         assert str(caught.value) == (
-            "not armed: nothing is written; arm first: decanter plc arm --by NAME --reason WHY --minutes N (audit log "
+            "not armed: nothing is written; arm first: decanter arm --by NAME --reason WHY --minutes N (audit log "
             f"{config.audit})"
         )
 

@@ -64,5 +64,5 @@ def test_of_the_audit_log_the_rows_of_the_machine_that_is_named(tmp_path: Path) 
     assert reasons("--machine", "south") == ["south"]
     assert reasons("--machine", "gone") == ["gone"], "what a machine did stays on record when it is gone"
     assert reasons("--machine", "north", "--last", "0") == []
-    result = decanter("plc", "audit", "--config", path, "--machine", "west")
+    result = decanter("audit", "--config", path, "--machine", "west")
     assert result.exit_code == 2 and "they have north, south, gone" in result.stderr

@@ -2,14 +2,27 @@
 
 from dataclasses import replace
 from pathlib import Path
+from random import Random
 
 import pytest
 
+from gateway.machine import Machine
 from gateway.machine.alarms import make_conditions
 from gateway.machine.alarms.conditions import acknowledge_words, on_tag, suppressing_tags
-from gateway.settings import ALARM_KINDS, Config, load_config
+from gateway.plant import open_log
+from gateway.settings import ALARM_KINDS, ANOMALY_FLOOR, Config, load_config
+from sim.anomaly import AnomalyRecord
 from sim.artefacts.model_json import model_text
-from tests.gateway.support import TEMPERATURE, config_in, plant_file, two_modes
+from tests.gateway.support import (
+    TEMPERATURE,
+    Bench,
+    JumpClock,
+    as_driver,
+    config_in,
+    logged,
+    plant_file,
+    two_modes,
+)
 
 OTHER = "TCuscinettiAlimentazione"
 
@@ -129,3 +142,35 @@ def test_each_block_has_its_own_acknowledgements(both: Config) -> None:
         "AcknowledgeBits": frozenset({TEMPERATURE}),
         behind: frozenset({OTHER}),
     }
+
+
+def test_the_anomaly_alarm_begins_where_the_record_says_and_the_file_overrides_it(tmp_path: Path, both: Config) -> None:
+    def limits(config: Config, **levels: float) -> tuple[float, float]:
+        condition = make_conditions(config, (), anomaly_levels=levels)["anomaly"]
+        return condition.limit, condition.deadband
+
+    default, stated = (
+        config_in(tmp_path, model=two_modes()),
+        config_in(tmp_path, model=two_modes(), alarms__anomaly=7.0),
+    )
+    assert limits(default) == limits(default, **{TEMPERATURE: 4.2}) == pytest.approx((ANOMALY_FLOOR, ANOMALY_FLOOR / 3))
+    assert limits(default, **{TEMPERATURE: 24.0}) == pytest.approx((24.0, 8.0))
+    assert limits(stated, **{TEMPERATURE: 24.0}) == limits(stated) == pytest.approx((7.0, 7.0 / 3))
+    # Of several bearings each has its own model's.
+    conditions = make_conditions(both, (), anomaly_levels={OTHER: 31.0})
+    assert (conditions["anomaly"].limit, conditions[f"anomaly {OTHER}"].limit) == (ANOMALY_FLOOR, 31.0)
+
+
+def test_a_machine_takes_the_level_of_its_model_and_says_once_that_an_old_one_has_none(tmp_path: Path) -> None:
+    record = AnomalyRecord(seconds=86_400.0, units=3, peaks=(12.0, 8.0), level=23.5)
+    for name, model, limit in (("own", replace(two_modes(), anomalies=record), 23.5), ("old", two_modes(), 10.0)):
+        folder = tmp_path / name
+        folder.mkdir()
+        config = config_in(folder, model=model)
+        bench = Bench(config, JumpClock())
+        with open_log(config.log.path, "info") as log:
+            machine = Machine(config, driver=as_driver(bench), clock=bench.clock, log=log, rng=Random(0))
+            assert machine.alarms.conditions["anomaly"].limit == limit
+            machine.close()
+        said = [row for row in logged(folder) if "has no record of its anomaly scores" in row["event"]]
+        assert len(said) == (name == "old")

@@ -61,7 +61,7 @@ def decanter(*arguments: object) -> Result:
 def promoted(store: Path, folder: Path, model: Model) -> str:
     """Promote a model as an operator would; the version's name."""
     write_model_directory(folder / model.sha.name, model)
-    done = decanter("model", "promote", store, "--add", folder / model.sha.name)
+    done = decanter("model", "version", "promote", store, "--add", folder / model.sha.name)
     assert done.exit_code == 0, done.stderr
     return (store / CURRENT_LINK).read_text(encoding="utf-8").strip()
 
@@ -102,7 +102,7 @@ def test_promoted_versions_run_without_a_restart_one_with_effects_too_and_one_th
         go_on(gateway, 20)
 
         bad = save(store, diverging(), created=1.0)
-        refused = decanter("model", "promote", store, bad)
+        refused = decanter("model", "version", "promote", store, bad)
         assert refused.exit_code == 2 and "is not promoted, as it does not verify: growth" in refused.stderr
         (store / CURRENT_LINK).write_text(bad + "\n", encoding="utf-8")  # past the command, which refused it
         said = gateway.wait_for(lambda status: bool(status["model"]["refused"]))

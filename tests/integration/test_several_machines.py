@@ -103,15 +103,15 @@ def test_each_machine_is_read_predicted_and_asked_by_its_name(plant: Plant) -> N
     assert plant.told("status", "--machine", "south")["status"]["machine"] == "south"
     rows = plant.told("machine", "list")["machines"]
     assert [row["machine"] for row in rows] == ["north", "south", "west"] and rows[2]["health"] == "no readings"
-    refused = decanter("status", "--machine", "east", "--config", plant.file)
+    refused = decanter("top", "--once", "--machine", "east", "--config", plant.file)
     assert refused.exit_code == 2 and "this gateway has north, south, west" in refused.stderr
 
 
 def test_only_the_armed_machine_is_written_to_and_its_arming_is_its_own(plant: Plant) -> None:
     words = ("--by", "A. Rossi", "--reason", "trial", "--minutes", "5")
-    which = decanter("plc", "arm", *words, "--config", plant.file)
+    which = decanter("arm", *words, "--config", plant.file)
     assert which.exit_code == 2 and "name one of them with --machine: north, south, west" in which.stderr
-    assert plant.told("plc", "arm", *words, "--machine", "north")["ok"]
+    assert plant.told("arm", *words, "--machine", "north")["ok"]
     plant.wait_for("north", lambda one: one["scan"] and one["writeback"].get("accepted", 0) > 3)
     assert plant.plcs["north"].order("status")["accepted"] > 3
     assert plant.plcs["south"].order("status")["accepted"] == 0

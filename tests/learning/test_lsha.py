@@ -16,6 +16,9 @@ from sim.artefacts.model_directory import read_model_directory
 from sim.artefacts.model_json import model_hash
 from sim.effects.check import check_sha
 from sim.engine.open_loop_run import open_loop, readings
+from sim.lab.checking.language.parse import parse_query
+from sim.lab.checking.query.tree import Symbolic
+from sim.lab.checking.smc import decide_symbolic
 from sim.lab.formats.foreign.bundle import read_artefacts
 from sim.lab.formats.write_model import write_model_directory
 from sim.lab.learning.lsha import flow_hypotheses
@@ -203,6 +206,18 @@ def test_targets_scatter_and_rate_of_a_known_automaton_are_right(known: LearnedL
         assert 0.5 < one.scatter < 2.0
         assert one.segments >= 5
     assert 0.05 < known.model.sensor_sigma < 0.2
+
+
+@pytest.mark.usefixtures("_no_bands")
+def test_a_machine_that_stands_is_a_location_of_its_own_and_is_called_by_it() -> None:
+    """One law for all: before, everything became one location with the name of a bin of the running machine."""
+    traces = random_traces(lambda *_: 50.0, 9, count=6, stays=16)
+    result = learned(traces, default_flow="exponential", memory="context")
+    assert_sound(result, traces)
+    assert {one.name for one in result.report.locations if np.isfinite(one.mu)} == {"OFF", "ON"}
+    running = parse_query("A[] On imply !OFF", result.model)
+    assert isinstance(running, Symbolic)
+    assert decide_symbolic(running, result.model.sha).verdict is True
 
 
 @pytest.mark.usefixtures("_no_bands")

@@ -113,6 +113,19 @@ def test_words_of_one_location_are_kept_apart_at_most_as_often_as_alpha_says() -
     assert apart / worlds <= 0.1 + 3 * np.sqrt(0.1 * 0.9 / worlds)
 
 
+def test_words_after_which_a_switch_stands_differently_are_no_location_however_alike_they_are() -> None:
+    rng = np.random.default_rng(6)
+    table = meaning(PLANT)
+    contexts = [(None, None), (0, 0), (0, 1), (1, 0), (1, 1), (1, 2)]
+    keys = tuple(WordHistory(context) for context in contexts)
+    edges: tuple[dict[str, int], ...] = ({}, {"ON": 3}, {"ON": 4}, {"OFF": 1}, {"OFF": 2}, {})
+    classes = Classes("context", np.arange(6), keys, edges, table, coordinates(keys))
+    counts = (40, 40, 40, 40, 2)
+    result = partition(classes, [evidence(*drawn(rng, 3.0, count, 0.5), 0.5) for count in counts])
+    assert result.location.tolist() == [0, 1, 1, 2, 2, 2]
+    assert {decision.rival for decision in result.decisions if decision.verdict == "new"} == {None}
+
+
 def test_words_of_different_locations_are_kept_apart_when_the_evidence_suffices() -> None:
     rng = np.random.default_rng(6)
     means = [0.0, 0.0, 5.0, 5.0, 10.0, 0.0]

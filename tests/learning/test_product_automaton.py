@@ -11,6 +11,7 @@ from sim.lab.learning.structure import (
     middle,
     nearest,
     reference,
+    shared_name,
 )
 from sim.sha.automaton import nondeterminism, transitions
 from sim.sha.events import DECANTER, Alphabet, Bins, Switch, alphabet_symbols
@@ -27,6 +28,29 @@ def test_locations_are_named_by_the_house_words() -> None:
     assert {"ON/0-100", "ON/200-300", "ON/300+", "OFF/0-100", "ON/?", "?/100-200"} < set(names)
     assert len(names) == 3 * 5
     assert {"ON/OFF/-5-2.5", "?/ON/<-5", "ON/?/2.5+"} < set(contexts(PUMP))
+
+
+@pytest.mark.parametrize(
+    ("values", "name"),
+    [
+        ([(1, 2)], "ON/200-300"),
+        ([(1, 1), (1, 2)], "ON/100-300"),
+        ([(0, 0), (0, 1), (0, 2)], "OFF/0-300"),
+        ([(1, 2), (1, 3)], "ON/200+"),
+        ([(1, 0), (1, 2)], "ON/0-100|200-300"),
+        ([(1, 0), (1, 1), (1, 2), (1, 3)], "ON"),
+        ([(1, None)], "ON/?"),
+        ([(None, None)], "?"),
+    ],
+)
+def test_what_several_contexts_share_is_their_name(values: list[tuple[int | None, ...]], name: str) -> None:
+    assert shared_name(values, DECANTER) == name
+
+
+def test_levels_that_may_be_anything_have_a_name_too() -> None:
+    level = Alphabet((Bins("Flow", (-5.0, 2.5), ("F_0", "F_1", "F_2")),))
+    assert shared_name([(0,), (1,)], level) == "<2.5"
+    assert shared_name([(0,), (1,), (2,)], level) == "any"
 
 
 @pytest.mark.parametrize("alphabet", [DECANTER, PUMP])

@@ -354,7 +354,7 @@ def test_an_administrator_makes_a_backup_on_a_phone_and_is_told_how_to_put_it_ba
     page.get_by_role("button", name="Make a backup").click()
     page.get_by_role("dialog").get_by_role("button", name="Confirm").click()
     dialog = page.get_by_role("dialog").filter(has_text="The backup is made")
-    expect(dialog).to_contain_text("decanter restore")
+    expect(dialog).to_contain_text("decanter keep restore")
     # A long path must not push what can be pressed out of the dialog.
     assert dialog.evaluate("box => box.scrollWidth <= box.clientWidth")
     expect(dialog.get_by_role("button", name="Confirm")).to_be_in_viewport(ratio=1.0)

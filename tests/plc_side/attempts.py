@@ -118,18 +118,18 @@ def commands(random: Random, count: int, place: list[str], device: str) -> Itera
         known = ["--device", device, *place]
         yield random.choice(
             (
-                ["plc", "test", "alarms", *known],
-                ["plc", "test", "heartbeat", *known],
-                ["plc", "test", "conformance", *known],
-                ["plc", "disarm", *known],
-                ["plc", "arm", "--reason", "x", "--minutes", random.choice(("0", "-3", "481", "nan", "inf")), *known],
-                ["plc", "arm", "--reason", "", "--minutes", "5", *known],
+                ["plc", "check", "write", "alarms", *known],
+                ["plc", "check", "write", "heartbeat", *known],
+                ["plc", "check", "write", "conformance", *known],
+                ["disarm", *known],
+                ["arm", "--reason", "x", "--minutes", random.choice(("0", "-3", "481", "nan", "inf")), *known],
+                ["arm", "--reason", "", "--minutes", "5", *known],
                 ["plc", "write", address, "5", *known],
                 ["plc", "loop", "alarms", *known],
-                ["plc", "plan", "--write", "--value", "5", *known],
+                ["plc", "check", "plan", "--write", "--value", "5", *known],
                 ["plc", "read", f"{address}=5", *known],
                 ["plc", "read", "TFango", "--set", "write_map=[1]", *known],
-                ["plc", "test", "alarms", "--audit", "none.sqlite", *known],
+                ["plc", "check", "write", "alarms", "--audit", "none.sqlite", *known],
                 ["run", "--write", address],
             )
         )

@@ -639,7 +639,7 @@ def test_the_forecasts_of_the_right_model_are_better_on_live_cycles_and_the_wors
     promote(store, bad)
     monkeypatch.setattr(shadow, "MAX_TEST_CYCLES", 8)
     monkeypatch.setattr(judging, "MIN_FORECAST_PERIOD_S", 400.0)
-    given = ("model", "shadow", store, good, "--historian", historian, "--library", tmp_path / "l", "--json")
+    given = ("model", "version", "shadow", store, good, "--historian", historian, "--library", tmp_path / "l", "--json")
     result = decanter(*given)
     data = only_object(result.stdout)
     assert result.exit_code == 0 and not data["rolled_back"] and current(store) == bad
@@ -648,9 +648,9 @@ def test_the_forecasts_of_the_right_model_are_better_on_live_cycles_and_the_wors
     data = only_object(decanter(*given, "--roll-back").stdout)
     assert data["rolled_back"] and current(store) == good
     # What was rolled back is no candidate any more, or a timer would promote it every night.
-    refused(decanter(*given[:3], bad, *given[4:-1], "--promote"), 2, "has run, and was replaced since")
+    refused(decanter(*given[:4], bad, *given[5:-1], "--promote"), 2, "has run, and was replaced since")
     # A candidate that is worse stays one, a better one runs by the stated policy.
-    waits = (*given[:3], new, *given[4:])
+    waits = (*given[:4], new, *given[5:])
     refused(decanter(*waits[:-1], "--roll-back"), 2, "has never run, and there is no way back to it")
     monkeypatch.setattr(shadow, "DAY_S", SHORT_DAY)
     kept = only_object(decanter(*waits, "--promote").stdout)
@@ -659,10 +659,14 @@ def test_the_forecasts_of_the_right_model_are_better_on_live_cycles_and_the_wors
     data = only_object(decanter(*waits, "--promote").stdout)
     assert data["promoted"] == current(store) == new
     refused(decanter(*given[:-1], "--promote", "--roll-back"), 2, "--promote needs the VERSION that waits for it")
-    refused(decanter("model", "shadow", store, new, "--historian", historian), 2, "is no other version of this store")
+    refused(
+        decanter("model", "version", "shadow", store, new, "--historian", historian),
+        2,
+        "is no other version of this store",
+    )
     # The one that ran before it is the one to go back to, whichever of them it was learned beside.
     monkeypatch.setattr(shadow, "score_trace", lambda *_, **__: _scores(1.5))
-    data = only_object(decanter("model", "shadow", store, *given[4:], "--roll-back").stdout)
+    data = only_object(decanter("model", "version", "shadow", store, *given[5:], "--roll-back").stdout)
     assert data["rolled_back"] and data["promoted"] == good
 
 
@@ -670,7 +674,7 @@ def test_the_commands_show_cycles_and_family_and_make_a_version_again(
     tmp_path: Path, store: Path, historian: Path, quick: SimpleNamespace
 ) -> None:
     library = tmp_path / "l"
-    given = ("model", "retrain", store, "--historian", historian, "--library", library, "--full-speed")
+    given = ("model", "version", "retrain", store, "--historian", historian, "--library", library, "--full-speed")
     data = only_object(decanter(*given, "--no-diagnosis", "--json").stdout)
     assert data["proposed"] and data["cut"] == CYCLES + 3
     listed = only_object(decanter("model", "cycles", library, "--picture", tmp_path / "map.png", "--json").stdout)
@@ -678,10 +682,12 @@ def test_the_commands_show_cycles_and_family_and_make_a_version_again(
     name = listed["cycles"][0]["name"]
     shown = decanter("model", "cycles", library, "--exclude", name, "--reason", "cleaning", "--by", "Ada")
     assert "cleaning (Ada)" in shown.stdout
-    family = decanter("model", "lineage", store).stdout.splitlines()
+    family = decanter("model", "version", "lineage", store).stdout.splitlines()
     assert family[0].endswith("RUNS  (by hand: it has no record)") and family[1].startswith(f"└─ {data['version']}")
     again = only_object(
-        decanter("model", "lineage", store, "--remake", data["version"], "--library", library, "--json").stdout
+        decanter(
+            "model", "version", "lineage", store, "--remake", data["version"], "--library", library, "--json"
+        ).stdout
     )
     assert again["remade"]["same"]
     # The map rings what was learned from, and nothing else.
@@ -695,7 +701,9 @@ def test_the_commands_show_cycles_and_family_and_make_a_version_again(
     waiting = only_object(decanter(*given, "--if-due", "--after", 30, "--json").stdout)
     assert waiting == {"ok": True, "due": False, "cycles": 0}
     refused(
-        decanter("model", "cycles", tmp_path / "none"), 2, "is no library of cycles; `decanter model retrain` makes one"
+        decanter("model", "cycles", tmp_path / "none"),
+        2,
+        "is no library of cycles; `decanter model version retrain` makes one",
     )
 
 
@@ -706,7 +714,7 @@ def test_a_timer_retrains_on_its_own_bearings_drift_alarm_and_waits_without_a_re
     path, begin = tmp_path / "historian.sqlite", BEGIN
     written(path, plant())
 
-    given: tuple[object, ...] = ("model", "retrain", store, "--historian", path, "--library", tmp_path / "l")
+    given: tuple[object, ...] = ("model", "version", "retrain", store, "--historian", path, "--library", tmp_path / "l")
     given += ("--full-speed", "--no-diagnosis", "--if-due", "--after", 99)
 
     def due(*more: object) -> dict[str, Any]:
@@ -738,7 +746,7 @@ def test_a_damaged_library_and_too_few_cycles_are_one_sentence(
     tmp_path: Path, store: Path, request_of: RetrainingRequest
 ) -> None:
     path = written(tmp_path / "few.sqlite", plant(6))
-    given = ("model", "retrain", store, "--historian", path, "--full-speed", "--library", tmp_path / "few")
+    given = ("model", "version", "retrain", store, "--historian", path, "--full-speed", "--library", tmp_path / "few")
     refused(decanter(*given), 2, "5 new cycles are too few to learn from and to judge by; it takes 16")
     (tmp_path / "few" / "cycles.sqlite").write_bytes(b"no database" * 100)
     refused(decanter(*given), 2, "cannot be used as a library of cycles")
@@ -929,7 +937,7 @@ def test_a_historian_of_several_machines_and_one_without_a_scan_are_one_sentence
     path = tmp_path / "two.sqlite"
     empty = open_historian(path)
     assert empty.close()
-    given = ("model", "shadow", store, new, "--historian", path)
+    given = ("model", "version", "shadow", store, new, "--historian", path)
     refused(decanter(*given), 2, "has no scan yet; let the gateway run first")
     both = open_historian(path)
     for machine in ("one", "two"):
@@ -998,13 +1006,13 @@ def test_an_edited_record_is_one_sentence_and_a_family_in_a_circle_is_named(
     document = json.loads(text)
     for key, value in (("parent", ["x"]), ("settings", 5), ("seed", "1"), ("training", [["a"]])):
         file.write_text(json.dumps({**document, key: value}))
-        refused(decanter("model", "lineage", store), 2, "cannot be used as a record")
+        refused(decanter("model", "version", "lineage", store), 2, "cannot be used as a record")
     file.write_text(text)
     record = read_record(file.parent)
     assert record is not None
     circle = replace(record, parent=version)
     monkeypatch.setattr(lineage, "read_record", lambda folder: circle if folder == file.parent else None)
-    shown = decanter("model", "lineage", store)
+    shown = decanter("model", "version", "lineage", store)
     assert shown.exit_code == 0 and f"what came before: {version}" in shown.stdout
 
 
@@ -1013,4 +1021,4 @@ def test_a_version_made_at_no_moment_is_one_sentence(store: Path) -> None:
     document = json.loads(manifest.read_text())
     for created in (1e18, 1e30, -1e18, "yesterday", None):
         manifest.write_text(json.dumps({**document, "created": created}))
-        refused(decanter("model", "lineage", store), 2, "does not say when the version was made")
+        refused(decanter("model", "version", "lineage", store), 2, "does not say when the version was made")

@@ -18,7 +18,7 @@ ROOMS = {
     "sim.lab.formats.foreign": ("model", "show", "foreign/set"),
     "gateway.lab.fleet": ("model", "fleet", "machines", "--out", "out"),
     "gateway.lab.ingestion": ("trace", "ingest", "folder", "--into", "archive"),
-    "gateway.lab.regression": ("model", "regress", "store", "--standard", "trace.csv"),
+    "gateway.lab.regression": ("model", "judge", "regression", "store", "--standard", "trace.csv"),
 }
 """What serves other needs than to foresee a plant's temperatures, with a command that needs it."""
 SINKS = {

@@ -10,8 +10,9 @@ import pytest
 
 import sim.lab.recordings
 import sim.lab.recordings.mapping
-from gateway.cli.main import main
+from gateway.entry import FirstWordCommand
 from gateway.lab.traces.map import map_command
+from tests.cli.support import command_paths, find_command
 
 OPTION = re.compile(r"(?<![\w-])--([a-z][a-z-]+)")
 FIELDS = re.compile(r"[a-z][a-z-]+")
@@ -61,18 +62,6 @@ def test_every_question_has_the_option_that_answers_it() -> None:
     assert fields <= options()
 
 
-def commands(group: click.Command, name: str = "") -> dict[str, click.Command]:
-    """Every command by its whole name."""
-    if not isinstance(group, click.Group):
-        return {name: group}
-    context, found = click.Context(group), dict[str, click.Command]()
-    for each in group.list_commands(context):
-        command = group.get_command(context, each)
-        assert command is not None
-        found |= commands(command, f"{name} {each}".strip())
-    return found
-
-
 def named_options(command: click.Command) -> set[str]:
     given = (
         name for each in command.params if isinstance(each, click.Option) for name in each.opts + each.secondary_opts
@@ -97,7 +86,8 @@ def whole_texts(file: Path) -> list[str]:
 
 
 def test_an_option_in_a_message_of_a_command_is_its_own_or_the_command_that_has_it_is_named() -> None:
-    every = commands(main)
+    every = {" ".join(words): find_command(words) for words, _ in command_paths()}
+    every = {name: command for name, command in every.items() if not isinstance(command, FirstWordCommand)}
     by_file: dict[str, set[str]] = {}
     for command in every.values():
         assert command.callback is not None

@@ -195,9 +195,9 @@ def test_an_unfit_model_is_promoted_with_a_reason_on_record_alone(tmp_path: Path
     promote(store, first)
     with pytest.raises(ArtefactError, match=r"is not promoted, as it is unfit: worse than holding the last reading"):
         promote(store, second)
-    said = CliRunner().invoke(main, ["model", "promote", str(store), second])
+    said = CliRunner().invoke(main, ["model", "version", "promote", str(store), second])
     assert said.exit_code == 2 and "is unfit" in said.stderr
-    forced = ["model", "promote", str(store), second, "--force", "a trial", "--by", "Ada"]
+    forced = ["model", "version", "promote", str(store), second, "--force", "a trial", "--by", "Ada"]
     said = CliRunner().invoke(main, forced)
     assert said.exit_code == 0 and f"{first} (ran before): fit" in said.output and f"{second}: unfit" in said.output
     promote(store, second, Force("Ada", "a trial", 2.0))
@@ -209,13 +209,15 @@ def test_what_has_befallen_the_version_that_ran_before_is_no_obstacle_and_no_fai
     promote(store, first)
     whole = (version_directory(store, first) / VERDICT_FILE).read_text(encoding="utf-8")
     (version_directory(store, first) / VERDICT_FILE).write_text("damaged", encoding="utf-8")
-    said = CliRunner().invoke(main, ["model", "promote", str(store), second])
+    said = CliRunner().invoke(main, ["model", "version", "promote", str(store), second])
     assert said.exit_code == 0 and f"{first} (ran before): its verdict cannot be read" in said.output, said.output
-    said = CliRunner().invoke(main, ["model", "promote", str(store), "--add", str(version_directory(store, first))])
+    said = CliRunner().invoke(
+        main, ["model", "version", "promote", str(store), "--add", str(version_directory(store, first))]
+    )
     assert said.exit_code == 2 and current(store) == second, "a damaged verdict is not taken along as none"
     (version_directory(store, first) / VERDICT_FILE).write_text(whole, encoding="utf-8")
     shutil.rmtree(version_directory(store, second))
-    said = CliRunner().invoke(main, ["model", "promote", str(store), first])
+    said = CliRunner().invoke(main, ["model", "version", "promote", str(store), first])
     assert said.exit_code == 0 and f"{second} (ran before): its verdict cannot be read" in said.output
 
 

@@ -1,4 +1,4 @@
-"""`decanter backup` and `decanter restore`: all that a gateway is, as one folder, and back from it."""
+"""`decanter keep backup` and `decanter keep restore`: all that a gateway is, as one folder, and back from it."""
 
 import time
 import tomllib
@@ -128,7 +128,9 @@ def _model_files(model: Path) -> Iterator[Path]:
 @click.option("--into", type=click.Path(path_type=Path), default=Path("/"), help="Another root than / for all places.")
 @click.option("--overwrite", is_flag=True, help="Set aside what stands in the places, and put the backup's there.")
 @click.option("--by", default="", envvar="DECANTER_BY", help="Who restores, for the audit log.  [default: the login]")
-@click.option("--seal", default="", metavar="HASH", help="The seal that `decanter backup` printed for this backup.")
+@click.option(
+    "--seal", default="", metavar="HASH", help="The seal that `decanter keep backup` printed for this backup."
+)
 @click.option(
     "--public-key",
     type=click.Path(path_type=Path),

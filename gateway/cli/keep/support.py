@@ -1,4 +1,4 @@
-"""`decanter support`: what somebody elsewhere needs to understand a gateway, in one file without a secret."""
+"""`decanter keep support`: what somebody elsewhere needs to understand a gateway, in one file without a secret."""
 
 import json
 import sqlite3
@@ -40,7 +40,7 @@ ANSWER_S = 10.0
 MIN_SECRET_PIECE_LENGTH = 8
 """Characters of a piece of an address, or a line of a key, that is looked for by itself: shorter ones are words."""
 _ABOUT = """\
-What a gateway is and how it does, made by `decanter support`.
+What a gateway is and how it does, made by `decanter keep support`.
 
 versions.json      program, Python, system, packages
 configuration/     plant file and device files, without their comments; history.json: when they were taken over

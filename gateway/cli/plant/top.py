@@ -1,4 +1,4 @@
-"""`decanter top` and `decanter status`: how a running gateway is, live or once, asked over its control socket."""
+"""`decanter top`: how a running gateway is, live or once, asked over its control socket."""
 
 import signal
 from collections.abc import Iterator
@@ -31,15 +31,24 @@ EXITS: dict[Health, tuple[Exit, str]] = {
     Health.NO_READINGS: (Exit.DEVICE_EXCEPTION, "it runs, and its device gives no good reading"),
     Health.SILENT: (Exit.TIMEOUT, "it is there and does not answer"),
 }
-"""The exit code of `decanter status` by the gateway's health, and when it is that."""
+"""The exit code of `decanter top --once` by the gateway's health, and when it is that."""
 WORSE = (Health.WELL, Health.ATTENTION, Health.NO_READINGS)
 """The words of machines that answer, each worse than the one before."""
-_EXIT_LINES = "\n\n".join(f"{code:d}  {word}: {when}" for word, (code, when) in EXITS.items())
+_EXIT_CODES = "; ".join(f"{code:d} {word}: {when}" for word, (code, when) in EXITS.items())
+_HELP = f"""\
+Watch a running gateway until Ctrl-C: value, age, quality, state, prediction, alarms, records, arming.
+
+On a terminal a panel, elsewhere three lines and then one for each change. An old number is never shown as a present
+one: without an answer the panel says so, and for how long. Several may watch one gateway.
+
+With --once there is one look. Its exit codes: {_EXIT_CODES}.
+"""
 
 
-@click.command(short_help="Watch a running gateway: the live panel, or a line a change.")
+@click.command(short_help="Watch a running gateway; --once: one look, and an exit code.", help=_HELP)
 @config_option
 @machine_option
+@click.option("--watch/--once", "watches", default=True, show_default=True, help="Until Ctrl-C, or one look.")
 @click.option(
     "--every",
     type=click.FloatRange(0.1, 60.0),
@@ -48,14 +57,16 @@ _EXIT_LINES = "\n\n".join(f"{code:d}  {word}: {when}" for word, (code, when) in 
     help="Seconds between two looks.",
 )
 @socket_option
-def top(path: Path, machine: str | None, every: float, socket: Path | None) -> None:
-    """Watch a running gateway until Ctrl-C: value, age, quality, state, prediction, alarms, records, arming.
-
-    On a terminal a panel, elsewhere three lines and then one for each change. An old number is never shown as a
-    present one: without an answer the panel says so, and for how long. Several may watch one gateway.
-    """
-    with sentences(), closing(_watch(path, machine, socket)) as watch:
+@json_option
+def top(path: Path, machine: str | None, watches: bool, every: float, socket: Path | None, as_json: bool) -> None:
+    """Watch a running gateway, or look once."""
+    if watches and as_json:
+        raise click.UsageError("--json is for one look: give --once too")
+    with sentences(), closing(GatewayWatch(control_socket(path, socket), machine=machine)) as watch:
         sighting = watch.look(ANSWER_S)
+        if not watches:
+            _conclude_look(sighting, path, as_json=as_json)
+            return
         if sighting.gone:
             fail(_absent(sighting, path), EXITS[Health.ABSENT][0])
         # Ctrl-C is the way to end it.
@@ -63,33 +74,19 @@ def top(path: Path, machine: str | None, every: float, socket: Path | None) -> N
             follow(watch, Console(), seconds=every, stop=Event())
 
 
-@click.command(
-    short_help="Show once how a running gateway is, by an exit code too.",
-    epilog=f"Exit codes:\n\n{_EXIT_LINES}",
-)
-@config_option
-@machine_option
-@socket_option
-@json_option
-def status(path: Path, machine: str | None, socket: Path | None, as_json: bool) -> None:
-    """Show once how a running gateway is, by an exit code too."""
-    with sentences(), closing(_watch(path, machine, socket)) as watch:
-        sighting = watch.look(ANSWER_S)
-        if sighting.silence or not sighting.machines:
-            word, reason = Health.ABSENT if sighting.gone else Health.SILENT, _absent(sighting, path)
-            absent = CommandResult({"health": word, "reason": reason}, reason, EXITS[word][0])
-            conclude(absent, lambda _: [], as_json=as_json)
-        answers = {name: _answer(status) for name, status in sighting.machines.items()}
-        # The worst word of all machines is the gateway's.
-        word = max((answer["health"] for answer in answers.values()), key=WORSE.index)
-        only = sighting.status is not None
-        data = next(iter(answers.values())) if only else {"health": word, "machines": answers}
-        found = CommandResult(data, failing=EXITS[word][0], ok=word is Health.WELL)
-        conclude(found, lambda _: [Drawing(panel(sighting))], as_json=as_json)
-
-
-def _watch(path: Path, machine: str | None, socket: Path | None) -> GatewayWatch:
-    return GatewayWatch(control_socket(path, socket), machine=machine)
+def _conclude_look(sighting: Sighting, path: Path, *, as_json: bool) -> None:
+    """Show one look at a gateway; leave with the exit code of its health."""
+    if sighting.silence or not sighting.machines:
+        word, reason = Health.ABSENT if sighting.gone else Health.SILENT, _absent(sighting, path)
+        absent = CommandResult({"health": word, "reason": reason}, reason, EXITS[word][0])
+        conclude(absent, lambda _: [], as_json=as_json)
+    answers = {name: _answer(status) for name, status in sighting.machines.items()}
+    # The worst word of all machines is the gateway's.
+    word = max((answer["health"] for answer in answers.values()), key=WORSE.index)
+    only = sighting.status is not None
+    data = next(iter(answers.values())) if only else {"health": word, "machines": answers}
+    found = CommandResult(data, failing=EXITS[word][0], ok=word is Health.WELL)
+    conclude(found, lambda _: [Drawing(panel(sighting))], as_json=as_json)
 
 
 def _answer(status: GatewayStatus) -> dict[str, Any]:

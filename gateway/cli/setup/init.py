@@ -24,7 +24,7 @@ from gateway.commission.files import (
     template,
 )
 from gateway.commission.import_list import bindings, list_options, make_reading
-from gateway.commission.options import SharedOptions, link_options
+from gateway.commission.options import SharedOptions, place_options
 from gateway.console import CommandResult, Line, Part, conclude, find_service, make_folder, shipped_file
 from gateway.entry import sentences
 from gateway.lab.traces.map import ask_map
@@ -57,7 +57,7 @@ _HEARTBEAT = re.compile("heart ?beat|life ?(bit|counter|word)|watchdog|contatore
 )
 @click.option("--overwrite", is_flag=True, help="Replace files that are there.")
 @HEARTBEAT
-@link_options
+@place_options
 def init(given: SharedOptions, folder: Path, **options: Any) -> None:
     """Make FOLDER (this one by default) a plant's: plant.toml, devices/plc.toml, columns.toml, models/, README.md.
 

@@ -28,7 +28,7 @@ temperature = "TCuscinettiRiduttore"   # the tag that is predicted and watched
 # path = "models/decanter"   # a model; without it: monitoring and the threshold alarm only
 
 [writeback]
-mode = "off"                 # "off", "shadow" (computed and stored; `decanter plc arm` lets it be written) or "armed"
+mode = "off"                 # "off", "shadow" (computed and stored; `decanter arm` lets it be written) or "armed"
 
 [alarms]
 limit = 80.0                 # degC

@@ -1,4 +1,4 @@
-"""Recordings of readings: made by `soak`, read by `verify` and `replay`; a gateway's historian is one too."""
+"""Recordings of readings: made by `check soak`, read by `check hmi` and `replay`; a gateway's historian is one too."""
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence

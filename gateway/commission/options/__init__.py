@@ -8,6 +8,8 @@ from gateway.commission.options.shared import (
     link_options,
     only_option,
     period_option,
+    place_options,
+    plant_options,
     record_options,
     shared_options,
 )

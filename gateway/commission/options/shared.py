@@ -25,6 +25,9 @@ RECORDS = Path("out/commissioning.jsonl")
 class SharedOption(click.Option):
     """An option that many commands take and only their group's help lists; completion offers it everywhere."""
 
+    listed_by = "Connection, --json and records: see `decanter plc --help`."
+    """What the help of a command says instead."""
+
     def get_help_record(self, ctx: click.Context) -> tuple[str, str] | None:
         """Its line in the help of a group; none in that of a command."""
         return super().get_help_record(ctx) if isinstance(ctx.command, click.Group) else None
@@ -34,7 +37,7 @@ def _shared_option(*names: str, **settings: Any) -> Any:
     return click.option(*names, cls=SharedOption, **settings)
 
 
-_TARGET_OPTIONS = (
+_PLANT_OPTIONS = (
     _shared_option(
         "--config",
         "plant",
@@ -42,6 +45,8 @@ _TARGET_OPTIONS = (
         help="Plant file: its first link, or the one that --link names.  [default: plant.toml, config/plant.toml]",
     ),
     _shared_option("--machine", metavar="NAME", help="Which machine of a plant file that has several."),
+)
+_DEVICE_OPTIONS = (
     _shared_option("--device", type=_FILE, help="Device file (register map) instead of a plant file."),
     _shared_option("--link", metavar="KIND", help=f"One of {', '.join(LINKS)}; with --config also a link's name."),
 )
@@ -64,12 +69,12 @@ _DRIVER_OPTIONS = (
     _shared_option("--dbc", type=_FILE, help="CAN: a DBC file."),
 )
 _OTHERS = _shared_option("--set", "others", multiple=True, metavar="KEY=VALUE", help="Any other setting of the driver.")
-CONNECTION_OPTIONS = (*_TARGET_OPTIONS, *_DRIVER_OPTIONS, _OTHERS)
+PLACE_OPTIONS = (*_DEVICE_OPTIONS, *_DRIVER_OPTIONS, _OTHERS)
 """Which device over which link: for what a plant file does not say."""
 
-RECORD_OPTIONS = (
-    _shared_option("--json", "as_json", is_flag=True, help="One JSON object instead of text."),
-    _shared_option("--pcap", type=_FILE, help="Also keep the frames in this pcap file."),
+_JSON = _shared_option("--json", "as_json", is_flag=True, help="One JSON object instead of text.")
+_PCAP = _shared_option("--pcap", type=_FILE, help="Also keep the frames in this pcap file.")
+_ACCOUNT_OPTIONS = (
     _shared_option(
         "--records",
         type=_FILE,
@@ -85,7 +90,9 @@ RECORD_OPTIONS = (
         help="Who asks.  [default: the login; arm wants a name]",
     ),
 )
-"""What is kept of a command, and by whom it was asked."""
+"""Where a command is kept, and by whom it was asked."""
+CONNECTION_OPTIONS = (*_PLANT_OPTIONS, *PLACE_OPTIONS)
+RECORD_OPTIONS = (_JSON, _PCAP, *_ACCOUNT_OPTIONS)
 
 
 def _collect_params(options: Any) -> list[click.Parameter]:
@@ -134,10 +141,40 @@ def link_options(command: Callable[..., Any]) -> Callable[..., Any]:
                 given = replace(given, plant=find_plant_file())
         return command(given=given, **options)
 
-    wrapped: Callable[..., Any] = call
-    for option in reversed((*CONNECTION_OPTIONS, *RECORD_OPTIONS)):
-        wrapped = option(wrapped)
-    return wrapped
+    return _with_options(call, *CONNECTION_OPTIONS, *RECORD_OPTIONS)
+
+
+def plant_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """The command with the options of a plant file and the records alone, for one that asks no device; it gets `given`.
+
+    Where no --config says so, the plant file is the working folder's.
+    """
+
+    @wraps(command)
+    def call(**options: Any) -> Any:
+        given = _take_shared(options)
+        if given.plant is None:
+            with suppress(ValueError):  # the command says what is missing
+                given = replace(given, plant=find_plant_file())
+        return command(given=given, **options)
+
+    return _with_options(call, *_PLANT_OPTIONS, _JSON, *_ACCOUNT_OPTIONS)
+
+
+def place_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """The command with the options of a place and --json alone, for one that makes a plant file; it gets `given`."""
+
+    @wraps(command)
+    def call(**options: Any) -> Any:
+        return command(given=_take_shared(options), **options)
+
+    return _with_options(call, *PLACE_OPTIONS, _JSON)
+
+
+def _with_options(call: Callable[..., Any], *options: Any) -> Callable[..., Any]:
+    for option in reversed(options):
+        call = option(call)
+    return call
 
 
 def record_options(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -156,10 +193,7 @@ def record_options(command: Callable[..., Any]) -> Callable[..., Any]:
                 given = replace(given, plant=find_plant_file())
         return command(given=given, **filled)
 
-    wrapped: Callable[..., Any] = call
-    for option in reversed(RECORD_OPTIONS):
-        wrapped = option(wrapped)
-    return wrapped
+    return _with_options(call, _JSON, *_ACCOUNT_OPTIONS)
 
 
 def audit_option(command: Callable[..., Any]) -> Callable[..., Any]:

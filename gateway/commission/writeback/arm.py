@@ -1,4 +1,4 @@
-"""`decanter plc arm` and `disarm`: in the gateway that runs, or in the audit log where none does."""
+"""`decanter arm` and `disarm`: in the gateway that runs, or in the audit log where none does."""
 
 import asyncio
 import time
@@ -207,7 +207,7 @@ def _is_gateway_alive(site: Site) -> bool:
 
 
 def arm(given: SharedOptions, reason: str, minutes: float, acknowledged: tuple[str, ...], audit: Path | None) -> None:
-    """Carry out `decanter plc arm`; its options and its help are in commission/commands.py."""
+    """Carry out `decanter arm`; its options and its help are in commission/commands.py."""
 
     async def work(site: Site) -> CommandResult:
         return await start_arming(
@@ -224,7 +224,7 @@ def _armed_lines(data: Mapping[str, Any]) -> Iterator[Part]:
 
 
 def disarm(given: SharedOptions, reason: str, socket: Path | None, audit: Path | None) -> None:
-    """Carry out `decanter plc disarm`; its options and its help are in commission/commands.py."""
+    """Carry out `decanter disarm`; its options and its help are in commission/commands.py."""
 
     async def work(site: Site) -> CommandResult:
         return await end_arming(site, audit_path(audit, given, site.target), given.by or login(), reason)

@@ -1,4 +1,4 @@
-"""`decanter plc audit`: the account of every write, refusal and arming, whether it is whole, by whose witness."""
+"""`decanter audit`: the account of every write, refusal and arming, whether it is whole, by whose witness."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
@@ -25,7 +25,7 @@ def audit(
     log: Path | None,
     audit: Path | None,
 ) -> None:
-    """Carry out `decanter plc audit`; its options and its help are in commission/commands.py."""
+    """Carry out `decanter audit`; its options and its help are in commission/commands.py."""
     with sentences():
         configs = load_plant(given.plant) if given.plant is not None else ()
         places = find_places(audit_path(audit, given), configs[0] if configs else None)

@@ -72,7 +72,7 @@ def arming_in_force(places: WitnessPlaces, now: float, subject: str = "") -> Arm
     if row is None:
         _note_the_end(places, now, subject)
         raise WriteForbidden(
-            f"not armed: nothing is written; arm first: decanter plc arm --by NAME --reason WHY --minutes N (audit log "
+            f"not armed: nothing is written; arm first: decanter arm --by NAME --reason WHY --minutes N (audit log "
             f"{path})"
         )
     if why := obstacle(places)[0]:

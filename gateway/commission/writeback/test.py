@@ -1,4 +1,4 @@
-"""`decanter plc test`: what is written on purpose to see that the PLC's side of the write-back works."""
+"""`decanter plc check write`: what is written on purpose to see that the PLC's side of the write-back works."""
 
 from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict
@@ -79,7 +79,7 @@ TESTS: dict[str, tuple[Test, View, tuple[str, ...]]] = {
 @audit_option
 @link_options
 def test(given: SharedOptions, what: str, audit: Path | None, **options: bool | None) -> None:
-    """Test the PLC's side of the write-back. It writes, so it needs an arming (decanter plc arm).
+    """Test the PLC's side of the write-back. It writes, so it needs an arming (decanter arm).
 
     alarms sets each alarm bit alone, then none: the PLC has to accept the block, and the HMI to show it (--ask).
     heartbeat moves and checks both heartbeats; the PLC's timer runs out when the blocks cease. Blocks of both have

@@ -1,4 +1,4 @@
-"""`decanter plc plan --write`: what the gateway would write, and whether the contract is complete; nothing is sent."""
+"""`decanter plc check plan --write`: what the gateway would write, whether the contract is complete; sends nothing."""
 
 import time
 from collections.abc import Iterator, Mapping

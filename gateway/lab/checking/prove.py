@@ -1,4 +1,4 @@
-"""`decanter model prove`: what is certain about a model before it runs, and the word that shows what is wrong."""
+"""`decanter model judge proof`: what is certain about a model before it runs, and the word that shows what is wrong."""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path

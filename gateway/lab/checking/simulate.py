@@ -142,7 +142,7 @@ def simulate(
     that of the stochastic runs, the sensor's noise included.
 
     With --word the model runs without noise and without clamps along a timed word, such as a counterexample of
-    `decanter model prove`: each stay's m, inputs and temperature may stand behind its event (docs/checking.md).
+    `decanter model judge proof`: each stay's m, inputs and temperature may stand behind its event (docs/checking.md).
     """
     if bool(paths) == (word is not None):
         raise click.UsageError("give --trace or --word, one of the two")

@@ -279,7 +279,7 @@ def diagnose(
         if candidate is not None:
             name, fresh = candidate
             yield f"{'proposed' if fresh else 'waits already for the same finding'}: {where}@{name}"
-            yield f"to run it once it is confirmed: decanter model promote {where} {name}"
+            yield f"to run it once it is confirmed: decanter model version promote {where} {name}"
 
     conclude(CommandResult(document(result.diagnosis) | data), lambda _: result_parts(), as_json=as_json)
 

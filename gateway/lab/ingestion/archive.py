@@ -255,7 +255,7 @@ def refuse_open(unit: IngestUnit) -> None:
             # Of another's file, and where there are no leases, it cannot be known: what changes is seen by its stamp.
             if error.errno == EAGAIN:
                 database = any(path.with_name(path.name + end).exists() for end in BESIDE_SQLITE)
-                remedy = "ingest a copy that `decanter backup` made" if database else "close it first"
+                remedy = "ingest a copy that `decanter keep backup` made" if database else "close it first"
                 raise PassingError(f"{path}: is open for writing by another process; {remedy}") from None
         finally:
             os.close(handle)

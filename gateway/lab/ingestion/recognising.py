@@ -115,7 +115,8 @@ def list_units(folder: Path, besides: Path) -> list[IngestUnit]:
         if any(name in files for name in (MODEL_FILE, STORE_FILE)):
             names.clear()
             said = (
-                "is a model of this program, not a file from elsewhere; `decanter model promote STORE --add` takes it"
+                "is a model of this program, not a file from elsewhere; "
+                "`decanter model version promote STORE --add` takes it"
             )
             units.append(_refused_unit(here, folder, said))
             continue
@@ -241,7 +242,7 @@ def _refuse_lone_report(path: Path) -> None:
 def _historian(path: Path) -> RecognisedUnit:
     log = path.with_name(path.name + BESIDE_SQLITE[0])
     if log.exists() and log.stat().st_size:
-        said = f"a gateway may be writing it ({log.name} is beside it); ingest a copy that `decanter backup` made"
+        said = f"a gateway may be writing it ({log.name} is beside it); ingest a copy that `decanter keep backup` made"
         raise file_error(path, None, said)
     with reading(path, immutable=True) as connection:
         known = machines(connection)

@@ -157,7 +157,7 @@ def skill(**given: Any) -> None:
     "folders",
     multiple=True,
     type=click.Path(path_type=Path),
-    help="The folder of an earlier `validate`; may be given again.",
+    help="The folder of an earlier `model judge validation`; may be given again.",
 )
 @judging_options(
     semantics="both are ranked apart",
@@ -192,10 +192,10 @@ def skill(**given: Any) -> None:
 def rank(request: JudgingRequest, **given: Any) -> None:
     """Compare models on the same traces by S = w1 MAE + w2 largest error + w3 sigma(error), with paired tests.
 
-    Give MODEL... and --traces to run them (open loop), or --results of an earlier `decanter model validate`; models
-    given beside --results are verified. A model that has seen a trace in training is marked in-sample. The limits of
-    fitness for deployment are options; `open` means that one of them could not be looked at. With --skill the models'
-    forecasts along the traces are scored too, beside persistence, and it is said where they are not worth it.
+    Give MODEL... and --traces to run them (open loop), or --results of an earlier `decanter model judge validation`;
+    models given beside --results are verified. A model that has seen a trace in training is marked in-sample. The
+    limits of fitness for deployment are options; `open` means that one of them could not be looked at. With --skill the
+    models' forecasts along the traces are scored too, beside persistence, and it is said where they are not worth it.
     """
     from gateway.lab.judging.rank import rank as work
 

@@ -1,4 +1,4 @@
-"""`decanter model rank`: several models on the same traces; which of them are fit for deployment."""
+"""`decanter model judge rank`: several models on the same traces; which of them are fit for deployment."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -107,7 +107,7 @@ def rank(
     picture: Path | None,
     as_json: bool,
 ) -> None:
-    """Carry out `decanter model rank`; its options and its help are in judging/commands.py."""
+    """Carry out `decanter model judge rank`; its options and its help are in judging/commands.py."""
     if bool(request.paths) == bool(folders) or (request.paths and not request.models):
         raise click.UsageError("Give MODEL... with --traces, or --results of an earlier campaign.")
     if request.skill and not request.paths:

@@ -1,4 +1,4 @@
-"""What `rank` and `validate` are asked alike: which models, along which traces, under which semantics, how."""
+"""What `judge rank` and `judge validation` are asked alike: which models, along which traces, semantics, how."""
 
 import os
 from collections.abc import Callable, Sequence

@@ -1,4 +1,4 @@
-"""`decanter model skill`: forecasts along held-out traces as the running gateway makes them, beside rivals."""
+"""`decanter model judge skill`: forecasts along held-out traces as the running gateway makes them, beside rivals."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -113,7 +113,7 @@ def skill(
     seed: int,
     as_json: bool,
 ) -> None:
-    """Carry out `decanter model skill`; its options and its help are in judging/commands.py."""
+    """Carry out `decanter model judge skill`; its options and its help are in judging/commands.py."""
     if rivals and not training:
         raise click.UsageError("--rivals are fitted to traces: name them with --training")
     with sentences(), progress("forecasting") as report:

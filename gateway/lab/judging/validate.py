@@ -1,4 +1,4 @@
-"""`decanter model validate`: models along measured traces in nine stages, with a report each."""
+"""`decanter model judge validation`: models along measured traces in nine stages, with a report each."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import nullcontext
@@ -187,7 +187,7 @@ MOST_REASONS = 5
 def validate(
     request: JudgingRequest, out: Path, overwrite: bool, address: str | None, pictures: bool, as_json: bool
 ) -> None:
-    """Carry out `decanter model validate`; its options and its help are in judging/commands.py."""
+    """Carry out `decanter model judge validation`; its options and its help are in judging/commands.py."""
     request.check_training()
     try:
         with sentences(), progress("validating") as bar, interruptible(bar) as report:

@@ -1,4 +1,4 @@
-"""`decanter model promote`: makes a version of a store the one that runs, if its model verifies."""
+"""`decanter model version promote`: makes a version of a store the one that runs, if its model verifies."""
 
 import time
 from collections.abc import Iterator
@@ -37,7 +37,7 @@ def promote(
 ) -> None:
     """Make VERSION of STORE the current one: what a gateway runs whose model.path is the store.
 
-    A model that does not verify (see `decanter model prove`), or that was judged unfit where it was learned, is
+    A model that does not verify (see `decanter model judge proof`), or that was judged unfit where it was learned, is
     refused, in one sentence with the reasons. Its verdict is shown beside that of the version that ran before. --force
     with --by promotes it all the same, if it can be run at all: name and reason are kept in the store, the gateway
     warns at each start, does not run armed on one that does not verify, and has red confidence in one that is unfit.

@@ -98,6 +98,7 @@ def summary(shown: Model) -> dict[str, Any]:
         ],
         "borrowed": sorted(shown.borrowed),
         "plain": [asdict(member) for member in shown.plain],
+        "anomalies": None if shown.anomalies is None else asdict(shown.anomalies),
         "provenance": {
             "method": shown.provenance.method,
             "data_hash": shown.provenance.data_hash,
@@ -163,6 +164,9 @@ def show_model(shown: Model) -> Iterator[Part]:
     yield f"temperature {shown.temperature}, sensor sigma {sensor}, method {origin.method}"
     if shown.calibration:
         yield "calibration " + ", ".join(f"{h:g} s x {f:.2f}" for h, f in sorted(shown.calibration.items()))
+    if (seen := shown.anomalies) is not None:
+        spans = f"{seen.seconds / 3600.0:.3g} h of {seen.units} recordings or machines that were held out"
+        yield f"anomaly: a score of {seen.level:g} is passed once a week at most, by {spans}"
     if not shown.correction.identity:
         yield f"correction T' = {shown.correction.gain:.4g} T {shown.correction.offset:+.3g} {unit}"
     synthetic = ", SYNTHETIC: not learned from a plant" if origin.synthetic else ""

@@ -519,7 +519,7 @@ def judge(
     seed: int = 0,
     progress: Progress = _quiet,
 ) -> Judgement:
-    """What a model's forecasts are worth along a held-out recording, as `decanter model skill` scores them.
+    """What a model's forecasts are worth along a held-out recording, as `decanter model judge skill` scores them.
 
     Beside persistence, and beside the statistical rivals fitted to `training` where that is given. Times as those of
     `forecast`. Raises ValueError where no forecast came due.

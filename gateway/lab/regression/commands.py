@@ -1,4 +1,4 @@
-"""The options of `model regress` and its help; the work is loaded when it is asked for."""
+"""The options of `model judge regression` and its help; the work is loaded when it is asked for."""
 
 from pathlib import Path
 from typing import Any

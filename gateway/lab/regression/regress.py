@@ -1,4 +1,4 @@
-"""`decanter model regress`: a standard set against all models, and what became worse since which version."""
+"""`decanter model judge regression`: a standard set against all models, and what became worse since which version."""
 
 import os
 import time
@@ -23,7 +23,7 @@ from sim.sha import DEFAULT_UNIT, Model, display_unit
 def regress(
     places: Sequence[Path], standard: str, file: Path, reason: str | None, map_name: str, seed: int, as_json: bool
 ) -> None:
-    """Carry out `decanter model regress`; its options and its help are in regression/commands.py."""
+    """Carry out `decanter model judge regression`; its options and its help are in regression/commands.py."""
     if reason is not None and not reason.strip():
         raise click.UsageError("--accept needs a reason")
     with sentences(), progress("standard set") as bar, interruptible(bar) as report:

@@ -28,7 +28,7 @@ from sim.sha import Array, Trace, content_hash
 
 FILE, KEPT = "cycles.sqlite", "kept"
 LAYOUT = 1
-NO_LIBRARY = "is no library of cycles; `decanter model retrain` makes one"
+NO_LIBRARY = "is no library of cycles; `decanter model version retrain` makes one"
 SCHEMA = """
 CREATE TABLE facts (name TEXT PRIMARY KEY, content TEXT NOT NULL);
 CREATE TABLE cycles (

@@ -1,4 +1,4 @@
-"""`decanter model lineage`: the family of a store's versions, and a version made again from its record, bit for bit."""
+"""`decanter model version lineage`: the family of a store's versions, and one made again from its record bit by bit."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -22,7 +22,7 @@ from sim.sha import Trace, content_hash
 def lineage_command(
     store: Path, version: str | None, folder: Path | None, former: tuple[str, ...], map_name: str, as_json: bool
 ) -> None:
-    """Carry out `decanter model lineage`; its options and its help are in retraining/commands.py."""
+    """Carry out `decanter model version lineage`; its options and its help are in retraining/commands.py."""
     if version is not None and folder is None and not former:
         raise click.UsageError("--remake needs the traces: give --library, --traces, or both")
     with sentences(), progress("learning again") as report:
@@ -84,7 +84,7 @@ def _remake(store: Path, version: str, folder: Path | None, former: list[Trace])
     home = version_directory(store, version)
     record = read_record(home)
     if record is None:
-        raise ValueError(f"{home}: has no record; versions that `decanter model retrain` has made have one")
+        raise ValueError(f"{home}: has no record; versions that `decanter model version retrain` has made have one")
     given = {content_hash(trace): replace(trace, events=()) for trace in former}
     traces = []
     if folder is None:

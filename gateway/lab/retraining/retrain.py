@@ -1,4 +1,4 @@
-"""`decanter model retrain`: from the historian to a proposed version, in steps that a kill does not undo."""
+"""`decanter model version retrain`: from the historian to a proposed version, in steps that a kill does not undo."""
 
 import os
 import time
@@ -62,7 +62,7 @@ def retrain_command(
     seed: int,
     as_json: bool,
 ) -> None:
-    """Carry out `decanter model retrain`; its options and its help are in retraining/commands.py."""
+    """Carry out `decanter model version retrain`; its options and its help are in retraining/commands.py."""
     if red < yellow:
         raise click.UsageError("--red is below --yellow; give the red class the larger error")
     if not full_speed:
@@ -134,4 +134,4 @@ def show(found: Retraining, store: Path, place: Path, cost: dict[str, float]) ->
     yield f"report: {place}"
     yield f"cost: {cost['cpu_s']:.0f} s of processor time, {cost['peak_mb']:.0f} MB at most"
     if found.version:
-        yield f"to run it: decanter model promote {store} {found.version}"
+        yield f"to run it: decanter model version promote {store} {found.version}"

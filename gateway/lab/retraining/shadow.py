@@ -1,4 +1,4 @@
-"""`decanter model shadow`: two versions side by side on live cycles, from the records; on or back to the better one.
+"""`decanter model version shadow`: two versions on live cycles, from the records; on or back to the better one.
 
 The historian has everything that either version would have read, so that the one that does not run is forecast with
 afterwards, exactly as the gateway would have: it costs the running gateway nothing, and cannot disturb it.
@@ -95,7 +95,7 @@ def side_by_side(
     if promotes and other in known:
         raise ValueError(
             f"{store}: {other} has run, and was replaced since: it is no candidate any more; a person may run it again "
-            f"with `decanter model promote {store} {other}`"
+            f"with `decanter model version promote {store} {other}`"
         )
     judged, stood = (other, running) if promotes else (running, other)
     new, old = load(store, judged), load(store, stood)
@@ -212,7 +212,7 @@ def shadow_command(
     seed: int,
     as_json: bool,
 ) -> None:
-    """Carry out `decanter model shadow`; its options and its help are in retraining/commands.py."""
+    """Carry out `decanter model version shadow`; its options and its help are in retraining/commands.py."""
     if promotes and (roll_back or version is None):
         raise click.UsageError("--promote needs the VERSION that waits for it, and excludes --roll-back")
     with sentences(), progress("comparing") as bar, interruptible(bar) as report:

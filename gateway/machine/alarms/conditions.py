@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from itertools import groupby
+from types import MappingProxyType
 from typing import Any
 
 from drivers.device_file import ACKNOWLEDGE_BITS
@@ -75,17 +76,28 @@ def _of_kind(config: Config, name: str, kind: AlarmKind, at: AlarmPlace) -> list
     return [AlarmCondition(own_response=given, **{**usual, **more, **own})]
 
 
-def make_conditions(config: Config, inputs: tuple[str, ...], *, complains: bool = False) -> dict[str, AlarmCondition]:
+def make_conditions(
+    config: Config,
+    inputs: tuple[str, ...],
+    *,
+    complains: bool = False,
+    anomaly_levels: Mapping[str, float] = MappingProxyType({}),
+) -> dict[str, AlarmCondition]:
     """The alarms by name; their bits are those of the block's alarm word.
 
-    A driver that `complains` has an alarm of its own for what its device says. What the plant has once is the first
-    machine's to look after, and names the plant where there are several.
+    `anomaly_levels` are those of the models' own records, by the temperature that each predicts. A driver that
+    `complains` has an alarm of its own for what its device says. What the plant has once is the first machine's to look
+    after, and names the plant where there are several.
     """
     stale_after = STALE_PERIODS * config.scan.period
     machine = [AlarmPlace(config=config, inputs=inputs, complains=complains, stale_after=stale_after)]
     places = {
         "watched": [AlarmPlace(config=config, tag=tag) for tag in config.watched_temperatures],
-        "predicted": [AlarmPlace(config=one, tag=one.model.temperature) for one in config.temperature_configs],
+        "predicted": [
+            AlarmPlace(config=one, tag=tag, anomaly_level=anomaly_levels.get(tag))
+            for one in config.temperature_configs
+            for tag in [one.model.temperature]
+        ],
         "machine": machine,
         "plant": machine if config.leads else [],
     }

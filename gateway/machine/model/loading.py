@@ -167,7 +167,7 @@ def _verify_model(config: Config, model: Model, path: Path, key: str, version: s
         return "", ""
     force = find_force(path, version) if version else None
     if force is None:
-        remedy = f"see `decanter model prove {path}`, give another model, or leave {key} out to run without it"
+        remedy = f"see `decanter model judge proof {path}`, give another model, or leave {key} out to run without it"
         return f"{key}: the model at {path} is not run, as it does not verify: {reason}; {remedy}", ""
     sentence = f"the model at {path} does not verify ({reason}); {force.by} promoted it by force: {force.reason}"
     if config.writeback.mode == "armed":

@@ -20,7 +20,7 @@ from gateway.machine.model.predict import Predictor, ScanPrediction
 from gateway.machine.model.twin import TwinBearing, combine
 from gateway.machine.model.virtual_sensor import VirtualReading, VirtualSensor
 from gateway.machine.reading import Scan
-from gateway.settings import Config
+from gateway.settings import ANOMALY_FLOOR, Config
 from gateway.store import HistorianView, saved_state
 from sim.artefacts import is_store, read_finding, read_verdict, version_directory, versions
 from sim.files import ArtefactError
@@ -60,6 +60,9 @@ class ModelUnit:
         self.begin_anew()
         for model in (loaded, *members):
             self._warn(model)
+        if config.alarms.anomaly is None and loaded.model.anomalies is None:
+            message = "the model has no record of its anomaly scores: their alarm begins where it does without one"
+            log.info(message, limit=ANOMALY_FLOOR)
 
     def begin_anew(self, ready: Predictor | None = None) -> None:
         """Trust nothing that was believed or learned; `ready` is a predictor of this model that has followed scans."""

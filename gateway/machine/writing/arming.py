@@ -310,7 +310,7 @@ def open_writers(
 ) -> tuple[Writer, ...]:
     """The writers of the blocks `layouts` of one machine, in the configured mode, which is not off.
 
-    They have one arming and one number: by the configuration, or by `decanter plc arm` before the gateway began; only
+    They have one arming and one number: by the configuration, or by `decanter arm` before the gateway began; only
     while that lasts, and only once the audit log has it. `obstacle` says why nothing may be armed at all, `rng` draws
     the number of this start. Raises ConfigError for a driver that cannot write.
     """

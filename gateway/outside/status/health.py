@@ -15,7 +15,7 @@ MOST_NAMED = 3
 
 
 class Health(StrEnum):
-    """The word for a gateway; `decanter status` has an exit code for each."""
+    """The word for a gateway; `decanter top --once` has an exit code for each."""
 
     WELL = "well"
     ATTENTION = "attention"
@@ -81,9 +81,15 @@ STATE_UNKNOWN = Phrase(
     de="der Zustand der Anlage ist nicht bekannt, daher wird nichts vorhergesagt",
 )
 DOES_NOT_FOLLOW = Phrase(
-    "the confidence is {zone}: the readings do not follow the model (anomaly {anomaly})",
-    it="la fiducia è {zone}: le letture non seguono il modello (anomalia {anomaly})",
-    de="das Vertrauen ist {zone}: die Messwerte folgen dem Modell nicht (Anomalie {anomaly})",
+    "the confidence is {zone}: the readings do not follow the model (anomaly {anomaly}){alarm}",
+    it="la fiducia è {zone}: le letture non seguono il modello (anomalia {anomaly}){alarm}",
+    de="das Vertrauen ist {zone}: die Messwerte folgen dem Modell nicht (Anomalie {anomaly}){alarm}",
+)
+# What to believe and what to look at begin at different scores.
+NO_ALARM = Phrase(
+    "; do not rely on the forecast now, and look at the machine if the alarm comes",
+    it="; non affidarsi ora alla previsione, e controllare la macchina se arriva l'allarme",
+    de="; der Vorhersage jetzt nicht vertrauen, und nach der Maschine sehen, wenn der Alarm kommt",
 )
 ZONE_WORDS = {"yellow": Phrase("yellow", it="media", de="mäßig"), "red": Phrase("red", it="bassa", de="gering")}
 
@@ -115,7 +121,9 @@ def model_sentence(status: GatewayStatus, one: GatewayStatus | TemperatureStatus
     if strange := unfamiliar_sentence(one):
         return strange
     if p.zone in ("yellow", "red"):
-        return DOES_NOT_FOLLOW.fill(zone=ZONE_WORDS[p.zone], anomaly=f"{p.anomaly or 0.0:.1f}")
+        stands = any(a.kind == "anomaly" and a.active and a.tag == one.temperature for a in status.alarm_summary)
+        alarm = "" if stands else NO_ALARM
+        return DOES_NOT_FOLLOW.fill(zone=ZONE_WORDS[p.zone], anomaly=f"{p.anomaly or 0.0:.1f}", alarm=alarm)
     return ""
 
 

@@ -1,4 +1,4 @@
-"""A backup of the gateway made on a person's word, as by `decanter backup`: a new folder beside the records."""
+"""A backup of the gateway made on a person's word, as by `decanter keep backup`: a new folder beside the records."""
 
 import asyncio
 import json
@@ -37,7 +37,7 @@ class BackupMaker:
         if free is not None and free < size + 1e6 * self._config.alarms.disk_mb:
             raise BackupRefused(
                 f"{free / 1e6:.0f} MB are left on the records' disk and the backup takes about {size / 1e6:.0f} MB; "
-                "make room, or make it on another disk with `decanter backup FOLDER`"
+                "make room, or make it on another disk with `decanter keep backup FOLDER`"
             )
         name = time.strftime("%Y%m%dT%H%M%SZ", time.gmtime())
         return (self._config.historian.path.parent / FOLDER / name).absolute()

@@ -231,7 +231,10 @@ def _from_plant(case: Case) -> Said:
 
 
 CRITERIA: Mapping[str, tuple[Callable[[Case], Said], str]] = {
-    "verified": (_judge_proof, "see what `decanter model prove` refutes, and learn with another --method or flow"),
+    "verified": (
+        _judge_proof,
+        "see what `decanter model judge proof` refutes, and learn with another --method or flow",
+    ),
     "passed": (_judge_passes, "mend the traces that failed, or leave them out by name"),
     "accepted": (_judge_acceptance, "learn with traces in which these events happen"),
     "clamps": (_clamps, "learn with traces that reach these temperatures"),

@@ -294,7 +294,10 @@ def _moves_in_its_unit(case: LearnedCase) -> Said:
 
 
 CRITERIA: Mapping[str, tuple[Callable[[LearnedCase], Said], str]] = {
-    "verified": (_judge_proof, "see what `decanter model prove` refutes, and learn with another --method or flow"),
+    "verified": (
+        _judge_proof,
+        "see what `decanter model judge proof` refutes, and learn with another --method or flow",
+    ),
     FORECAST_CRITERION: (_foresees, "learn with more starts and stops; `decanter diagnose` names what is missing"),
     "band": (_covers, "learn with more days, or look at the sensor's noise"),
     "units": (_taught_enough, "learn with more days and starts"),

@@ -79,6 +79,7 @@ if TYPE_CHECKING:
         nearest,
         product_sha,
         reference,
+        shared_name,
     )
 else:
     __getattr__ = lazy_getattr(__name__)

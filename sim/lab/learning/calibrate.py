@@ -1,13 +1,15 @@
 """By how much a model's bands must be widened, learned from forecasts of what the model was not fitted to."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import exp, inf, log, nan
 
 import numpy as np
 
-from sim.engine import Belief, compile_tracker, observe, on_event, start, with_inputs
+from sim.anomaly import AnomalyRecord, ScorePeaks
+from sim.engine import Belief, anomaly, compile_tracker, observe, on_event, start, with_inputs
 from sim.forecast import FAN_LEVELS, Z90, fans, member_weights
+from sim.lab.learning.anomaly_level import record_scores
 from sim.lab.learning.outcomes import clean_readings
 from sim.lab.learning.plain import PERSISTENCE
 from sim.scores import crps_quantiles
@@ -73,6 +75,20 @@ class Scored:
     trace: str = ""
 
 
+@dataclass(slots=True)
+class HeldOutScores:
+    """The anomaly scores along held-out data: their `peaks`, over how many `seconds`, of which (machine, trace)s."""
+
+    peaks: ScorePeaks = field(default_factory=ScorePeaks)
+    seconds: float = 0.0
+    traces: set[tuple[str, str]] = field(default_factory=set)
+
+    @property
+    def record(self) -> AnomalyRecord | None:
+        """What a model keeps of it; None where nothing was held out."""
+        return record_scores(self.peaks.peaks, self.seconds, _count_units(self.traces))
+
+
 def score_forecasts(
     model: Model,
     traces: Sequence[Trace],
@@ -81,10 +97,12 @@ def score_forecasts(
     *,
     origins: int = FORECAST_COUNT,
     most_rows: int = MAX_ROWS,
+    scores: HeldOutScores | None = None,
 ) -> list[Scored]:
     """`origins` forecasts with unknown events from moments at or after `since` (one per trace, absolute s), scored.
 
-    The belief is filtered over each whole trace, as it would be on the plant; isolated spikes are no outcomes.
+    The belief is filtered over each whole trace, as it would be on the plant; isolated spikes are no outcomes. What the
+    anomaly score does meanwhile is added to `scores`.
     """
     # The factors of an earlier calibration would widen the very bands that are judged here.
     tracker = compile_tracker(replace(model, calibration={}))
@@ -101,6 +119,7 @@ def score_forecasts(
         events, upcoming = [*trace.events, Event(inf, UNKNOWN)], 0
         belief = start(tracker, min(float(trace.times[0]), events[0].time))
         following = max(first, float(trace.times[0]) + every / 2)
+        before = first
         for row, (time, value) in enumerate(zip(trace.times[rows].tolist(), raw[rows].tolist(), strict=True)):
             while events[upcoming].time <= time:
                 belief = on_event(tracker, belief, events[upcoming])
@@ -108,10 +127,17 @@ def score_forecasts(
             belief = with_inputs(tracker, belief, time, {name: column[row] for name, column in inputs.items()})
             # The filter gets the raw reading, spikes included: on the plant nobody takes them out beforehand.
             belief = observe(tracker, belief, time, value)
+            if scores is not None and time >= first:
+                scores.peaks.take(anomaly(belief))
+                scores.seconds += min(time - before, model.alphabet.gap)
+                before = time
             if time >= following and belief.seen:
                 due = {horizon: outcomes.interpolate(time + horizon) for horizon in HORIZONS_S}
                 seen.append((trace, belief, {horizon: value for horizon, value in due.items() if value is not None}))
                 following = max(following + every, time)
+        if scores is not None:
+            scores.peaks.end()
+            scores.traces.add((trace.machine, trace.name))
     judged = [each for each in seen if each[-1]]
     found = fans(tracker, [(belief, tuple(due)) for _, belief, due in judged], rng, runs=FORECAST_RUNS)
     return [
@@ -147,6 +173,7 @@ class HeldOutForecasts:
     scored: list[Scored] = field(default_factory=list)
     of_plain: dict[str, list[Scored]] = field(default_factory=dict)
     other_days: bool = True
+    scores: HeldOutScores = field(default_factory=HeldOutScores)
 
     def add(
         self,
@@ -158,7 +185,7 @@ class HeldOutForecasts:
         origins: int = FORECAST_COUNT,
     ) -> None:
         """Score the forecasts of a part (`score_forecasts`), the plain members' along the same traces."""
-        self.scored += score_forecasts(model, traces, since, rng, origins=origins)
+        self.scored += score_forecasts(model, traces, since, rng, origins=origins, scores=self.scores)
         for number, member in enumerate(self.plain):
             own = np.random.default_rng((self.seed, number + 1, len(self.scored)))
             beside = replace(plain_model(model, member), calibration={})
@@ -195,7 +222,7 @@ class HeldOutForecasts:
                 weight = member_weights(
                     np.ones(2), pair / max(pair.min(), 1e-3), min(independent[horizon], MAX_PRIOR_FORECASTS)
                 )
-                most = 1.0 + _count_units([each for each in self.scored if each.horizon == horizon])
+                most = 1.0 + _count_units((each.machine, each.trace) for each in self.scored if each.horizon == horizon)
                 odds[horizon] = float(min(max(weight[1] / max(weight[0], 1e-9), 1.0 / most), most))
             members.append(replace(member, calibration=self._factors(scored), odds=dict(sorted(odds.items()))))
         return tuple(members)
@@ -218,10 +245,11 @@ class HeldOutForecasts:
         return factors
 
 
-def _count_units(scored: Sequence[Scored]) -> int:
-    """How many units forecasts are of that err apart: machines where several are told apart, else traces."""
-    machines = {each.machine for each in scored}
-    return len(machines) if len(machines) > 1 else len({each.trace for each in scored})
+def _count_units(traces: Iterable[tuple[str, str]]) -> int:
+    """How many of (machine, trace)s err apart: machines where several are told apart, else traces."""
+    found = set(traces)
+    machines = {machine for machine, _ in found}
+    return len(machines) if len(machines) > 1 else len(found)
 
 
 def _mean_crps(scored: Sequence[Scored]) -> dict[float, float]:

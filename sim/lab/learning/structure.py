@@ -8,11 +8,13 @@ Names join the channels' labels with "/" in the alphabet's order: ON and OFF for
 
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
-from itertools import pairwise, product
+from itertools import groupby, product
 from types import MappingProxyType
 
 from sim.sha import SHA, UNKNOWN, Alphabet, Bins, Edge, Flow, Location, Switch
 
+ANY = "any"
+"""What a channel is called that may have any of its values."""
 Context = tuple[int | None, ...]
 """What is known of each channel: the index of its value among `labels`, or None."""
 
@@ -29,12 +31,19 @@ def labels(channel: Switch | Bins) -> tuple[str, ...]:
     """The names of a channel's values: (OFF, ON) for a switch, one per bin for a level."""
     if isinstance(channel, Switch):
         return ("OFF", "ON")
+    return tuple(_span(channel, value, value) for value in range(len(channel.thresholds) + 1))
+
+
+def _span(channel: Bins, low: int, high: int) -> str:
+    """The name of the bins from `low` to `high` together: "100-300", "200+"; "any" for all of them."""
     cuts = [f"{value:.12g}" for value in channel.thresholds]
-    if not cuts:
-        return ("any",)
-    first = f"0-{cuts[0]}" if channel.thresholds[0] > 0 else f"<{cuts[0]}"
-    inner = [f"{low}-{high}" for low, high in pairwise(cuts)]
-    return (first, *inner, f"{cuts[-1]}+")
+    if low == 0 and high == len(cuts):
+        return ANY
+    if high == len(cuts):
+        return f"{cuts[low - 1]}+"
+    if low == 0:
+        return f"0-{cuts[high]}" if channel.thresholds[0] > 0 else f"<{cuts[high]}"
+    return f"{cuts[low - 1]}-{cuts[high]}"
 
 
 def announcements(channel: Switch | Bins) -> tuple[str, ...]:
@@ -48,6 +57,33 @@ def location_name(context: Context, alphabet: Alphabet) -> str:
         return "?"
     parts = zip(context, alphabet.channels, strict=True)
     return "/".join("?" if value is None else labels(channel)[value] for value, channel in parts)
+
+
+def shared_name(members: Sequence[Context], alphabet: Alphabet) -> str:
+    """What contexts have in common, as a name: "ON/100-300" of two bins, "ON" where the level may be anything.
+
+    Bins that do not lie side by side are joined by "|".
+    """
+    parts = [
+        _shared_label(channel, {context[place] for context in members})
+        for place, channel in enumerate(alphabet.channels)
+    ]
+    if set(parts) == {"?"}:
+        return "?"
+    return "/".join(part for part in parts if part != ANY) or ANY
+
+
+def _shared_label(channel: Switch | Bins, values: set[int | None]) -> str:
+    known = sorted(value for value in values if value is not None)
+    if not known:
+        return "?"
+    if len(known) < len(values):
+        return ANY
+    if isinstance(channel, Switch):
+        return labels(channel)[known[0]] if len(known) == 1 else ANY
+    # A run of neighbours is one where the value less its rank is the same.
+    runs = [[value for _, value in run] for _, run in groupby(enumerate(known), lambda pair: pair[1] - pair[0])]
+    return "|".join(_span(channel, run[0], run[-1]) for run in runs)
 
 
 @lru_cache(maxsize=16)

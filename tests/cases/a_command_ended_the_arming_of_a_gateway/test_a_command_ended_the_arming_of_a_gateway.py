@@ -22,13 +22,13 @@ AHEAD_S = 60.0
 def test_a_loop_test_beside_a_gateway_that_writes_ends_no_arming(tmp_path: Path) -> None:
     config = config_in(tmp_path, SHADOW, model=two_modes())
     named = ("--config", str(config.path), "--by", "Ada", "--audit", str(config.audit))
-    done = CliRunner().invoke(main, ["plc", "arm", "--minutes", "5", "--reason", "test", *named])
+    done = CliRunner().invoke(main, ["arm", "--minutes", "5", "--reason", "test", *named])
     assert done.exit_code == 0, done.output
     audit = open_audit(config.audit)
     assert audit.record(AuditEntry(time.time() + AHEAD_S, "write"))
     audit.close()
     with config.historian.path.with_name(config.historian.path.name + ".lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
-        done = CliRunner().invoke(main, ["plc", "test", "alarms", *named])
+        done = CliRunner().invoke(main, ["plc", "check", "write", "alarms", *named])
     assert done.exit_code == 2 and "a gateway runs" in done.stderr, done.output
     assert [row.entry.kind for row in read(config.audit)] == [ARMED, "confirmed", "write"]

@@ -104,7 +104,7 @@ def test_a_gateway_that_cannot_be_asked_is_disarmed_by_its_audit_log(tmp_path: P
         # Removed, and another one cannot be made there.
         shutil.rmtree(sockets)
         sockets.write_text("", encoding="utf-8")
-        done = CliRunner().invoke(main, ["plc", "disarm", "--config", str(rig.plant), "--by", "Bea", "--json"])
+        done = CliRunner().invoke(main, ["disarm", "--config", str(rig.plant), "--by", "Bea", "--json"])
         replied = time.time()
         said = json.loads(done.stdout.splitlines()[-1])
         assert done.exit_code == 0 and said["was_armed"], done.output
@@ -148,7 +148,7 @@ def test_where_a_gateway_runs_that_says_nothing_the_command_says_that_it_is_not_
     config = config_in(tmp_path, model=two_modes(), writeback__mode="shadow")
     arm_in_log(config.audit, sign_arming("Ada", "test", 60.0, time.time()), time.time(), key=config.audit_key)
     lock = config.historian.path.with_name(f"{config.historian.path.name}.lock")
-    words = ["plc", "disarm", "--config", str(config.path), "--by", "Bea"]
+    words = ["disarm", "--config", str(config.path), "--by", "Bea"]
     with lock.open("wb") as held:
         fcntl.flock(held, fcntl.LOCK_EX)
         done = CliRunner().invoke(main, words)

@@ -160,7 +160,7 @@ def test_after_a_kill_at_any_step_of_a_restoration_all_files_are_of_one_time(
 
     record("before")
     kept = memory / "kept"
-    assert runner.invoke(main, ["backup", str(kept), "--config", str(plant)]).exit_code == 0
+    assert runner.invoke(main, ["keep", "backup", str(kept), "--config", str(plant)]).exit_code == 0
     record("after")
     plant_in(plant.parent, 75.0)
     (plant.parent / "devices/plc.toml").chmod(0o600)

@@ -58,7 +58,7 @@ def plant_in(home: Path, text: str = "", plant: str = "plant.toml") -> tuple[Con
 @pytest.fixture
 def made(tmp_path: Path) -> tuple[Config, Path]:
     machines = plant_in(tmp_path / "plant")
-    done = decanter("backup", tmp_path / "backup", "--config", machines[0].path)
+    done = decanter("keep", "backup", tmp_path / "backup", "--config", machines[0].path)
     assert done.exit_code == 0, done.output
     return machines[0], tmp_path / "backup"
 
@@ -83,7 +83,7 @@ def add(content: dict[str, Any], folder: Path, role: str, place: Path, mode: int
 def test_a_file_that_runs_as_root_is_not_restored(made: tuple[Config, Path], tmp_path: Path) -> None:
     _, folder = made
     forge(folder, lambda content: add(content, folder, "model", tmp_path / "bin/tool", 0o4755))
-    assert decanter("restore", folder, "--into", tmp_path / "box").exit_code == 2
+    assert decanter("keep", "restore", folder, "--into", tmp_path / "box").exit_code == 2
     assert not (tmp_path / "box").exists()
 
 
@@ -93,7 +93,7 @@ def test_no_file_goes_where_the_plant_file_does_not_say_even_if_the_seal_is_give
 ) -> None:
     _, folder = made
     seal = forge(folder, lambda content: add(content, folder, role, tmp_path / "bin/tool", 0o4755))
-    done = decanter("restore", folder, "--into", tmp_path / "box", "--seal", seal)
+    done = decanter("keep", "restore", folder, "--into", tmp_path / "box", "--seal", seal)
     assert done.exit_code == 2 and "bin/tool" in done.output, done.output
     assert not (tmp_path / "box").exists()
 
@@ -106,7 +106,7 @@ def test_no_restored_file_runs_as_its_owner(made: tuple[Config, Path], tmp_path:
             file["mode"] |= AS_OWNER
 
     seal = forge(folder, change)
-    done = decanter("restore", folder, "--into", tmp_path / "box", "--seal", seal)
+    done = decanter("keep", "restore", folder, "--into", tmp_path / "box", "--seal", seal)
     assert done.exit_code == 0, done.output
     files = [path for path in (tmp_path / "box").rglob("*") if path.is_file()]
     assert len(files) >= 8 and not any(path.stat().st_mode & AS_OWNER for path in files)
@@ -124,7 +124,7 @@ def test_what_was_changed_and_sealed_anew_is_not_restored(made: tuple[Config, Pa
 
     forge(folder, change)
     for words in ((), ("--seal", original)):
-        done = decanter("restore", folder, "--into", tmp_path / "box", *words)
+        done = decanter("keep", "restore", folder, "--into", tmp_path / "box", *words)
         assert done.exit_code == 2 and ("nobody vouches" in done.output or "another seal" in done.output), done.output
     assert not (tmp_path / "box").exists()
 
@@ -140,7 +140,7 @@ def test_a_moment_that_no_file_has_is_refused_in_one_sentence(
         (content if key == "made" else content["files"][0])[key] = moment
 
     seal = forge(folder, change)
-    done = decanter("restore", folder, "--into", tmp_path / "box", "--seal", seal)
+    done = decanter("keep", "restore", folder, "--into", tmp_path / "box", "--seal", seal)
     if (key, moment) == ("made", 1.5):
         assert done.exit_code == 0, done.output
     else:
@@ -151,7 +151,7 @@ def test_a_pipe_in_place_of_the_manifest_is_not_waited_for(made: tuple[Config, P
     _, folder = made
     (folder / MANIFEST).unlink()
     os.mkfifo(folder / MANIFEST)
-    done = decanter("restore", folder, "--into", tmp_path / "box")
+    done = decanter("keep", "restore", folder, "--into", tmp_path / "box")
     assert done.exit_code == 2 and "named pipe" in done.output
 
 
@@ -161,12 +161,12 @@ def test_a_box_without_the_key_asks_for_the_public_key_or_the_seal(made: tuple[C
     shutil.copyfile(public_path(config.audit_key), tmp_path / "kept.pub")
     load_or_make_key(tmp_path / "other.key")
     shutil.move(tmp_path / "plant", tmp_path / "gone")
-    refused = decanter("restore", folder, "--into", tmp_path / "box")
+    refused = decanter("keep", "restore", folder, "--into", tmp_path / "box")
     assert refused.exit_code == 2 and "--seal HASH" in refused.output and not (tmp_path / "box").exists()
-    other = decanter("restore", folder, "--into", tmp_path / "box", "--public-key", tmp_path / "other.pub")
+    other = decanter("keep", "restore", folder, "--into", tmp_path / "box", "--public-key", tmp_path / "other.pub")
     assert other.exit_code == 2 and "not signed by the key" in other.output
     for place, words in (("box", ("--public-key", tmp_path / "kept.pub")), ("box2", ("--seal", seal))):
-        done = decanter("restore", folder, "--into", tmp_path / place, *words)
+        done = decanter("keep", "restore", folder, "--into", tmp_path / place, *words)
         assert done.exit_code == 0, done.output
 
 
@@ -174,7 +174,7 @@ def test_another_gateways_key_vouches_for_nothing(made: tuple[Config, Path], tmp
     config, folder = made
     config.audit_key.unlink()
     load_or_make_key(config.audit_key)
-    done = decanter("restore", folder, "--into", tmp_path / "box")
+    done = decanter("keep", "restore", folder, "--into", tmp_path / "box")
     assert done.exit_code == 2 and "nobody vouches" in done.output
 
 
@@ -190,8 +190,8 @@ def test_whatever_is_backed_up_lies_where_the_plant_file_says(tmp_path: Path) ->
     machines = plant_in(home, text, "conf/plant.toml")
     (home / "heads").write_text("", encoding="utf-8")
     assert len({role for role, _ in list_sources(machines)}) == 9
-    assert decanter("backup", tmp_path / "backup", "--config", machines[0].path).exit_code == 0
-    done = decanter("restore", tmp_path / "backup", "--overwrite")
+    assert decanter("keep", "backup", tmp_path / "backup", "--config", machines[0].path).exit_code == 0
+    done = decanter("keep", "restore", tmp_path / "backup", "--overwrite")
     assert done.exit_code == 0, done.output
 
 
@@ -213,9 +213,9 @@ def test_a_made_up_configuration_is_not_gone_back_to(made: tuple[Config, Path], 
     assert kept is not None
     forge(kept.folder, lambda content: add(content, kept.folder, "device", tmp_path / "bin/tool", 0o4755))
     words = ("--config", config.path, "--reason", "test", "--by", "Eve")
-    done = decanter("config", "rollback", kept.number, *words)
+    done = decanter("keep", "rollback", kept.number, *words)
     assert done.exit_code == 2 and not (tmp_path / "bin").exists(), done.output
     forge(kept.folder, lambda content: content["files"].pop(0))
     forge(kept.folder, lambda content: [file.update(mode=0o6755) for file in content["files"]])
-    assert decanter("config", "rollback", kept.number, *words).exit_code == 0
+    assert decanter("keep", "rollback", kept.number, *words).exit_code == 0
     assert not config.path.stat().st_mode & AS_OWNER

@@ -1,7 +1,7 @@
 """A restored gateway is never armed: of several machines neither the plant file's tables nor the armings in the log.
 
-`decanter restore` took the arming out of the top of the plant file and out of the log of a gateway with one machine;
-[machine.writeback] tables, and armings under a machine's name, came back as they were.
+`decanter keep restore` took the arming out of the top of the plant file and out of the log of a gateway with one
+machine; [machine.writeback] tables, and armings under a machine's name, came back as they were.
 """
 
 import time
@@ -47,9 +47,9 @@ def test_nothing_of_it_is_armed(tmp_path: Path) -> None:
     audit.close()
     load_or_make_key(config.audit_key)
     runner, kept, elsewhere = CliRunner(), tmp_path / "backup", tmp_path / "elsewhere"
-    backed = runner.invoke(main, ["backup", str(kept), "--config", str(home / "plant.toml")])
+    backed = runner.invoke(main, ["keep", "backup", str(kept), "--config", str(home / "plant.toml")])
     assert backed.exit_code == 0, backed.output
-    restored = runner.invoke(main, ["restore", str(kept), "--into", str(elsewhere), "--by", "Bea"])
+    restored = runner.invoke(main, ["keep", "restore", str(kept), "--into", str(elsewhere), "--by", "Bea"])
     assert restored.exit_code == 0, restored.output
     assert "'shadow' (it was 'armed')" in restored.output
     plant = elsewhere / (home / "plant.toml").relative_to("/")

@@ -75,16 +75,16 @@ def test_a_gateway_whose_file_is_spoiled_is_shown_and_disarmed(tmp_path: Path) -
         command = [sys.executable, "-m", "gateway.cli.main", "run", "--config", str(path), "--quiet", "--stdin"]
         gateway = subprocess.Popen(command, stdin=subprocess.PIPE, cwd=ROOT)
         try:
-            wait_until(lambda: decanter("status", *config).exit_code != 3)
-            armed = decanter("plc", "arm", *config, *by, "--reason", "test", "--minutes", "10")
+            wait_until(lambda: decanter("top", "--once", *config).exit_code != 3)
+            armed = decanter("arm", *config, *by, "--reason", "test", "--minutes", "10")
             assert armed.exit_code == 0, armed.output
             path.write_text(whole.replace("[scan]", "[scan"), encoding="utf-8")
-            status = decanter("status", *config, "--json")
+            status = decanter("top", "--once", *config, "--json")
             assert json.loads(status.stdout)["status"]["writeback"]["armed_by"] == "Ada", status.output
             assert "plant.toml" in status.stderr and "is asked all the same" in status.stderr
             assert decanter("alarm", "list", *config, "--json").exit_code in (0, 1)
             assert decanter("reload", *config).exit_code == 2, "what it would take over has to be usable"
-            done = decanter("plc", "disarm", *config, *by, "--json")
+            done = decanter("disarm", *config, *by, "--json")
             assert done.exit_code == 0 and json.loads(done.stdout)["was_armed"], done.output
             assert [row.entry.kind for row in read(tmp_path / "records/audit.sqlite")][-1] == "disarmed"
             # Paths that were changed in the file lead nowhere: that is said, and the socket can be named.
@@ -103,9 +103,9 @@ def test_where_no_gateway_runs_the_audit_log_of_a_spoiled_file_is_disarmed(tmp_p
     path = plant_file(tmp_path)
     by = ("--by", "Ada", "--records", tmp_path / "records.jsonl")
     (tmp_path / "records").mkdir()
-    assert decanter("plc", "arm", "--config", path, *by, "--reason", "test", "--minutes", "10").exit_code == 0
+    assert decanter("arm", "--config", path, *by, "--reason", "test", "--minutes", "10").exit_code == 0
     path.write_text(path.read_text(encoding="utf-8").replace("[scan]", "[scan"), encoding="utf-8")
-    done = decanter("plc", "disarm", "--config", path, *by, "--json")
+    done = decanter("disarm", "--config", path, *by, "--json")
     assert done.exit_code == 0 and json.loads(done.stdout)["was_armed"], done.output
     assert [row.entry.kind for row in read(tmp_path / "records/audit.sqlite")][-1] == "disarmed"
 
@@ -113,6 +113,6 @@ def test_where_no_gateway_runs_the_audit_log_of_a_spoiled_file_is_disarmed(tmp_p
 def test_a_spoiled_file_without_a_gateway_or_a_log_is_refused_as_ever(tmp_path: Path) -> None:
     path = plant_file(tmp_path)
     path.write_text("[device", encoding="utf-8")
-    for words in (("status",), ("reload",), ("alarm", "list"), ("plc", "disarm", "--records", tmp_path / "r.jsonl")):
+    for words in (("status",), ("reload",), ("alarm", "list"), ("disarm", "--records", tmp_path / "r.jsonl")):
         done = decanter(*words, "--config", path)
         assert done.exit_code == 2 and "plant.toml" in done.stderr, (words, done.output)

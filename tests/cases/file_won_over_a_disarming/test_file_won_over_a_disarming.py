@@ -64,7 +64,7 @@ def test_the_command_writes_its_row_where_nothing_is_in_force_and_says_what_the_
 ) -> None:
     text = FILE if writeback == "armed" else '[writeback]\nmode = "shadow"\n'
     config = config_in(tmp_path, NOBODY + text)
-    options = ["plc", "disarm", "--config", str(config.path), "--by", "Bea", "--reason", "not today"]
+    options = ["disarm", "--config", str(config.path), "--by", "Bea", "--reason", "not today"]
     done = CliRunner().invoke(main, options, env={"DECANTER_RECORDS": str(tmp_path / "records.jsonl")})
     assert done.exit_code == 0, done.output
     assert [row.entry.kind for row in read(config.audit)] == [DISARMED]

@@ -86,7 +86,7 @@ def test_a_running_gateway_is_backed_up_whole_and_restored_elsewhere_never_armed
     key = next(file for file in manifest.files if file.role == "key")
     assert (folder / key.stored).stat().st_mode & 0o777 == 0o600 and folder.stat().st_mode & 0o077 == 0
     root = tmp_path / "box"
-    done = decanter("restore", folder, "--into", root, "--by", "Bea")
+    done = decanter("keep", "restore", folder, "--into", root, "--by", "Bea")
     assert done.exit_code == 0, done.output
     assert "starts in mode 'shadow' (it was 'armed')" in done.output
     restored = load_config(root / config.path.relative_to("/"))
@@ -107,15 +107,15 @@ def test_a_restore_over_a_gateway_needs_to_be_told_keeps_what_was_there_and_show
 ) -> None:
     config, clock, folder = backed
     before = {path: path.read_bytes() for path in config.path.parent.iterdir() if path.is_file()}
-    refused = decanter("restore", folder)
+    refused = decanter("keep", "restore", folder)
     assert refused.exit_code == 2 and "nothing is overwritten without --overwrite" in refused.output
     assert {path: path.read_bytes() for path in before} == before
     store = open_historian(config.historian.path)
-    running = decanter("restore", folder, "--overwrite")
+    running = decanter("keep", "restore", folder, "--overwrite")
     assert running.exit_code == 2 and "a gateway runs on it" in running.output
     store.close()
     newest = config.audit.read_bytes()
-    done = decanter("restore", folder, "--overwrite")
+    done = decanter("keep", "restore", folder, "--overwrite")
     assert done.exit_code == 0, done.output
     assert config.audit.with_name("audit.sqlite.replaced-1").read_bytes() == newest
     assert not list(config.path.parent.glob(".*restored*"))
@@ -179,7 +179,7 @@ def test_a_backup_that_is_not_whole_is_refused_and_nothing_is_touched(
         elif harm == "above":
             content["files"][0]["original"] = "/srv/../etc/x"
         path.write_text(json.dumps({**content, "seal": _seal(content)}))
-    done = decanter("restore", folder, "--into", tmp_path / "box")
+    done = decanter("keep", "restore", folder, "--into", tmp_path / "box")
     assert done.exit_code == 2 and words in done.output, done.output
     assert not (tmp_path / "box").exists()
 
@@ -188,30 +188,30 @@ def test_a_backup_that_fails_leaves_nothing_and_none_is_made_over_another(
     backed: tuple[Config, JumpClock, Path], tmp_path: Path
 ) -> None:
     config, _, folder = backed
-    again = decanter("backup", folder, "--config", config.path)
+    again = decanter("keep", "backup", folder, "--config", config.path)
     assert again.exit_code == 2 and "is there already" in again.output
     assert read_manifest(folder).audit_rows > 0
     with closing(sqlite3.connect(config.audit)) as connection, connection:
         connection.execute("DROP TRIGGER audit_no_change")
         connection.execute("UPDATE audit SET who = 'Eve' WHERE id = 2")
-    broken = decanter("backup", tmp_path / "second", "--config", config.path)
+    broken = decanter("keep", "backup", tmp_path / "second", "--config", config.path)
     assert broken.exit_code == 0 and "THE AUDIT LOG IS DAMAGED" in broken.output
     assert "row 2 was changed" in read_manifest(tmp_path / "second").damaged
     config.audit.write_bytes(config.audit.read_bytes()[:5000])
     config.audit.with_name("audit.sqlite-wal").unlink(missing_ok=True)
-    assert decanter("backup", tmp_path / "third", "--config", config.path).exit_code == 0
+    assert decanter("keep", "backup", tmp_path / "third", "--config", config.path).exit_code == 0
     (aside,) = [file for file in read_manifest(tmp_path / "third").files if "audit.sqlite" in file.original]
     assert aside.original == f"{config.audit}.damaged", "what is restored begins with a new one"
     box = tmp_path / "plant" / "box"
     log = box / config.audit.relative_to("/")
     log.parent.mkdir(parents=True)
     log.write_bytes(b"of another time, perhaps with an arming")
-    restored = decanter("restore", tmp_path / "third", "--into", box)
+    restored = decanter("keep", "restore", tmp_path / "third", "--into", box)
     assert restored.exit_code in (0, 1), restored.output
     assert "THE AUDIT LOG IN IT IS DAMAGED" in restored.output
     assert not log.exists() and log.with_name("audit.sqlite.replaced-1").exists()
     config.historian.path.write_bytes(config.historian.path.read_bytes()[:5000])
-    assert decanter("backup", tmp_path / "fourth", "--config", config.path).exit_code == 2
+    assert decanter("keep", "backup", tmp_path / "fourth", "--config", config.path).exit_code == 2
     assert sorted(path.name for path in tmp_path.iterdir()) == ["backup", "plant", "second", "third"]
 
 
@@ -226,7 +226,7 @@ def test_a_restore_that_fails_half_way_leaves_no_draft(
             raise OSError(28, "No space left on device")
 
     monkeypatch.setattr("gateway.store.backup.os.utime", full)
-    done = decanter("restore", made, "--into", tmp_path / "box")
+    done = decanter("keep", "restore", made, "--into", tmp_path / "box")
     assert done.exit_code == 2 and not [path for path in (tmp_path / "box").rglob("*") if path.is_file()]
 
 

@@ -248,11 +248,11 @@ def test_without_a_gateway_one_sentence_and_three_and_a_silent_one_five(
         result = CliRunner().invoke(main, [command, "--config", str(path)])
         assert result.exit_code == 3 and len(result.output.splitlines()) == 1, result.output
         assert "no gateway runs" in result.output and f"decanter run --config {path}" in result.output
-    data = json.loads(CliRunner().invoke(main, ["status", "--config", str(path), "--json"]).stdout)
+    data = json.loads(CliRunner().invoke(main, ["top", "--once", "--config", str(path), "--json"]).stdout)
     assert data["health"] == "absent" and not data["ok"]
     monkeypatch.setattr(gateway.cli.plant.top, "ANSWER_S", 0.05)
     with answering(tmp_path / "history.sock", []):
-        result = CliRunner().invoke(main, ["status", "--config", str(path), "--json"])
+        result = CliRunner().invoke(main, ["top", "--once", "--config", str(path), "--json"])
     assert result.exit_code == 5 and json.loads(result.stdout)["health"] == "silent"
 
 
@@ -336,6 +336,17 @@ def test_the_word_for_a_gateway_names_what_is_wrong(changes: dict[str, Any], wor
     assert judge_health(status) is word and [finding.check for finding in findings(status)] == (
         [check] if check else []
     )
+
+
+def test_red_confidence_says_that_the_forecast_is_in_doubt_and_when_to_look_at_the_machine() -> None:
+    def sentence(**changes: Any) -> str:
+        doubted = picture(prediction__zone="red", prediction__anomaly=5.2, **changes)
+        return next(finding.sentence for finding in findings(read_status(doubted)) if finding.check == "model")
+
+    assert "red" in sentence() and "anomaly 5.2" in sentence() and "if the alarm comes" in sentence()
+    # Where it stands it says itself what to do.
+    standing = sentence(alarm_summary=[alarm("anomaly") | {"kind": "anomaly"}])
+    assert "anomaly 5.2" in standing and "if the alarm comes" not in standing
 
 
 def test_the_page_has_the_exit_codes_that_the_command_has() -> None:

@@ -93,7 +93,7 @@ def test_commands_work_with_a_damaged_audit_log_and_say_what_is_damaged(
         assert "Traceback" not in done.output and not (done.exception and not isinstance(done.exception, SystemExit))
         return done.exit_code, done.output
 
-    code, said = command("plc", "audit")
+    code, said = command("audit")
     assert code == 1 and ("was changed" in said or "can be read" in said), said
     code, said = command("backup", str(tmp_path / "backup"), "--json")
     assert code == 0 and json.loads(said)["damaged"], said
@@ -101,7 +101,7 @@ def test_commands_work_with_a_damaged_audit_log_and_say_what_is_damaged(
     assert kept.stat().st_size > 0
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(tmp_path)
-        code, said = command("plc", "disarm", "--machine", "first", "--by", "Bea", "--reason", "enough")
+        code, said = command("disarm", "--machine", "first", "--by", "Bea", "--reason", "enough")
     assert code == 0, said
     newest = arming_rows(folder / "records/audit.sqlite")[-1].entry
     assert (newest.kind, newest.who, newest.subject) == (DISARMED, "Bea", "first")

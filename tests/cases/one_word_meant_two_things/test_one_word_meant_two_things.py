@@ -3,7 +3,6 @@
 import io
 import json
 import shlex
-from collections.abc import Iterator
 from pathlib import Path
 
 import click
@@ -18,15 +17,15 @@ from gateway.console.output import bands
 from gateway.entry.lazy import LazyGroup
 from gateway.entry.plain import write_plainly
 from sim.plc.__main__ import main as emulator
-from tests.cli.support import decanter, misused, only_object, refused
+from tests.cli.support import Tree, command_paths, decanter, misused, only_object, refused
 
 OLD = {
     "check --connect": "decanter plc check",
-    "plc write plan": "decanter plc plan --write",
-    "plc loop alarms --ask": "decanter plc test alarms",
-    "plc loop heartbeat": "decanter plc test heartbeat",
-    "plc conformance --host x": "decanter plc test conformance",
-    "model verify x --json": "decanter model prove",
+    "plc write plan": "decanter plc check plan --write",
+    "plc loop alarms --ask": "decanter plc check write alarms",
+    "plc loop heartbeat": "decanter plc check write heartbeat",
+    "plc conformance --host x": "decanter plc check write conformance",
+    "model verify x --json": "decanter model judge proof",
     "plc scan units --units 1-3": "decanter plc scan units 1-32",
 }
 
@@ -111,28 +110,18 @@ def test_certificates_name_the_link_whatever_the_file_says(tmp_path: Path) -> No
     assert make_target(given={"host": "h", "certificates": "c"}).kind == "modbus-tls"
 
 
-def leaves(group: LazyGroup = main, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], LazyGroup]]:
-    """Every command by its words, with its group."""
-    for name in group.list_commands(click.Context(group)):
-        if name in group.table:
-            yield (*path, name), group
-        else:
-            inner = group.commands[name]
-            assert isinstance(inner, LazyGroup)
-            yield from leaves(inner, (*path, name))
-
-
 def test_the_tree_of_commands_fits_on_a_screen_with_every_command(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", "80")
     shown = decanter("--help").stdout
     assert len(shown.splitlines()) <= 40 and max(map(len, shown.splitlines())) <= 80
-    assert all(words[-1] in shown for words, _ in leaves()) and "verify, served, soak" in " ".join(shown.split())
+    assert all(words[-1] in shown for words, group in command_paths() if isinstance(group, LazyGroup))
+    assert "import, check, served, codegen" in " ".join(shown.split())
 
 
 @pytest.mark.parametrize(
-    ("words", "group"), list(leaves()), ids=lambda each: " ".join(each) if isinstance(each, tuple) else ""
+    ("words", "group"), list(command_paths()), ids=lambda each: " ".join(each) if isinstance(each, tuple) else ""
 )
-def test_every_command_has_one_example_that_it_takes(words: tuple[str, ...], group: LazyGroup) -> None:
+def test_every_command_has_one_example_that_it_takes(words: tuple[str, ...], group: Tree) -> None:
     example = shlex.split(group.examples[words[-1]])
     assert tuple(example[: len(words)]) == words
     command = group.get_command(click.Context(group), words[-1])

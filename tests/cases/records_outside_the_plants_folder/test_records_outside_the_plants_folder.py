@@ -52,7 +52,7 @@ def test_audit_takes_the_plant_file_of_the_folder_unless_a_log_is_named(folder: 
     log = open_audit(load_config(folder / "plant.toml").audit)
     log.record(AuditEntry(1.0, ARMED, "Ada", "a test", {}))
     log.close()
-    found = decanter("plc", "audit", "--json")
+    found = decanter("audit", "--json")
     assert [row["who"] for row in json.loads(found.stdout)["entries"]] == ["Ada"]
-    other = decanter("plc", "audit", "--json", "--audit", "none.sqlite")
+    other = decanter("audit", "--json", "--audit", "none.sqlite")
     assert "none.sqlite" in other.stdout + other.stderr and "Ada" not in other.stdout

@@ -83,7 +83,7 @@ MANIPULATIONS: dict[str, Any] = {
 
 
 def audit_command(config: Config, *options: str) -> tuple[int, str]:
-    done = CliRunner().invoke(main, ["plc", "audit", *options, "--json"])
+    done = CliRunner().invoke(main, ["audit", *options, "--json"])
     return done.exit_code, done.output
 
 
@@ -208,7 +208,7 @@ def test_the_command_arms_with_the_acknowledgement_where_no_gateway_runs(tmp_pat
     asyncio.run(go(config, clock))
     newest = examine(witness_places(config)).head
     begun_anew(config.audit)
-    words = ["plc", "arm", *plant(config), "--by", "Ada", "--reason", "r", "--minutes", "5"]
+    words = ["arm", *plant(config), "--by", "Ada", "--reason", "r", "--minutes", "5"]
     words += ["--records", str(tmp_path / "records.jsonl"), "--json"]
     refused = CliRunner().invoke(main, words)
     assert refused.exit_code != 0 and newest in refused.output and "Traceback" not in refused.output
@@ -224,13 +224,13 @@ def test_without_a_witness_it_is_said_that_the_end_is_not_witnessed(tmp_path: Pa
     audit = open_audit(places.audit)
     audit.record(AuditEntry(EPOCH, "write"))
     audit.close()
-    done = CliRunner().invoke(main, ["plc", "audit", "--audit", str(places.audit)])
+    done = CliRunner().invoke(main, ["audit", "--audit", str(places.audit)])
     assert done.exit_code == 0 and "the end is not witnessed" in done.output and "is not there" in done.output
     countersign(places, EPOCH)
-    done = CliRunner().invoke(main, ["plc", "audit", "--audit", str(places.audit)])
+    done = CliRunner().invoke(main, ["audit", "--audit", str(places.audit)])
     assert "rows 1 to 1 are witnessed" in done.output and "1 signed heads" in done.output
     places.audit.unlink()
-    gone = CliRunner().invoke(main, ["plc", "audit", "--audit", str(places.audit), "--last", "0"])
+    gone = CliRunner().invoke(main, ["audit", "--audit", str(places.audit), "--last", "0"])
     assert gone.exit_code == 1 and "there is no audit log, and row 1 of one was signed" in gone.output
 
 
@@ -243,7 +243,7 @@ def test_a_key_that_others_could_use_is_refused_and_the_public_key_is_enough(tmp
     assert places.key.stat().st_mode & 0o777 == 0o600
     elsewhere = tmp_path / "copy.pub"
     shutil.copy(public_path(places.key), elsewhere)
-    command = ["plc", "audit", "--audit", str(places.audit)]
+    command = ["audit", "--audit", str(places.audit)]
     for mode in (0o640, 0o604, 0o666):
         places.key.chmod(mode)
         done = CliRunner().invoke(main, command)

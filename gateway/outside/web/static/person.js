@@ -92,7 +92,7 @@ export const acts = {
       const made = await ask("POST", "/api/backup", {}).catch((error) => expired(error, changed));
       // After the dialog that asked for it has closed.
       setTimeout(() => dialog(say("person.backup_made"), [], say("person.confirm"), () => {},
-        [h("p", {}, h("code", {}, made.folder)), h("p", {}, say("person.backup_size", { files: made.files, size: bytes(made.bytes) })), ...(made.damaged ? [h("p", { class: "error" }, made.damaged)] : []), h("p", { class: "quiet" }, say("person.restore"), " ", h("code", {}, `decanter restore ${made.folder} --overwrite${made.signed ? "" : ` --seal ${made.seal}`}`))]));
+        [h("p", {}, h("code", {}, made.folder)), h("p", {}, say("person.backup_size", { files: made.files, size: bytes(made.bytes) })), ...(made.damaged ? [h("p", { class: "error" }, made.damaged)] : []), h("p", { class: "quiet" }, say("person.restore"), " ", h("code", {}, `decanter keep restore ${made.folder} --overwrite${made.signed ? "" : ` --seal ${made.seal}`}`))]));
     }, [h("p", { class: "quiet" }, say("person.backup_what"))]);
   },
   async reload(_, changed) {

@@ -123,9 +123,9 @@ _SIGNS = MappingProxyType(
 )
 _FIRST_WORD_HINTS = MappingProxyType(
     {
-        "sup": "ask E[<=444; 1000](max: Temp), or `decanter model prove` for a bound that is proven",
-        "inf": "ask E[<=444; 1000](min: Temp), or `decanter model prove` for a bound that is proven",
-        "bounds": "ask E[<=444; 1000](max: Temp), or `decanter model prove` for a bound that is proven",
+        "sup": "ask E[<=444; 1000](max: Temp), or `decanter model judge proof` for a bound that is proven",
+        "inf": "ask E[<=444; 1000](min: Temp), or `decanter model judge proof` for a bound that is proven",
+        "bounds": "ask E[<=444; 1000](max: Temp), or `decanter model judge proof` for a bound that is proven",
         "control": "there is no strategy to be found: the events come from the plant",
         "strategy": "there is no strategy to be found: the events come from the plant",
         "minE": "there is no strategy to be found: the events come from the plant",

@@ -8,6 +8,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
+from functools import reduce
 from itertools import pairwise
 from math import isfinite
 from types import MappingProxyType
@@ -18,7 +19,7 @@ from lark import Token, Tree
 from sim.lab.checking.language.grammar import QueryError, query_error, quote_part, syntax
 from sim.lab.checking.query import PROCESS, QUANTITIES, QuantityKind, identifiers
 from sim.lab.checking.query import tree as q
-from sim.sha import SHA, Model
+from sim.sha import SHA, Alphabet, Model, SwitchLocations, switch_locations
 
 Node = Tree[Token]
 _COMPARISONS: Mapping[str, q.Comparison] = MappingProxyType(
@@ -29,7 +30,8 @@ _ARITHMETIC: Mapping[str, q.Arithmetic] = MappingProxyType({"PLUS": "+", "MINUS"
 
 @dataclass(frozen=True, slots=True)
 class Scope:
-    """What may be named: quantities, and locations by their identifiers; `own` are the locations' own names.
+    """What may be named: quantities, locations by their identifiers, switches by their signals; `own` are the
+    locations' own names.
 
     `symbolic`: nothing that changes continuously is. `courses`: a condition is a number too, 0 or 1.
     """
@@ -37,18 +39,21 @@ class Scope:
     quantities: Mapping[str, QuantityKind]
     locations: Mapping[str, str]
     own: frozenset[str]
+    switches: Mapping[str, SwitchLocations]
     symbolic: bool = False
     courses: bool = False
 
 
-def query_scope(sha: SHA, temperature: str) -> Scope:
-    """The scope of an automaton. A location called like the temperature's signal keeps the name for itself."""
+def query_scope(sha: SHA, temperature: str, alphabet: Alphabet | None = None) -> Scope:
+    """The scope of an automaton. A location called like a signal keeps the name for itself."""
     ids = identifiers([location.name for location in sha.locations])
     locations = {identifier: name for name, identifier in ids.items()}
     quantities = dict(QUANTITIES)
     if temperature not in locations:
         quantities.setdefault(temperature, "temperature")
-    return Scope(quantities, locations, frozenset(ids))
+    switches = switch_locations(sha, alphabet) if alphabet is not None else {}
+    names = {signal: where for signal, where in switches.items() if signal not in locations}
+    return Scope(quantities, locations, frozenset(ids), names)
 
 
 def parse_query(text: str, model: Model | SHA, temperature: str = "Temp") -> q.Query:
@@ -57,8 +62,11 @@ def parse_query(text: str, model: Model | SHA, temperature: str = "Temp") -> q.Q
     An automaton alone has no name for its temperature: `temperature` gives it, and is not looked at for a Model.
     Raises QueryError (a ValueError) with the column, what stands there and what would be right.
     """
-    sha, name = (model.sha, model.temperature) if isinstance(model, Model) else (model, temperature)
-    scope, form = query_scope(sha, name), cast(Node, syntax(text).children[0])
+    if isinstance(model, Model):
+        scope = query_scope(model.sha, model.temperature, model.alphabet)
+    else:
+        scope = query_scope(model, temperature)
+    form = cast(Node, syntax(text).children[0])
     match form.data:
         case "estimate":
             return _probability(cast(Node, form.children[0]), scope)
@@ -238,6 +246,8 @@ def _formula(tree: Node, scope: Scope) -> q.Formula:
             name = _strip_process(token)
             if name in scope.locations:
                 return q.At(scope.locations[name])
+            if name in scope.switches:
+                return _switched_on(token, scope.switches[name])
             if name in scope.quantities:
                 raise query_error(
                     token, f"{token} is a number and a condition is needed; compare it, as in {token} > 80"
@@ -245,6 +255,17 @@ def _formula(tree: Node, scope: Scope) -> q.Formula:
             raise _unknown(token, name, scope)
     _expression(tree, scope)  # a location's own name without quotes reads like a difference: unknown names go first
     raise query_error(tree.meta, "a number stands where a condition is needed; compare it, as in Temp > 80")
+
+
+def _switched_on(token: Token, where: SwitchLocations) -> q.Formula:
+    """In one of the locations in which the switch is on. Raises QueryError where a location does not tell it."""
+    if where.either:
+        raise query_error(
+            token,
+            f"in location {where.either[0]!r} {token} may be on or off, so the model's locations do not tell it; ask "
+            "for locations, or learn the model anew",
+        )
+    return reduce(q.Either, map(q.At, where.on))
 
 
 def _expression(tree: Node, scope: Scope) -> q.Expression:
@@ -275,9 +296,15 @@ def _expression(tree: Node, scope: Scope) -> q.Expression:
             name = _strip_process(token)
             if name in scope.locations and scope.courses:
                 return q.Indicator(q.At(scope.locations[name]))
+            if name in scope.switches and scope.courses:
+                return q.Indicator(_switched_on(token, scope.switches[name]))
             if name in scope.locations:
                 raise query_error(
                     token, f"{token} is a location and a number is needed: Temp, time, age, or a sum of such"
+                )
+            if name in scope.switches:
+                raise query_error(
+                    token, f"{token} is a switch and a number is needed: Temp, time, age, or a sum of such"
                 )
             if name not in scope.quantities:
                 raise _unknown(token, name, scope)
@@ -285,7 +312,7 @@ def _expression(tree: Node, scope: Scope) -> q.Expression:
                 raise query_error(
                     token,
                     f"{token} changes continuously, and over that nothing is decided symbolically; ask `Pr[<=T](...)`, "
-                    "or `decanter model prove` for a bound under any events",
+                    "or `decanter model judge proof` for a bound under any events",
                 )
             return q.Quantity(scope.quantities[name])
     if scope.courses:
@@ -306,7 +333,7 @@ def _strip_process(token: Token) -> str:
 
 
 def _unknown(token: Token, name: str, scope: Scope) -> QueryError:
-    known = [*scope.quantities, *scope.locations]
+    known = [*scope.quantities, *scope.locations, *scope.switches]
     return query_error(token, f"{quote_part(token)!r} is not known; {_suggestion(name, known)}")
 
 

@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 
 from sim.effects import drop_features, effect_kind
 from sim.lab.discrepancy.fitting.candidates import CatalogueEntry, entry_of_effect
-from sim.lab.learning import contexts, first_switch
-from sim.sha import UNKNOWN, Effect, Model
+from sim.lab.learning import first_switch
+from sim.sha import Effect, Model, switch_locations
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,32 +102,10 @@ def main_effect(named: Named, model: Model) -> Effect:
 
 
 def running_locations(model: Model) -> tuple[str, ...]:
-    """The locations in which the machine runs: all without a switch, or where the names are not the alphabet's.
-
-    Both learners begin a location's name with what the alphabet has announced there; L*_SHA adds to it ("ON/200+ #2",
-    "ON/200-300 rising"). Where no name begins so, the edges decide (`_running_locations`).
-    """
+    """The locations in which the machine may run, in the automaton's order: all of them without a switch."""
+    locations = tuple(location.name for location in model.sha.locations)
     switch = first_switch(model.alphabet)
     if switch is None:
-        return tuple(location.name for location in model.sha.locations)
-    place = model.alphabet.channels.index(switch)
-    known = contexts(model.alphabet)
-    running = []
-    for location in model.sha.locations:
-        named = [name for name in known if location.name == name or location.name.startswith(f"{name} ")]
-        if named and known[max(named, key=len)][place] == 1:
-            running.append(location.name)
-    if running:
-        return tuple(running)
-    return tuple(sorted(_running_locations(model, switch.rising, switch.falling)))
-
-
-def _running_locations(model: Model, rising: str, falling: str) -> set[str]:
-    """Locations entered by `rising`, or from those by anything but `falling` and UNKNOWN, after which nothing is."""
-    reached = {edge.target for edge in model.sha.edges if edge.symbol == rising}
-    while True:
-        onward = {e.target for e in model.sha.edges if e.source in reached and e.symbol not in (falling, UNKNOWN)}
-        more = onward - reached
-        if not more:
-            return reached
-        reached |= more
+        return locations
+    where = switch_locations(model.sha, model.alphabet).get(switch.signal)
+    return () if where is None else tuple(name for name in locations if name in where.on or name in where.either)

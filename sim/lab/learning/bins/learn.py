@@ -210,7 +210,13 @@ def learn_bins(
         # JSON has no NaN: a figure for which there were too few data is left out of the model's file.
         scores={name: value for name, value in figures.items() if np.isfinite(value)},
     )
-    model = replace(fitted.model, calibration=forecasts.calibration, plain=forecasts.members, provenance=provenance)
+    model = replace(
+        fitted.model,
+        calibration=forecasts.calibration,
+        plain=forecasts.members,
+        anomalies=forecasts.scores.record,
+        provenance=provenance,
+    )
     return Learned(
         model=model,
         values=fitted.values,

@@ -15,7 +15,15 @@ import numpy as np
 from sim.lab.learning import Indices
 from sim.lab.learning.lsha.structures import Structure
 from sim.lab.learning.lsha.teacher import Teacher
-from sim.lab.learning.lsha.words import Word, WordHistory, class_distances, coordinates, describe_class, limit_history
+from sim.lab.learning.lsha.words import (
+    Word,
+    WordHistory,
+    class_distances,
+    coordinates,
+    describe_shared,
+    limit_history,
+    switch_positions,
+)
 from sim.sha import UNKNOWN, Edge, Trace, alphabet_symbols
 
 
@@ -56,12 +64,12 @@ def build_hypothesis(teacher: Teacher, structure: Structure, *, complete: bool) 
         observed[start, symbol] = (end, observed.get((start, symbol), (end, 0))[1] + count)
     spent = np.bincount(classes.of_state[teacher.runs.place], teacher.runs.dt, len(classes))
     seconds = np.asarray(spent, dtype=float)
-    # A location is represented by the class in which it spends most of its time, and called by that; equal names are
-    # numbered.
+    # A location is represented by the class in which it spends most of its time, and called by what all of its words
+    # share; equal names are numbered.
     typical = [classes.keys[max(rows, key=lambda row: (seconds[row], -row))] for rows in members]
     taken: Counter[str] = Counter()
     names = []
-    for name in (describe_class(key, teacher.alphabet) for key in typical):
+    for name in (describe_shared([classes.keys[row] for row in rows], teacher.alphabet) for rows in members):
         taken[name] += 1
         names.append(name if taken[name] == 1 else f"{name} #{taken[name]}")
     default = _defaults(teacher, structure, typical, observed) if complete else {}
@@ -89,6 +97,10 @@ def _defaults(
     wanted = [limit_history(table.extend_history(typical[number], symbol), memory) for number, symbol in missing]
     different = tuple(dict.fromkeys(wanted))
     away = class_distances(coordinates(different), classes.coordinates, table)
+    # Where a switch stands has just been said: a class in which it stands differently comes after all others.
+    said, stands = switch_positions(different, table), switch_positions(classes.keys, table)
+    differs = np.array([[one != other for other in stands] for one in said], dtype=bool).reshape(away.shape)
+    away[differs] += away.max(initial=0.0) + 1.0
     # Where nothing is known is no guess, and what is seen is better than what is near.
     away[:, 0] = np.inf
     seen = {key: number for number, key in enumerate(classes.keys)}

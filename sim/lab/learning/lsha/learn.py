@@ -254,7 +254,13 @@ def learn_lsha(
         scores={name: value for name, value in figures.items() if np.isfinite(value)},
     )
     report_progress("done", 1.0)
-    whole = replace(model, calibration=forecasts.calibration, plain=forecasts.members, provenance=provenance)
+    whole = replace(
+        model,
+        calibration=forecasts.calibration,
+        plain=forecasts.members,
+        anomalies=forecasts.scores.record,
+        provenance=provenance,
+    )
     return LearnedLsha(whole, fitted.values, report, fitted.spread)
 
 

@@ -21,7 +21,7 @@ import numpy as np
 
 from sim.lab.learning import Indices
 from sim.lab.learning.lsha.evidence import PooledEvidence, WelchTest, same_distribution
-from sim.lab.learning.lsha.words import Classes
+from sim.lab.learning.lsha.words import Classes, switch_positions
 from sim.sha import Mask
 
 MAX_MERGE_TRIALS = 6
@@ -112,6 +112,8 @@ class _PartitionState:
     edges: list[dict[str, int]]
     evidence: list[PooledEvidence]
     fixed: set[int]
+    switches: Sequence[tuple[int | None, ...]]
+    """(C,) where the switches stand after each class; all classes of a set have the same."""
     placed: list[bool]
     delta: float
     n_min: int
@@ -125,6 +127,10 @@ class _PartitionState:
             self.parent[number] = self.parent[self.parent[number]]
             number = self.parent[number]
         return number
+
+    def candidates(self, row: int) -> list[int]:
+        """The locations with which a row may be one: what such a merge entails keeps the switches alike as well."""
+        return [location for location in self.known if self.switches[location] == self.switches[row]]
 
     def compare(self, first: PooledEvidence, second: PooledEvidence) -> WelchTest:
         self.queries += 1
@@ -234,7 +240,8 @@ def learn_partition(
     """The classes merged into locations; `delta` in the parameter's unit. The result depends on the evidence alone.
 
     Classes that are not `modelled` (C,), in which a channel is not known, stay what they are: nothing is merged with
-    them, so that not knowing never becomes knowing. Raises TooManyQueriesError after the `most` queries.
+    them, so that not knowing never becomes knowing; nor are classes after which a switch stands differently merged.
+    Raises TooManyQueriesError after the `most` queries.
     """
     size = len(classes)
     fixed = {number for number in range(size) if not modelled[number]}
@@ -244,6 +251,7 @@ def learn_partition(
         edges=edges,
         evidence=list(evidence),
         fixed=fixed,
+        switches=switch_positions(classes.keys, classes.meaning),
         placed=[False] * size,
         delta=delta,
         n_min=n_min,
@@ -295,7 +303,7 @@ def _decide(state: _PartitionState, row: int, classes: Classes, level: float) ->
     root = state.find(row)
     evidence = state.evidence[root]
     # The row's own segments against those of every location, the most similar first.
-    answers = {location: state.compare(state.evidence[location], evidence) for location in state.known}
+    answers = {location: state.compare(state.evidence[location], evidence) for location in state.candidates(root)}
     equal = sorted(
         (location for location, answer in answers.items() if answer.p >= level),
         key=lambda location: (-answers[location].p, location),
@@ -338,7 +346,7 @@ def _default(state: _PartitionState, row: int, classes: Classes) -> int | None:
     if state.evidence[row].count < state.n_min:
         return next(iter(_neighbours(state, row, classes)), None)
     key = classes.keys[row]
-    same = [location for location in state.known if classes.keys[location].context == key.context]
+    same = [location for location in state.candidates(row) if classes.keys[location].context == key.context]
     return min(same, key=lambda number: (classes.keys[number].direction != key.direction, number), default=None)
 
 
@@ -346,7 +354,7 @@ def _neighbours(state: _PartitionState, row: int, classes: Classes) -> list[int]
     """The locations by how near the nearest words are that lead there, MAX_MERGE_TRIALS at most."""
     near: dict[int, None] = {}
     for other in classes.nearest_classes(row):
-        if state.placed[other]:
+        if state.placed[other] and state.switches[other] == state.switches[row]:
             near.setdefault(state.find(other))
             if len(near) == MAX_MERGE_TRIALS:
                 break
@@ -366,7 +374,7 @@ def _dissolve_small(state: _PartitionState, level: float) -> list[Decision]:
         # without the certainty that they scatter as all do. How many they are does not matter if they still say no.
         answers = {
             other: state.compare(state.evidence[other], evidence.cautious)
-            for other in state.known
+            for other in state.candidates(location)
             if other != location and state.evidence[other].count >= state.n_min
         }
         allowed = (other for other, answer in answers.items() if answer.p >= level)

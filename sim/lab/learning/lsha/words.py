@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from sim.lab.learning import SWITCH_STEPS, Context, Indices, LearningError, announcements, labels, location_name
+from sim.lab.learning import SWITCH_STEPS, Context, Indices, LearningError, announcements, labels, shared_name
 from sim.lab.learning.lsha.settings import Memory
 from sim.sha import SHA, UNKNOWN, Alphabet, Array, Edge, Flow, Location, Switch, Trace
 
@@ -239,6 +239,11 @@ def build_classes(words: TraceWords, memory: Memory) -> Classes:
     )
 
 
+def switch_positions(keys: Sequence[WordHistory], table: Meaning) -> list[tuple[int | None, ...]]:
+    """(C,) where the switches stand after the words of each class; None for one that is not known."""
+    return [tuple(value for value, level in zip(key.context, table.levels, strict=True) if not level) for key in keys]
+
+
 def class_distances(ones: Coordinates, others: Coordinates, table: Meaning) -> Array:
     """(C, D) how far classes are from each other, as `structure.distance` counts, another direction like a switch."""
     total = np.zeros((ones.direction.size, others.direction.size))
@@ -272,10 +277,16 @@ def class_word(key: WordHistory, words: TraceWords) -> Word | None:
 
 def describe_class(key: WordHistory, alphabet: Alphabet) -> str:
     """A class in words: "ON/200-300", "ON/200-300 rising", "ON/200-300 after 100-200"."""
-    text = location_name(key.context, alphabet)
-    if key.direction:
-        text += " rising" if key.direction > 0 else " falling"
-    if key.moved is not None:
-        channel, before = key.moved
+    return describe_shared([key], alphabet)
+
+
+def describe_shared(keys: Sequence[WordHistory], alphabet: Alphabet) -> str:
+    """What the words of several classes have in common: "ON", "ON/100-300", "ON/200-300 rising"."""
+    text = shared_name([key.context for key in keys], alphabet)
+    directions, moves = {key.direction for key in keys}, {key.moved for key in keys}
+    if len(directions) == 1 and (direction := directions.pop()):
+        text += " rising" if direction > 0 else " falling"
+    if len(moves) == 1 and (moved := moves.pop()) is not None:
+        channel, before = moved
         text += f" after {'?' if before is None else labels(alphabet.channels[channel])[before]}"
     return text

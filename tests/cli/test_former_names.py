@@ -1,0 +1,105 @@
+"""A command's name of the last release does what it did, is in no help and no completion, and says the new one once."""
+
+import shlex
+from pathlib import Path
+
+import click
+import pytest
+
+from benchmarks.words import measure
+from gateway.cli.former import FORMER
+from gateway.cli.main import main
+from gateway.entry import LazyGroup
+from tests.cli.support import ROOT, decanter, find_command, only_object, refused
+
+CONTEXT = click.Context(main, info_name="decanter")
+WHOLE = {old: now for old, now in FORMER.items() if old != "config"} | {
+    f"config {word}": f"keep {word}" for word in ("history", "diff", "rollback")
+}
+"""Every command that had another name, by its former words."""
+
+
+@pytest.mark.parametrize("old", WHOLE)
+def test_a_former_name_is_the_command_and_says_its_new_name(old: str) -> None:
+    now = WHOLE[old]
+    shown = decanter(*old.split(), "--help")
+    hint = f"decanter: `decanter {old}` is now `decanter {now} --help`\n"
+    if old.startswith("config"):  # its group is what has another name
+        hint = f"decanter: `decanter config` is now `decanter {now} --help`\n"
+    assert (shown.exit_code, shown.stderr) == (0, hint)
+    assert shown.stdout == decanter(*now.split(), "--help").stdout
+    words = tuple(word for word in now.split() if not word.startswith("--"))
+    assert find_command(words) is not None
+
+
+@pytest.mark.parametrize("old", FORMER)
+def test_a_former_name_is_in_no_help_and_not_completed(old: str) -> None:
+    *group, name = old.split()
+    command = find_command(tuple(group))
+    assert isinstance(command, LazyGroup)
+    context = click.Context(command, info_name=group[0] if group else "decanter", parent=CONTEXT if group else None)
+    assert name not in command.list_commands(context)
+    assert name not in [item.value for item in command.shell_complete(context, name[:2])]
+    answering = command.get_command(context, name)
+    assert answering is not None and answering.hidden
+
+
+@pytest.mark.parametrize("old", FORMER)
+def test_only_one_word_is_there_for_one_thing(old: str) -> None:
+    with pytest.raises(KeyError):
+        find_command(tuple(old.split()))
+
+
+def test_a_program_reads_one_object_and_the_hint_names_to_a_person_all_that_was_given(tmp_path: Path) -> None:
+    device = ROOT / "config" / "devices" / "decanter_plc.toml"
+    given = ["--device", device, "--host", "127.0.0.1", "--records", tmp_path / "made here.jsonl"]
+    done, now = decanter("plc", "plan", *given, "--json"), decanter("plc", "check", "plan", *given, "--json")
+    assert (done.exit_code, now.exit_code, now.stderr) == (0, 0, "")
+    assert only_object(done.output).keys() == only_object(now.output).keys()
+    told = decanter("plc", "plan", *given)
+    assert (told.exit_code, told.stdout) == (0, decanter("plc", "check", "plan", *given).stdout)
+    said = told.stderr.strip()
+    assert said == f"decanter: `decanter plc plan` is now `decanter plc check plan {shlex.join(map(str, given))}`"
+
+
+def test_a_complaint_stays_the_one_sentence_of_its_call(tmp_path: Path) -> None:
+    none = tmp_path / "none"
+    said = refused(decanter("model", "prove", none), 2, "none")
+    assert said == refused(decanter("model", "judge", "proof", none), 2) == refused(decanter("model", "judge", none), 2)
+    said = refused(decanter("plc", "verify", "--bogus"), 2, "No such option '--bogus'")
+    assert said.endswith("see `decanter plc check hmi --help`")
+    answer = only_object(decanter("status", "--config", none, "--json").stdout)
+    assert answer == only_object(decanter("top", "--once", "--config", none, "--json").stdout) and not answer["ok"]
+
+
+def test_a_former_name_in_the_wrong_place_is_told_the_new_one() -> None:
+    refused(decanter("retrain"), 2, "there is `decanter model version retrain`")
+    refused(decanter("verify"), 2, "`decanter plc check hmi`")
+
+
+@pytest.mark.parametrize("words", ["plc check soakk", "keep bogus", "keep --json"])
+def test_a_first_word_that_names_no_work_is_refused_with_the_one_that_was_meant(words: str) -> None:
+    said = refused_words(words)
+    assert said.endswith(f"see `decanter {words.rpartition(' ')[0]} --help`")
+
+
+def refused_words(words: str) -> str:
+    result = decanter(*words.split())
+    assert result.exit_code == 2
+    return result.stderr.strip()
+
+
+def test_a_command_of_several_works_is_completed_by_its_words_and_the_options_of_its_usual_one() -> None:
+    for words, incomplete, found in (
+        ("plc check", "so", ["soak"]),
+        ("plc check", "--mach", ["--machine"]),
+        ("model judge", "r", ["rank", "regression"]),
+        ("keep", "--", []),
+    ):
+        command = find_command(tuple(words.split()))
+        assert [item.value for item in command.shell_complete(click.Context(command), incomplete)] == found
+
+
+def test_the_tree_of_commands_stays_small() -> None:
+    counted = {figure.name: figure.value for figure in measure()}
+    assert counted["leaf commands"] <= 64 and counted["options that commands take"] <= 750
