@@ -321,7 +321,9 @@ class Ensemble:
 
     def take(self, mixed: MixedForecast, now: float) -> None:
         """Let finished forecasts wait for their readings."""
-        followed = [*self.members, self.trend] if self.trend is not None else self.members
+        followed: list[Member | LocalTrendMember] = [*self.members]
+        if self.trend is not None:
+            followed.append(self.trend)
         for member, outcome in zip(followed, mixed.members[1:], strict=True):
             if isinstance(outcome, str):
                 if isinstance(member, Member):
@@ -395,7 +397,9 @@ def _with_local_trend(kept: Mapping[str, Any], pool: Pool) -> dict[str, Any]:
     """What a version without a local trend kept of a pool: it is taken to have lost what the others did on average."""
 
     def extend(losses: Mapping[str, Any] | None) -> dict[str, Any] | None:
-        return losses and {**losses, "total": [*losses["total"], float(np.mean(losses["total"]))]}
+        if losses is None:
+            return None
+        return {**losses, "total": [*losses["total"], float(np.mean(losses["total"]))]}
 
     contexts = {name: extend(losses) for name, losses in kept["contexts"].items()}
     same = {"members": pool.members, "prior": pool.prior, "fixed": pool.fixed}
