@@ -10,6 +10,7 @@ from sim.forecast.calibration import (
     factors,
     issue,
     recent_coverage,
+    reshape,
     settle,
 )
 from sim.forecast.ensemble import (
@@ -25,4 +26,5 @@ from sim.forecast.ensemble import (
     weights_by_horizon,
 )
 from sim.forecast.fan import FAN_LEVELS, Forecast, fans, forecast
+from sim.forecast.local_trend import LocalOutlook, LocalTrend
 from sim.forecast.review import FORECASTS, ONE_STEP, Review, follow, follow_forecasts, review_errors, share, standardise

@@ -12,18 +12,26 @@ whatever the data do.
 Forecasts made every second for 15 minutes ahead overlap and err together: the evidence counted is the time that they
 span over their horizon, not their number. It is weighed against the model's own factor, on the scale of logarithms.
 By what the next shorter horizon's factor has left the model's own, a longer one begins: how rough a day is shows at a
-minute long before it can at fifteen.
+minute long before it can at fifteen. A rough minute foretells a rough quarter of an hour better than a calm one a calm
+one (a day may drift that trembles little), so that only part of what narrows is passed on.
+
+A second, slower histogram, of z over the factor that was published, tells the fan's shape inside and outside of that
+band: a temperature that mostly stands still and sometimes leaps has a law of a high peak and long tails, which no
+factor makes out of a Gaussian one.
 """
 
 from bisect import bisect_left, bisect_right
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
-from math import exp, inf, isfinite, log, nan
+from functools import cache
+from math import erf, exp, inf, isfinite, log, nan, sqrt
+from statistics import NormalDist
 from typing import Any
 
 import numpy as np
 
 from sim.forecast.fan import FAN_LEVELS, Forecast
+from sim.sha import Array
 
 MISS_SHARE = 0.1
 """The share of outcomes that a 90 % band leaves out."""
@@ -31,6 +39,12 @@ WIDENING_GAIN = 0.15
 """By how much a missed band widens the next ones, on the scale of logarithms, for each independent forecast."""
 MAX_LOG_SHIFT = 1.5
 """Bound of the integral part, on the scale of logarithms: a factor of 4.5."""
+NARROWING_LENT = 0.5
+"""The part of a shorter horizon's narrowing, on the scale of logarithms, with which a longer one begins."""
+SHAPE_MEMORY = 60.0
+"""Independent forecasts after which what the fan's shape was learned from has faded to 1/e."""
+GAUSSIAN_FORECASTS = 10.0
+"""Independent forecasts that the model's own shape counts for."""
 LEAST_FACTOR, MOST_FACTOR = 0.2, 10.0
 """Bounds of a factor: beyond them the model is wrong, and no widening makes it right."""
 
@@ -38,6 +52,13 @@ Z90 = 1.6448536269514722
 """Half the width of a 90 % band in standard deviations."""
 _HISTOGRAM_EDGES = np.geomspace(0.01, 100.0, 65)
 _BIN_COUNT = len(_HISTOGRAM_EDGES) + 1
+_GAUSSIAN_COUNTS = GAUSSIAN_FORECASTS * np.diff(
+    [0.0, *(erf(edge / sqrt(2.0)) for edge in _HISTOGRAM_EDGES.tolist()), 1.0]
+)
+"""The histogram of a Gaussian's z."""
+_STILL_Z, _FAR_Z = 5e-4, 115.0
+"""The ends of the outermost bins."""
+_LOG_FENCES = np.log([_STILL_Z, *_HISTOGRAM_EDGES, _FAR_Z])
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +84,8 @@ class Horizon:
 
     `prior` is the model's own factor, `last` the due time of the newest matured forecast (-inf before any), `missed`
     counts the forecasts whose reading never came, `due_forecasts` the others. `shift` is the integral part of the
-    factor (its logarithm), `held` the fading evidence of published bands that held, out of `worth`.
+    factor (its logarithm), `held` the fading evidence of published bands that held, out of `worth`. `shape` are slowly
+    forgetting counts of z over the published factor; none before any matured.
     """
 
     prior: float
@@ -75,6 +97,7 @@ class Horizon:
     missed: int = 0
     shift: float = 0.0
     held: float = 0.0
+    shape: tuple[float, ...] = ()
 
     def plain(self) -> dict[str, Any]:
         """The state as JSON can carry it; `asdict` would copy each number of each waiting forecast by itself."""
@@ -147,6 +170,7 @@ def settle(state: Calibration, time: float, temperature: float) -> Calibration:
         reached = bisect_right(horizon.pending, time, key=_due)
         taken = reached if isfinite(temperature) else overdue
         counts, worth, last, shift, held = horizon.counts, horizon.worth, horizon.last, horizon.shift, horizon.held
+        shape = horizon.shape or (0.0,) * _BIN_COUNT
         for waiting in horizon.pending[overdue:taken]:
             # Overlapping forecasts err together: each is worth the part of its horizon by which it is newer than the
             # one before. Evidence fades by that worth, not by the clock.
@@ -156,6 +180,10 @@ def settle(state: Calibration, time: float, temperature: float) -> Calibration:
             z = deviation(waiting, temperature)
             faded[int(np.searchsorted(_HISTOGRAM_EDGES, z))] += gained
             inside = z <= Z90 * waiting.factor
+            fade_shape = exp(-gained / SHAPE_MEMORY)
+            slow = [count * fade_shape for count in shape]
+            slow[int(np.searchsorted(_HISTOGRAM_EDGES, z / waiting.factor))] += gained
+            shape = tuple(slow)
             shift += WIDENING_GAIN * gained * ((0.0 if inside else 1.0) - MISS_SHARE)
             shift, held = min(max(shift, -MAX_LOG_SHIFT), MAX_LOG_SHIFT), held * fade + gained * inside
             counts, worth, last = tuple(faded), worth * fade + gained, max(last, waiting.due)
@@ -169,6 +197,7 @@ def settle(state: Calibration, time: float, temperature: float) -> Calibration:
             missed=horizon.missed + overdue,
             shift=shift,
             held=held,
+            shape=shape,
         )
     return replace(state, horizons=horizons)
 
@@ -214,13 +243,49 @@ def factors(state: Calibration, *, integral: bool = True) -> dict[float, float]:
     made, lent = {}, 0.0
     for horizon, learned in state.horizons.items():
         # Weighed on the scale of logarithms: twice too wide and twice too narrow are equally wrong.
-        level = log(learned.prior) + lent
+        level = log(learned.prior) + (lent if lent > 0 else NARROWING_LENT * lent)
         if learned.worth > 0:
             share = learned.worth / (learned.worth + state.weight)
             level = share * log(_clip_factor(_quantile(learned) / Z90)) + (1.0 - share) * level
         lent = level - log(learned.prior)
         made[horizon] = _clip_factor(exp(level + (learned.shift if integral and learned.worth > 0 else 0.0)))
     return made
+
+
+def reshape(forecast: Forecast, state: Calibration) -> Forecast:
+    """The forecast with its quantiles moved to where the outcomes of former ones lay, about median and 90 % band.
+
+    Those two stay, as what is said of the limit does. So do horizons of which nothing has matured.
+    """
+    shares, gaussian = _gaussian_quantiles(forecast.levels)
+    low, median, high = (forecast.levels.index(level) for level in (0.05, 0.5, 0.95))
+    quantiles = forecast.quantiles.copy()
+    for column, horizon in enumerate(forecast.horizons.tolist()):
+        learned = state.horizons.get(horizon)
+        if learned is None or not learned.shape:
+            continue
+        seen = _quantiles_of_z(np.asarray(learned.shape) + _GAUSSIAN_COUNTS, shares)
+        about = forecast.quantiles[:, column] - forecast.quantiles[median, column]
+        moved = seen / seen[high] * (Z90 / gaussian) * about
+        # A fan that is no Gaussian one could cross its own band.
+        moved[low : high + 1] = np.clip(moved[low : high + 1], about[low], about[high])
+        moved[:low], moved[high + 1 :] = np.minimum(moved[:low], about[low]), np.maximum(moved[high + 1 :], about[high])
+        quantiles[:, column] = forecast.quantiles[median, column] + np.sort(moved)
+    return replace(forecast, quantiles=quantiles)
+
+
+@cache
+def _gaussian_quantiles(levels: tuple[float, ...]) -> tuple[Array, Array]:
+    """(L,) the share of outcomes that are nearer to the median than each level's quantile, and a Gaussian's z there."""
+    shares = np.abs(2.0 * np.array(levels) - 1.0)
+    z = [NormalDist().inv_cdf((1.0 + share) / 2.0) if share > 0 else 1.0 for share in shares.tolist()]
+    return shares, np.array(z)
+
+
+def _quantiles_of_z(counts: Array, shares: Array) -> Array:
+    """The quantiles of z at `shares`, linear in log z inside a bin."""
+    total = np.concatenate([[0.0], np.cumsum(counts)])
+    return np.asarray(np.exp(np.interp(shares * total[-1], total, _LOG_FENCES)))
 
 
 def _quantile(horizon: Horizon) -> float:

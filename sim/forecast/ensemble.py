@@ -3,9 +3,9 @@
 The combined forecast is the mixture of the members' laws (a linear pool), not an average of their numbers: where
 members disagree it is wide, or has two humps. Weights are exponential in the CRPS that members had of late (the
 exponentially weighted forecaster: Cesa-Bianchi & Lugosi 2006, ch. 2; for CRPS: Berrisch & Ziel 2021): losses fade with
-a stated half-life, each moment's are counted in units of the members' mean then, and weights start from prior ones.
-They are kept for each context beside the overall ones, and no weight falls below a floor, so that a member can come
-back.
+a stated half-life, each moment's are counted in units of what members lose then or of late, whichever is less, and
+weights start from prior ones. They are kept for each context beside the overall ones, and no weight falls below a
+floor, so that a member can come back.
 """
 
 from collections.abc import Mapping, Sequence
@@ -38,14 +38,17 @@ MIN_QUANTILE_GAP_DEGC = 1e-3
 class Losses:
     """Fading sums: `total` (members,) of losses weighed by worth, `evidence` of the worth (independent forecasts).
 
-    A loss is the CRPS in units of the mean of all members' at that moment: the degrees by which all err while a machine
-    heats up would else outweigh all that is seen of them in steady running.
+    A loss is the CRPS in units of the mean of all members' at that moment, at most of the fading mean of that (`scale`,
+    degC, its sum over the same `evidence`). Degrees by which all err while a machine heats up would else outweigh all
+    that is seen of them in steady running; and in units of the moment alone, a member that is a little sharper while
+    nothing happens would outweigh that it is far off whenever something does.
 
     Members without a forecast are taken to have lost what the pool's weighted mean did.
     """
 
     total: tuple[float, ...]
     evidence: float = 0.0
+    scale: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,15 +150,18 @@ def learn(pool: Pool, context: str, losses: Sequence[float | None], worth: float
     now = np.array(weights(pool, context))
     share = now[present].sum()
     mean = sum(now[place] * (known[place] or 0.0) for place in present) / share
-    unit = max(sum(known[place] or 0.0 for place in present) / len(present), MIN_QUANTILE_GAP_DEGC)
-    lost = [(mean if loss is None else loss) / unit for loss in known]
+    common = sum(known[place] or 0.0 for place in present) / len(present)
+    lost = [mean if loss is None else loss for loss in known]
     fade = 0.5 ** (worth / pool.half_life)
 
     def fade_losses(before: Losses | None) -> Losses:
-        total = (0.0,) * pool.members if before is None else before.total
-        evidence = 0.0 if before is None else before.evidence
-        sums = tuple(float(fade * old + worth * new) for old, new in zip(total, lost, strict=True))
-        return Losses(sums, fade * evidence + worth)
+        before = before or Losses((0.0,) * pool.members)
+        evidence = fade * before.evidence + worth
+        # Losses of former versions know no scale: theirs is taken to have been today's.
+        scale = fade * (before.scale or common * before.evidence) + worth * common
+        unit = max(min(common, scale / evidence), MIN_QUANTILE_GAP_DEGC)
+        sums = tuple(float(fade * old + worth * new / unit) for old, new in zip(before.total, lost, strict=True))
+        return Losses(sums, evidence, scale)
 
     contexts = {**pool.contexts, context: fade_losses(pool.contexts.get(context))}
     return replace(pool, overall=fade_losses(pool.overall), contexts=contexts)

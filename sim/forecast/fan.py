@@ -166,7 +166,7 @@ def forecast(
         locations=locations,
         limit=limit,
         exceedance=tuple(clopper_pearson(float(share) * runs, runs) for share in reached[at + 1]),
-        minutes_to_limit=_minutes(np.concatenate([[0.0], grid]), reached),
+        minutes_to_limit=limit_minutes(np.concatenate([[0.0], grid]), reached),
         runs=runs,
         factors=factors,
         clamps=done.clamps,
@@ -297,8 +297,11 @@ def _reach_chances(
     return np.concatenate([[at_start], 1.0 - alive[done.marks, columns].mean(axis=1)])
 
 
-def _minutes(clock: Array, reached: Array) -> tuple[float, float, float]:
-    """The 5, 50 and 95 % quantiles of the time to the limit, in minutes; inf where that share is never reached."""
+def limit_minutes(clock: Array, reached: Array) -> tuple[float, float, float]:
+    """The 5, 50 and 95 % quantiles of the time to the limit, in minutes, from the chance `reached` by `clock` (s).
+
+    Linear in between; inf where that share is never reached.
+    """
 
     def minutes_to_share(share: float) -> float:
         if reached[-1] < share:

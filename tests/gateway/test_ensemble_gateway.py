@@ -25,7 +25,7 @@ from gateway.store.historian import open_historian
 from gateway.store.score import scorecard
 from sim.artefacts.model_json import model_text
 from sim.sha.automaton import Distribution
-from sim.sha.model import Correction, Model
+from sim.sha.model import Correction, Model, PlainMember
 from tests.gateway.support import (
     CURRENT,
     EPOCH,
@@ -184,6 +184,28 @@ def test_a_member_is_where_its_model_alone_would_be_at_each_scan_and_after_a_res
     assert job is not None
     assert ensemble.snapshot()["members"] == [alone.snapshot()]
     assert ensemble.members[0].predictor.belief == alone.belief
+
+
+def test_what_was_learned_before_there_was_a_local_trend_goes_on(tmp_path: Path) -> None:
+    config = config_in(tmp_path, model=two_modes(), **FAST)
+    model = replace(two_modes(), plain=(PlainMember("persistence", 0.0, 0.1),))
+
+    def ensemble() -> Ensemble:
+        first = Predictor(model, TEMPERATURE)
+        return Ensemble(first, ["a"], [], section=config.ensemble, forecasts=config.forecast, scan_period=1.0)
+
+    begun = ensemble()
+    assert begun.names[1:] == ["persistence", "local trend"]
+    former = json.loads(json.dumps(begun.snapshot()))
+    for pool in former["losses"].values():
+        pool |= {"members": 2, "prior": [0.5, 0.5], "overall": {"total": [9.0, 3.0], "evidence": 5.0}}
+    assert ensemble().restore(former, EPOCH)
+    begun.restore(former, EPOCH)
+    model_share, persistence, _ = begun.shares("")[0].tolist()
+    assert persistence > 2.0 * model_share
+    again = ensemble()
+    assert again.restore(json.loads(json.dumps(begun.snapshot())), EPOCH)
+    assert np.array_equal(again.shares(""), begun.shares(""))
 
 
 def test_a_context_is_what_the_first_models_encoder_told(tmp_path: Path) -> None:

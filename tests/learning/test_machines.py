@@ -203,6 +203,20 @@ def test_later_times_of_the_same_recording_tell_nothing_of_another_day() -> None
     assert set(forecasts.calibration) == set(HORIZONS_S)
 
 
+def test_another_day_may_drift_where_the_only_one_did_not() -> None:
+    """Far off for the band a minute ahead, and near to the median at five: the latter is not believed of other days."""
+    forecasts = HeldOutForecasts((), 0)
+    forecasts.scored = [
+        Scored(horizon, horizon * number, z, 0.1) for horizon, z in ((60.0, 3.0), (300.0, 0.8)) for number in range(40)
+    ]
+    sure = forecasts.calibration
+    forecasts.other_days = False
+    minute, five = forecasts.calibration[60.0], forecasts.calibration[300.0]
+    assert minute == pytest.approx(UNSEEN_WIDENING * sure[60.0])
+    assert UNSEEN_WIDENING * sure[300.0] < five < minute
+    assert five == pytest.approx((UNSEEN_WIDENING * sure[300.0] * minute) ** 0.5)
+
+
 def test_pieces_of_which_nothing_was_scored_are_no_witnesses(alone: Learned) -> None:
     """Forty exports of half a minute beside one day: no forecast along them comes due."""
     forecasts = HeldOutForecasts((PlainMember("plain", 0.1, 0.1),), 0)

@@ -13,6 +13,7 @@ from sim.forecast.calibration import (
     factors,
     issue,
     recent_coverage,
+    reshape,
     settle,
 )
 from sim.forecast.fan import FAN_LEVELS, Forecast
@@ -165,3 +166,39 @@ def test_bad_settings_are_refused() -> None:
             calibrate(**bad)  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="at least 0"):
         calibrate({60.0: 1.0}, weight=-1.0)
+
+
+def settled(errors: list[float]) -> Calibration:
+    """The state after forecasts of 0 +- 1 that did not overlap, and that were so far off."""
+    state = calibrate({HORIZON: 1.0})
+    for number, error in enumerate(errors):
+        state = issue(state, fan(number * HORIZON, 0.0, 1.0))
+        state = settle(state, (number + 1) * HORIZON, error)
+    return state
+
+
+def test_a_temperature_that_mostly_stands_still_gets_a_peak_about_the_same_90_percent_band() -> None:
+    state = settled(([0.001] * 8 + [1.7, -1.7]) * 20)
+    made = fan(0.0, 0.0, 1.0)
+    shaped = reshape(made, state)
+    low, lower, median, upper, high = shaped.quantiles[:, 0].tolist()
+    assert (low, median, high) == tuple(made.quantiles[[0, 2, 4], 0].tolist())
+    assert -0.05 < lower < 0.0 < upper < 0.05, "half of the outcomes were hardly off at all"
+
+
+def test_gaussian_outcomes_leave_the_fan_as_it_is_and_so_do_none() -> None:
+    made = fan(0.0, 0.0, 1.0)
+    assert np.array_equal(reshape(made, calibrate({HORIZON: 1.0})).quantiles, made.quantiles)
+    assert reshape(made, settled(np.random.default_rng(2).standard_normal(400).tolist())).quantiles == pytest.approx(
+        made.quantiles, abs=0.2
+    )
+
+
+def test_a_longer_horizon_begins_with_all_of_what_widens_and_half_of_what_narrows() -> None:
+    for error, part in ((4.0, 1.0), (0.2, 0.5)):
+        state = calibrate({HORIZON: 1.0, 5 * HORIZON: 1.0})
+        for number in range(200):
+            state = issue(state, fan(number * HORIZON, 0.0, 1.0))
+            state = settle(state, (number + 1) * HORIZON, error)
+        short, long = factors(state, integral=False).values()
+        assert np.log(long) == pytest.approx(part * np.log(short))

@@ -129,6 +129,19 @@ def test_what_all_got_wrong_while_the_machine_heated_up_does_not_outweigh_steady
     assert weights(once) == pytest.approx(weights(again)), "the unit of the losses does not matter"
 
 
+def test_who_is_a_little_sharper_while_nothing_happens_does_not_outweigh_being_far_off_when_something_does() -> None:
+    """In nine moments of ten the first is better by a hundredth of a degree, and in the tenth worse by three."""
+    pool = taught(Pool(2), ([("", (0.01, 0.02))] * 9 + [("", (6.0, 3.0))]) * 6)
+    assert weights(pool)[1] > 0.5
+
+
+def test_losses_of_a_version_without_a_scale_go_on() -> None:
+    pool = taught(Pool(2), [("", (2.0, 1.0))] * 5)
+    assert pool.overall is not None
+    old = replace(pool, overall=replace(pool.overall, scale=0.0), contexts={})
+    assert weights(taught(old, [("", (2.0, 1.0))]))[1] > weights(old)[1]
+
+
 def test_a_few_forecasts_are_enough_against_a_member_that_is_far_off() -> None:
     assert weights(taught(Pool(3), [("", (1.0, 9.0, 1.1))] * 3))[1] < 0.03
     assert weights(taught(Pool(3), [("", (1.0, 9.0, 1.1))] * 3))[2] > 0.2

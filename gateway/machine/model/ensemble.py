@@ -3,8 +3,9 @@
 Every member has an encoder, a belief and bands of its own, so its alphabet need not be the first model's; what they
 share is the temperature. The first model alone gives the one-step prediction, its band, the location and the anomaly
 score; the forecast is the mixture (`sim.forecast.ensemble`), whose bands are kept honest on top of its members'. A
-model brings its plain members (persistence, a damped trend), which are there unless the configuration says otherwise. A
-member that fails is left out, said so, and begun anew.
+model brings its plain members (persistence, a damped trend), which are there unless the configuration says otherwise;
+beside them stands a local trend, whose smoothing is estimated as it runs (`sim.forecast.local_trend`). A member that
+fails is left out, said so, and begun anew.
 """
 
 from collections.abc import Mapping, Sequence
@@ -24,6 +25,8 @@ from sim.forecast import (
     FAN_LEVELS,
     Calibration,
     Forecast,
+    LocalOutlook,
+    LocalTrend,
     Losses,
     Pool,
     PoolEvidence,
@@ -33,6 +36,7 @@ from sim.forecast import (
     issue_pool,
     mixture,
     recent_coverage,
+    reshape,
     settle_pool,
     thin_levels,
     weights_by_horizon,
@@ -56,14 +60,25 @@ RETRY_SECONDS = 60.0
 class ForecastJob:
     """One member's forecast: all that a thread needs, none of it changing meanwhile.
 
-    For a `plain` member no event matters: its fan is exact, and a few runs are enough for its way to the limit.
+    `calibration` is what its fan's shape is taken from. For a `plain` member no event matters: its fan is exact, and a
+    few runs are enough for its way to the limit.
     """
 
     tracker: Tracker
     belief: Belief
     factors: Mapping[float, float]
+    calibration: Calibration
     seed: tuple[int, ...]
     plain: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class TrendJob:
+    """The local trend's forecast, as `ForecastJob` is a model's; it is drawn from nothing."""
+
+    outlook: LocalOutlook
+    factors: Mapping[float, float]
+    calibration: Calibration
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,6 +94,14 @@ class MixedForecast:
 
 
 @dataclass(slots=True)
+class LocalTrendMember:
+    """The local trend beside the models, with its bands. It begins anew with the gateway, and needs minutes."""
+
+    trend: LocalTrend
+    calibration: Calibration
+
+
+@dataclass(slots=True)
 class Member:
     """One model beside the first: `failed` is when it last did (plant s) and `failure` the reason; "" while it runs."""
 
@@ -90,6 +113,11 @@ class Member:
     failed: float = 0.0
 
 
+LOCAL_TREND = "local trend"
+LOCAL_TREND_ODDS = 0.1
+"""Its odds against persistence before any evidence: on most days there is no trend to follow."""
+LOCAL_TREND_WIDENING = 1.5
+"""Its bands' factor before any evidence: it says how far off its best smoother was."""
 MEMBER_MEMORY = 5.0
 """Independent forecasts after which what a member's band has seen fades to 1/e: the mixture has its own on top."""
 
@@ -106,9 +134,12 @@ def bands(model: Model, section: ForecastSection, scan_period: float, *, member:
     return calibrate(by_horizon, tolerance=max(5.0, 3.0 * scan_period), **memory)
 
 
-def run_job(job: ForecastJob, section: ForecastSection, limit: float, levels: tuple[float, ...]) -> Forecast:
+def run_job(job: ForecastJob | TrendJob, section: ForecastSection, limit: float, levels: tuple[float, ...]) -> Forecast:
     """The forecast of one member. Raises what the model raises."""
-    return forecast(
+    if isinstance(job, TrendJob):
+        widening = np.array([job.factors[horizon] for horizon in section.horizons])
+        return reshape(job.outlook.forecast(widening, limit=limit, levels=levels), job.calibration)
+    made = forecast(
         job.tracker,
         job.belief,
         section.horizons,
@@ -119,11 +150,12 @@ def run_job(job: ForecastJob, section: ForecastSection, limit: float, levels: tu
         calibration=job.factors,
         levels=levels,
     )
+    return reshape(made, job.calibration)
 
 
 def foresee(
     first: ForecastJob,
-    others: Sequence[ForecastJob | None],
+    others: Sequence[ForecastJob | TrendJob | None],
     *,
     shares: Array,
     context: str,
@@ -173,31 +205,41 @@ class Ensemble:
         self.first, self.section, self.forecasts = first, section, forecasts
         plain = first.model.plain if section.plain else ()
         self.hashes = [*hashes, *(f"{hashes[0]} {member.name}" for member in plain)]
-        self.names = [f"{m.sha.name} {key[:8]}" for key, m in zip(hashes, (first.model, *models), strict=True)]
-        self.names += [member.name for member in plain]
         models = [*models, *(plain_model(first.model, member) for member in plain)]
+        names = [f"{m.sha.name} {key[:8]}" for key, m in zip(hashes, (first.model, *models), strict=False)]
+        names += [member.name for member in plain]
         self.members = [
             Member(name, Predictor(model, first.temperature), bands(model, forecasts, scan_period))
-            for name, model in zip(self.names[1:], models, strict=True)
+            for name, model in zip(names[1:], models, strict=True)
         ]
-        count = 1 + len(self.members)
-        self.given = count - len(plain)
+        self.given = 1 + len(self.members) - len(plain)
+        # A reading may come some scans after the moment that a forecast spoke of, and still counts as of that moment.
+        self.tolerance = max(5.0, 3.0 * scan_period)
+        self.trend: LocalTrendMember | None = None
+        if plain:
+            widening = dict.fromkeys(forecasts.horizons, LOCAL_TREND_WIDENING)
+            self.trend = LocalTrendMember(
+                LocalTrend(forecasts.horizons, scan_period),
+                calibrate(widening, tolerance=self.tolerance, memory=MEMBER_MEMORY),
+            )
+            names.append(LOCAL_TREND)
+        self.names = names
+        count = len(names)
 
         def pool(horizon: float) -> Pool:
             if isinstance(section.weights, tuple):
-                return Pool(count, fixed=(*section.weights, *(0.0,) * len(plain)))
+                return Pool(count, fixed=(*section.weights, *(0.0,) * (count - self.given)))
             if section.weights == "equal":
                 return Pool(count, fixed=(1.0 / count,) * count)
             odds = np.array([1.0] * self.given + [_interpolate_odds(member.odds, horizon) for member in plain])
+            if plain:
+                odds = np.append(odds, LOCAL_TREND_ODDS * odds[self.given])
             prior = tuple((odds / odds.sum()).tolist())
             return Pool(count, half_life=section.half_life, floor=section.floor, prior=prior)
 
         self.evidence = {horizon: PoolEvidence(pool(horizon)) for horizon in forecasts.horizons}
         # Only the integral part: what the members' own bands learn from a miss, these must not learn once more.
-        tolerance = max(5.0, 3.0 * scan_period)
-        self.joint = calibrate(dict.fromkeys(forecasts.horizons, 1.0), weight=inf, tolerance=tolerance)
-        # A reading may come some scans after the moment that a forecast spoke of, and still counts as of that moment.
-        self.tolerance = max(5.0, 3.0 * scan_period)
+        self.joint = calibrate(dict.fromkeys(forecasts.horizons, 1.0), weight=inf, tolerance=self.tolerance)
         self.complaints: list[tuple[str, str]] = []
         self.familiarity: FamiliarityWord = "unknown"
 
@@ -232,6 +274,9 @@ class Ensemble:
             self._track(member, scan)
             # Also of one that failed: forecasts that it made while it was well are still due.
             member.calibration = settle_bands(member.calibration, scan.time, reading)
+        if self.trend is not None:
+            self.trend.trend.take(scan.time, reading)
+            self.trend.calibration = settle_bands(self.trend.calibration, scan.time, reading)
         self.joint = settle_bands(self.joint, scan.time, reading)
         for horizon, state in self.evidence.items():
             self.evidence[horizon] = settle_pool(state, horizon, scan.time, reading, self.tolerance)
@@ -255,9 +300,9 @@ class Ensemble:
         member.known, member.failure, member.failed = False, reason, now
         self.complaints.append((member.name, reason))
 
-    def jobs(self) -> list[ForecastJob | None]:
+    def jobs(self) -> list[ForecastJob | TrendJob | None]:
         """What each member has to do for a forecast; None where its state is not known."""
-        jobs: list[ForecastJob | None] = []
+        jobs: list[ForecastJob | TrendJob | None] = []
         for place, member in enumerate(self.members, start=1):
             belief = member.predictor.belief
             if not member.known or belief is None or not belief.seen:
@@ -267,14 +312,22 @@ class Ensemble:
             # numpy's SeedSequence takes a 0 at the end for nothing, and the draws would be the first model's again.
             seed = (self.forecasts.seed, int(belief.time * 1000.0), place)
             widening, plain = self.widen(factors(member.calibration, integral=False)), place >= self.given
-            jobs.append(ForecastJob(member.predictor.tracker, belief, widening, seed, plain))
+            jobs.append(ForecastJob(member.predictor.tracker, belief, widening, member.calibration, seed, plain))
+        if self.trend is not None:
+            outlook, own = self.trend.trend.look_ahead(), self.trend.calibration
+            widening = self.widen(factors(own, integral=False))
+            jobs.append(None if outlook is None else TrendJob(outlook, widening, own))
         return jobs
 
     def take(self, mixed: MixedForecast, now: float) -> None:
         """Let finished forecasts wait for their readings."""
-        for member, outcome in zip(self.members, mixed.members[1:], strict=True):
+        followed: list[Member | LocalTrendMember] = [*self.members]
+        if self.trend is not None:
+            followed.append(self.trend)
+        for member, outcome in zip(followed, mixed.members[1:], strict=True):
             if isinstance(outcome, str):
-                self._fail(member, now, outcome)
+                if isinstance(member, Member):
+                    self._fail(member, now, outcome)
             elif outcome is not None:
                 member.calibration = issue_bands(member.calibration, thin_levels(outcome, FAN_LEVELS))
         published = factors(self.joint)
@@ -317,6 +370,8 @@ class Ensemble:
         for horizon, state in self.evidence.items():
             # Former versions counted losses in degC, under another name: those cannot be gone on from.
             kept = saved.get("losses", {}).get(f"{horizon:g}")
+            if kept is not None and self.trend is not None and kept["members"] == state.pool.members - 1:
+                kept = _with_local_trend(kept, state.pool)
             if kept is not None and _settings(kept) == _settings(asdict(state.pool)):
                 contexts = {name: _losses(losses) for name, losses in kept["contexts"].items()}
                 overall = None if kept["overall"] is None else _losses(kept["overall"])
@@ -335,7 +390,20 @@ def _evidence(pool: Pool) -> float:
 
 
 def _losses(saved: Mapping[str, Any]) -> Losses:
-    return Losses(tuple(saved["total"]), saved["evidence"])
+    return Losses(tuple(saved["total"]), saved["evidence"], saved.get("scale", 0.0))
+
+
+def _with_local_trend(kept: Mapping[str, Any], pool: Pool) -> dict[str, Any]:
+    """What a version without a local trend kept of a pool: it is taken to have lost what the others did on average."""
+
+    def extend(losses: Mapping[str, Any] | None) -> dict[str, Any] | None:
+        if losses is None:
+            return None
+        return {**losses, "total": [*losses["total"], float(np.mean(losses["total"]))]}
+
+    contexts = {name: extend(losses) for name, losses in kept["contexts"].items()}
+    same = {"members": pool.members, "prior": pool.prior, "fixed": pool.fixed}
+    return {**kept, **same, "overall": extend(kept["overall"]), "contexts": contexts}
 
 
 def _settings(pool: Mapping[str, Any]) -> list[Any]:

@@ -145,7 +145,7 @@ class Outlook:
         seed = (self.section.seed, int(belief.time * 1000.0))
         own = factors(self.calibration, integral=self.ensemble is None)
         widening = own if self.ensemble is None else self.ensemble.widen(own)
-        job = ForecastJob(self.predictor.tracker, belief, widening, seed)
+        job = ForecastJob(self.predictor.tracker, belief, widening, self.calibration, seed)
         # What the thread computes with is bound here, in the loop: beliefs and weights move on with the next scan.
         work: Callable[[], Forecast | MixedForecast]
         if (ensemble := self.ensemble) is None:
@@ -188,7 +188,8 @@ class Outlook:
             if float(text) in horizons:
                 pending = tuple(PendingForecast(**item) for item in one["pending"])
                 pending = tuple(each for each in pending if each.due <= now + float(text))
-                kept = {**one, "counts": tuple(one["counts"]), "pending": pending, "last": min(one["last"], now)}
+                counts, shape = tuple(one["counts"]), tuple(one.get("shape", ()))
+                kept = {**one, "counts": counts, "shape": shape, "pending": pending, "last": min(one["last"], now)}
                 horizons[float(text)] = Horizon(**kept)
         section = self.calibration
         self.calibration = Calibration(horizons, section.memory, section.weight, section.tolerance)

@@ -125,7 +125,8 @@ def _taught_enough(case: LearnedCase) -> Said:
     cycles = "" if rises is None else f"{rises} start{'' if rises == 1 else 's'} on "
     said = f"learned from {cycles}{days.size} day{'' if days.size == 1 else 's'}"
     if (rises is not None and rises < FEW_CYCLES) or days.size < FEW_DAYS:
-        return None, f"{said}: how one differs from the next is hardly known"
+        wide = ", and its bands for other days are wide" if any(not row.other_days for row in case.coverage) else ""
+        return None, f"{said}: how one differs from the next is hardly known{wide}"
     return True, said
 
 

@@ -27,9 +27,12 @@ MAX_PLAIN_ROWS = 4_000
 """The same of a plain member: what it was worth at training is only where its weight begins."""
 MAX_PRIOR_FORECASTS = 6.0
 """Independent forecasts at most that a plain member's odds at training count for: another machine is not this one."""
-UNSEEN_ODDS, UNSEEN_WIDENING = 10.0, 1.75
+UNSEEN_ODDS, UNSEEN_WIDENING = 20.0, 1.75
 """Where only later times of the training's own traces were held out, nobody knows how the model fits another day: the
 plain members together have these odds, and all bands are wider by this."""
+UNSEEN_DRIFT = 0.5
+"""There another day may drift as this one did not: on the scale of logarithms a factor is drawn so far up towards the
+largest one of a shorter horizon."""
 LEAST_WIDENING, MOST_WIDENING = 0.5, 5.0
 """Bounds of a factor: what lies outside is a model that does not fit, which a band cannot mend."""
 
@@ -234,7 +237,10 @@ class HeldOutForecasts:
         factors = {row.horizon: row.widening for row in rows}
         if not self.other_days:
             # A recording too short to see a horizon through tells no more of it than a longer one.
-            cautious = max([UNSEEN_WIDENING * PRIOR_FACTOR, *factors.values()])
+            cautious, largest = max([UNSEEN_WIDENING * PRIOR_FACTOR, *factors.values()]), 0.0
+            for horizon, seen in factors.items():
+                largest = max(largest, seen)
+                factors[horizon] = seen * (largest / seen) ** UNSEEN_DRIFT
             factors = dict.fromkeys(HORIZONS_S, cautious) | factors
         return factors
 
