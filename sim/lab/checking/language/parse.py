@@ -265,7 +265,8 @@ def _switched_on(token: Token, where: SwitchLocations) -> q.Formula:
             f"in location {where.either[0]!r} {token} may be on or off, so the model's locations do not tell it; ask "
             "for locations, or learn the model anew",
         )
-    return reduce(q.Either, map(q.At, where.on))
+    first, *others = (q.At(name) for name in where.on)
+    return reduce(q.Either, others, cast(q.Formula, first))
 
 
 def _expression(tree: Node, scope: Scope) -> q.Expression:

@@ -362,7 +362,7 @@ def inverse_band(factor: Array, states: int) -> Array:
         root[j][j] = 1.0 / columns[j][0]
         for i in range(j + 1, states):
             root[i][j] = -sum(columns[k][i - k] * root[k][j] for k in range(j, i)) * (1.0 / columns[i][0])
-    gain = np.stack([[-sum(below[c][k] * root[k][a] for k in range(a, states)) for c in each] for a in each])
+    gain: Array = np.array([[-sum(below[c][k] * root[k][a] for k in range(a, states)) for c in each] for a in each])
     gain[:, :, -1] = 0.0
     pairs = [(a, b) for a in each for b in range(a + 1)]
     step, own = np.empty((windows, len(pairs), len(pairs))), np.empty((windows, len(pairs)))
