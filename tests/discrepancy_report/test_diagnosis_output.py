@@ -287,7 +287,7 @@ def test_every_verdict_has_a_report_that_says_it_first_and_needs_nothing_from_ou
     assert said.index(diagnosis.sentence) < said.index("What to do next")
     assert "://" not in html and "<script" not in html
     assert html.count("data:image/png;base64,") == (0 if verdict == "too-little-data" else 4)
-    assert ("model promote STORE --add" in said) == bool(diagnosis.effects)
+    assert ("model version promote STORE --add" in said) == bool(diagnosis.effects)
     assert ("Before and after on held-out cycles" in said) == bool(diagnosis.effects)
 
 

@@ -129,7 +129,7 @@ HABITS: tuple[DeviceHabit, ...] = (
     ),
     DeviceHabit(
         habit="takes single registers or coils alone, or several alone",
-        found="exception 1 to a write names the setting; `check` and `plan --write` say the function beforehand",
+        found="exception 1 to a write names the setting; `check` and `check plan --write` say the function beforehand",
         done="one request a register (function 6) or coil (5), in their order, sent once each",
         setting="write_with",
         threads=(
