@@ -374,16 +374,24 @@ def test_axe_finds_nothing_serious(page: Page) -> None:
         assert serious == [], view
 
 
+LATE_TRIES = 5
+
+
 def test_a_stream_that_is_cut_leaves_the_last_state_and_its_age_in_large_letters(
     browser: Browser, tmp_path: Path
 ) -> None:
-    with served(tmp_path) as gateway:
-        page = browser.new_page(locale="en-GB")
-        page.goto(f"http://127.0.0.1:{gateway.port}/")
-        expect(page.locator(".row .big")).to_have_text("45.0 °C")
-        expect(page.locator("#cut")).to_be_hidden()
-    try:
+    # On a busy machine the last scan before the cut may have come too late to have a value: then it is made anew.
+    for number in range(LATE_TRIES):
+        with served(tmp_path / str(number)) as gateway:
+            page = browser.new_page(locale="en-GB")
+            page.goto(f"http://127.0.0.1:{gateway.port}/")
+            expect(page.locator(".row .big")).to_have_text("45.0 °C")
+            expect(page.locator("#cut")).to_be_hidden()
         expect(page.locator("#cut")).to_contain_text("No connection to the gateway")
+        if page.locator(".row .big").inner_text() != "–":
+            break
+        page.close()
+    try:
         expect(page.locator("#cut")).to_contain_text("old")
         expect(page.locator(".row .big")).to_have_text("was 45.0 °C")
         expect(page.locator(".row .sentence")).to_contain_text("s ago: decanter: gearbox bearing")
