@@ -106,6 +106,11 @@ def one_place() -> Model:
     return replace(MODEL, sha=SHA("one", (place,), edges, place.name), semi_markov={})
 
 
+def unseen() -> Model:
+    """Locations whose values are lent by a neighbour."""
+    return replace(MODEL, borrowed=frozenset(place.name for place in MODEL.sha.locations))
+
+
 def switch_alone() -> Model:
     alphabet = Alphabet((Switch(RUNNING, rising="W_ON", falling="W_OFF"),), gap=150.0)
     return replace(MODEL, alphabet=alphabet)
@@ -146,6 +151,11 @@ CASES: dict[str, tuple[Callable[[], ModelVerdict], str, str]] = {
         lambda: judged(model=one_place()),
         "unfit",
         "36.0 h of running and 36.0 h of rest as if they were the same",
+    ),
+    "locations that no trace shows": (
+        lambda: judged(model=unseen()),
+        "limited",
+        "3 of 3 locations were never seen; next: learn with traces that show them",
     ),
     "one day": (lambda: judged(record(1)), "limited", "on 1 day: how one differs"),
     "few forecasts": (
