@@ -12,10 +12,10 @@ from math import inf
 import numpy as np
 
 from sim.effects import sensor_offsets
-from sim.engine import Hidden, SamplingPlan, Schedule, augmented_plan, draw_states, drawn_start, move
+from sim.engine import Hidden, SamplingPlan, Schedule, augmented_plan, draw_states, drawn_start
 from sim.lab.checking.smc.paths.plan import MIN_DECAY, Indices, Piece, State, World, draw_mode
 from sim.lab.checking.smc.paths.tilting import Tilts
-from sim.sha import SHA, Array, distributions
+from sim.sha import SHA, Array, distributions, draw_temperature
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,18 +61,15 @@ class KnownUnderEffects:
         s, opened = state.hidden[:, :-1].copy(), state.hidden[:, -1] > 0.5
         runs = len(s)
         if row and schedule_.entry[row]:
-            law = plan.temperature_laws[place]
+            law = draw_temperature(schedule_.sha.locations[place])
             if law is not None:
                 s[:, 0] = distributions.draw(law, runs, rng)
                 _clamp(schedule_.sha, s, state.clamps)
             state.mode = draw_mode(schedule_.sha, place, runs, rng)
         start = s[:, plant.sensor_state] + self.before[row]
         if dt > 0:
-            drawn = rng.standard_normal((runs, plant.size))
-            noise = np.where(opened[:, None], drawn @ plan.open[row].T, drawn @ plan.closed[row].T)
-            moved = move(plant, plan.steps, row, s=s, mode=state.mode, opened=opened, noise=noise)
-            s, opened = moved.s, moved.opened
-            state.limited += moved.met
+            s, opened, met = plan.advance(row, s, state.mode, opened, rng)
+            state.limited += met
             _clamp(schedule_.sha, s, state.clamps)
         state.hidden = np.column_stack([s, opened])
         state.x = s[:, plant.sensor_state] + self.after[row]
