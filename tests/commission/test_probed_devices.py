@@ -3,11 +3,16 @@
 import socket
 import struct
 import tomllib
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import pytest
 
+from drivers.errors import ReplyTimeout
+from drivers.survey import ReadWords
 from gateway.commission import probe
 from tests.commission.bench import Handler, answer, plc, server
 
@@ -81,6 +86,66 @@ def test_the_setting_that_reads_a_device_is_found_said_and_written(
         assert written == {"name": "d", "driver": "modbus", **habits, "identity": {"vendor": "Maker"}}
         assert "# kept" in file.read_text()
         assert answer(tmp_path, "read", "T", *at)["readings"][0]["value"] == 3
+
+
+class Scripted:
+    """A device of which each connection shows its own first answer: so many seconds, or another transaction id."""
+
+    target = SimpleNamespace(
+        capabilities=SimpleNamespace(registers=True),
+        settings={},
+        kind="modbus",
+        place="a line",
+        driver="modbus",
+        tags=(),
+    )
+    evidence = SimpleNamespace(greeting=b"")
+
+    def __init__(self, *firsts: float | str) -> None:
+        self.firsts = iter(firsts)
+        self.asked: list[dict[str, Any]] = []
+
+    @asynccontextmanager
+    async def registers(self, *, connect_timeout: float, **habits: Any) -> AsyncIterator["Scripted"]:
+        self.asked.append(habits)
+        self.first = next(self.firsts)
+        yield self
+
+    async def read(self, *_: object) -> ReadWords:
+        if isinstance(self.first, str) and not self.asked[-1]:
+            raise ReplyTimeout("another id", remedy={"transaction_id": "any"})
+        return ReadWords((0,), 0.0)
+
+    async def identity(self) -> dict[str, str]:
+        return {}
+
+    async def server_id(self) -> str:
+        return ""
+
+    def statistics(self) -> dict[str, float]:
+        return {"seconds_to_first": 0.0 if isinstance(self.first, str) else self.first, "foreign_replies": 1}
+
+
+@pytest.mark.parametrize(
+    ("firsts", "habits"),
+    [
+        ((1000.0, 900.0), {"pause_after_connect": 1000.0}),
+        ((1000.0, 0.0), {}),
+        (("another", "another", "another"), {"transaction_id": "any"}),
+        (("another", "another", 0.0), {}),
+    ],
+    ids=["quiet", "one slow answer", "another id", "one late answer"],
+)
+async def test_a_habit_is_what_two_connections_show(
+    firsts: tuple[float | str, ...], habits: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(probe, "mention_gateway", lambda site: None)
+    site = Scripted(*firsts)
+    result = await probe.probe_device(cast(Any, site))
+    assert not result.complaint and result.data.get("habits", {}) == habits
+    assert next(site.firsts, None) is None
+    told = next(step for step in result.data["steps"] if step["step"] == "habit")
+    assert (told["state"] == "ok") is not bool(habits) and ("nothing is set" in told["sentence"]) is not bool(habits)
 
 
 def test_another_device_than_the_pinned_one_is_found_by_every_command(tmp_path: Path) -> None:
