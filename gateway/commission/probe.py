@@ -132,7 +132,7 @@ async def _confirm_habits(site: Site, habits: Mapping[str, Any], steps: list[Che
         else:
             steps.append(ok("habit", f"{_HABITS[key]}: once, and not over another connection; nothing is set"))
     # An answer that took long, and no other one did: the device was silent at first, and is not slow.
-    first, slowest = facts.pop("seconds_to_first"), facts["round_trip_ms"]["max"] / 1e3
+    first, slowest = facts.pop("seconds_to_first", 0.0), facts.get("round_trip_ms", {}).get("max", 0.0) / 1e3
     if first > max(UNREQUESTED_WAIT_S, 4 * slowest):
         again = await _first_answer(site, found)
         if again is not None and again > max(UNREQUESTED_WAIT_S, 4 * slowest):
@@ -330,17 +330,26 @@ async def _facts(
         except DeviceException as error:
             # A device that lacks the table refuses the function; any other refusal is of the address alone.
             tables[table] = "not offered" if error.code == ILLEGAL_FUNCTION else "offered (address 0 refused)"
-        except (ReplyTimeout, ReplyMismatch):
+        except (ReplyTimeout, ReplyMismatch, LinkDown):
             tables[table] = "no reply"
         else:
             tables[table] = "offered"
     steps.append(ok("tables", ", ".join(f"{table} {state}" for table, state in tables.items())))
-    times = []
-    for _ in range(ROUND_TRIPS):
+    times: list[float] = []
+    lost: list[DriverError] = []
+    while len(times) < ROUND_TRIPS and len(lost) < ROUND_TRIPS:
         begun = time.monotonic()
-        with suppress(DeviceException):  # a refusal makes the round trip as well as an answer
-            await survey.read(register.table, register.number, 1)
-        times.append(1e3 * (time.monotonic() - begun))
+        try:
+            with suppress(DeviceException):  # a refusal makes the round trip as well as an answer
+                await survey.read(register.table, register.number, 1)
+            times.append(1e3 * (time.monotonic() - begun))
+        except (ReplyTimeout, ReplyMismatch, LinkDown) as error:
+            lost.append(error)  # the device has answered before: others are asked for all that
+    if lost:
+        sentence = f"{len(lost)} of {len(lost) + len(times)} requests brought no answer: {lost[-1]}"
+        steps.append(warning("answers", sentence) if times else failed_step("answers", sentence, lost[-1]))
+    if not times:
+        return
     facts["round_trip_ms"] = {"min": min(times), "median": median(times), "max": max(times)}
     sentence = ", ".join(f"{name} {value:.2f}" for name, value in facts["round_trip_ms"].items())
     steps.append(ok("round trip", f"{ROUND_TRIPS} requests, ms: {sentence}"))

@@ -37,11 +37,13 @@ def take(link: socket.socket, size: int) -> bytes:
     return data
 
 
-def device(*, transaction: int | None = None, unit: int | None = None, vendor: bytes = b"Maker") -> Handler:
-    """A device whose registers hold their own numbers, and which answers in one way of its own."""
+def device(
+    *, transaction: int | None = None, unit: int | None = None, vendor: bytes = b"Maker", answers: int = 1000
+) -> Handler:
+    """A device whose registers hold their own numbers, and which answers so often a connection, in a way of its own."""
 
     def handle(link: socket.socket) -> None:
-        while True:
+        for _ in range(answers):
             head = take(link, 7)
             pdu = take(link, int.from_bytes(head[4:6], "big") - 1)
             if pdu[0] == 43:
@@ -55,6 +57,7 @@ def device(*, transaction: int | None = None, unit: int | None = None, vendor: b
             number = head[:2] if transaction is None else transaction.to_bytes(2, "big")
             own = head[6:7] if unit is None else bytes((unit,))
             link.sendall(number + b"\0\0" + (len(reply) + 1).to_bytes(2, "big") + own + reply)
+        link.close()
 
     return handle
 
@@ -146,6 +149,14 @@ async def test_a_habit_is_what_two_connections_show(
     assert next(site.firsts, None) is None
     told = next(step for step in result.data["steps"] if step["step"] == "habit")
     assert (told["state"] == "ok") is not bool(habits) and ("nothing is set" in told["sentence"]) is not bool(habits)
+
+
+def test_a_device_that_hangs_up_after_some_answers_is_probed_to_the_end(tmp_path: Path) -> None:
+    with server(device(answers=4)) as port:
+        data = answer(tmp_path, "probe", "--host", "127.0.0.1", "--port", port)
+    told = {step["step"]: step for step in data["steps"]}
+    assert data["exit"] == 0 and "requests brought no answer" in told["answers"]["sentence"]
+    assert told["answers"]["state"] == "warning" and told["round trip"]["sentence"].startswith("10 requests")
 
 
 def test_another_device_than_the_pinned_one_is_found_by_every_command(tmp_path: Path) -> None:
