@@ -5,9 +5,10 @@ import json
 import zipfile
 from collections.abc import Callable
 from dataclasses import replace
-from datetime import datetime, timedelta
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
+from zoneinfo import ZoneInfo
 
 import numpy as np
 import pytest
@@ -256,6 +257,26 @@ def test_counts_of_a_converter_are_no_tenths_of_a_degree(tmp_path: Path) -> None
     counts = replace(recording(), heat=(recording().heat / 150 * 27648).round())
     said = asked(wide(tmp_path / "a.csv", of=counts), tmp_path / "m.toml", "--yes")
     assert "no bearing rests at" in said and "0.1 degC" not in said
+
+
+@pytest.mark.parametrize(
+    ("zone", "begin"),
+    [("Europe/Rome", datetime(2024, 3, 31, 0, 40)), ("America/New_York", datetime(2024, 3, 10, 6, 40))],
+)
+def test_a_clock_that_goes_forward_in_spring_leaves_no_gap(zone: str, begin: datetime, tmp_path: Path) -> None:
+    walls = {at: begin + timedelta(seconds=s) for at, s in zip(recording().moments, recording().seconds, strict=True)}
+
+    def wall(at: datetime) -> str:
+        return f"{walls[at].replace(tzinfo=UTC).astimezone(ZoneInfo(zone)):%Y-%m-%d %H:%M:%S}"
+
+    (trace,), _, said = mapped(wide(tmp_path / "a.csv", clock=wall), tmp_path / "m.toml")
+    is_the_plant(trace, tmp_path / "m.toml")
+    assert any("goes forward by an hour" in line and zone in line for line in said["report"])
+    # The same pause on another day is one.
+    (trace,), _, said = mapped(
+        wide(tmp_path / "b.csv", clock=lambda at: wall(at).replace("-03-", "-05-")), tmp_path / "n.toml"
+    )
+    assert np.ptp(trace.times) == 3600 + STEP * 239 and not any("goes forward" in line for line in said["report"])
 
 
 def test_a_temperature_that_passes_85_is_no_code(tmp_path: Path) -> None:
