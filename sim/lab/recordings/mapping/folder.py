@@ -98,6 +98,6 @@ def one_table(folder: Path, files: Sequence[Path], answers: Answers) -> tuple[Fo
         units=tuple(units[name] for name in names),
         rows=tuple(tuple(row.get(name, "") for name in names) for _, _, row in rows),
         parts=f"*{ending}",
-        files=tuple(next(iter(own)) if len(own := of_files[name]) == 1 else "" for name in names),
+        files=tuple(next(iter(of_files[name])) if len(of_files[name]) == 1 else "" for name in names),
     )
     return table, replace(clock, place=0, date=None if date is None else 1)
