@@ -194,7 +194,7 @@ def walk_foreign(hour: Hour, plant: ForeignPlant) -> dict[str, Any]:
         f"--temperature {plant.temperature} --trace export.csv"
     )
     hour.type("decanter plc check")
-    hour.type("decanter model learn --traces export.csv --map columns.toml --out models/first")
+    hour.type("decanter model learn --traces export.csv --map columns.toml --out models/first --name machine")
     hour.type("decanter plc bind --keep model.path=models/first")
     hour.type("decanter plc check")
     hour.type("decanter run > run.log 2>&1 & echo $! > run.pid")

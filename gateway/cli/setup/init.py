@@ -404,6 +404,11 @@ def _of_service(folder: Path) -> dict[str, object]:
     return {**places, "page.enabled": True} if service.unit == "decanter" else {**places}
 
 
+def _plain_name(folder: Path) -> str:
+    """The folder's name as one that a model's files can have."""
+    return re.sub(r"[^\w-]+", "_", folder.resolve().name).strip("_-") or "plant"
+
+
 def _next(folder: Path, trace: Path | None, temperatures: Sequence[str]) -> list[str]:
     """What to type next; the trace's column map speaks of the first temperature."""
     begin = "decanter run            # and `decanter top` in another terminal"
@@ -417,7 +422,7 @@ def _next(folder: Path, trace: Path | None, temperatures: Sequence[str]) -> list
         path = trace.absolute() if lines[0].startswith("cd ") else trace
         key = "model.path" if len(temperatures) == 1 else f"temperature.{temperatures[0]}.model"
         lines += [
-            f"decanter model learn --traces {path} --map columns.toml --out models/first",
+            f"decanter model learn --traces {path} --map columns.toml --out models/first --name {_plain_name(folder)}",
             f"decanter plc bind --keep {key}=models/first",
         ]
     return lines
