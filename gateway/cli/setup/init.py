@@ -299,15 +299,18 @@ def _column_map(
             continue
         left = [name for name in known if name not in names.values()]
         tag = rename.get(header, "")
-        if not tag and header in units and (tag := _only_tag(part, units[header], left, described.numbers)):
+        only = _only_tag(part, units[header], left, described.numbers) if header in units and not tag else ""
+        if not tag and asked.here:
+            question = {"load": "the motor's current", "switch": "whether the machine runs"}[part]
+            question = f"the tag of {question} ({header!r} in the trace)"
+            answer = asked.text(question, "--rename", default=only or None, choices=[*left, "none"])
+            tag = "" if answer == "none" else answer
+        elif only:
+            tag = only
             open_points.append(
                 f"{header!r} of the trace is taken for {tag}, the only {part} among the tags that are left; where it "
                 f"is another: --overwrite --rename {header!r}=TAG"
             )
-        if not tag and asked.here:
-            question = {"load": "the motor's current", "switch": "whether the machine runs"}[part]
-            answer = asked.text(f"the tag of {question} ({header!r} in the trace)", "--rename", choices=[*left, "none"])
-            tag = "" if answer == "none" else answer
         if tag:
             names[header] = tag
         elif header not in drafted.derived:
