@@ -272,7 +272,7 @@ def _column_map(
             break
         except Undecided as open_point:
             # Which temperature the model is to predict was said already.
-            choices = match_columns(open_point.choices, known) | rename
+            choices = {**match_columns(open_point.choices, known), **rename}
             mine = [choice for choice in open_point.choices if choices.get(choice) == temperature]
             if open_point.field == "temperature" and len(mine) == 1 and not answers.temperature:
                 answers = answers.with_answer("temperature", mine[0])
