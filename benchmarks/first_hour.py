@@ -32,6 +32,7 @@ from click.testing import CliRunner
 from benchmarks.figures import Figure, give
 from benchmarks.foreign_plants import FOREIGN, ForeignPlant
 from gateway.cli.main import main as decanter
+from gateway.store import HistorianError, recent
 from sim.lab.recordings.trace_file import write_trace
 from sim.plant import production
 from sim.sha.trace import Trace
@@ -47,6 +48,7 @@ EXPORT = {
 """Header in the SCADA's export -> signal; the first two are not called as in the I/O list."""
 MOST_COMMANDS, MOST_S = 12, 600.0
 PATIENCE_S = 300.0
+RECORDED_SCANS = 10
 _RUNNING: tuple[str, ...] = ("plc.pid", "run.pid")
 
 
@@ -200,11 +202,23 @@ def walk_foreign(hour: Hour, plant: ForeignPlant) -> dict[str, Any]:
     hour.type("decanter run > run.log 2>&1 & echo $! > run.pid")
     _watched(hour, lambda status: bool(status.get("prediction") and status.get("forecast")))
     hour.type("decanter model show models/first")
+    _wait_for_records(hour.folder / "out/historian.sqlite")
     printed = hour.type(
         "decanter diagnose --model models/first --historian out/historian.sqlite --out diagnosis --json"
     )
     found: dict[str, Any] = json.loads(printed)
     return found
+
+
+def _wait_for_records(historian: Path) -> None:
+    """Until so many scans are on disk that somebody may look at them. Raises HourError."""
+    begun = time.monotonic()
+    while time.monotonic() - begun < PATIENCE_S:
+        with suppress(HistorianError, ValueError):
+            if recent(historian, "14d").times.size >= RECORDED_SCANS:
+                return
+        time.sleep(0.5)
+    raise HourError(f"fewer than {RECORDED_SCANS} scans are in {historian.name} after {PATIENCE_S:g} s")
 
 
 def _has_block(status: Mapping[str, Any]) -> bool:
