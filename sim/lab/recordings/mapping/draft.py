@@ -42,6 +42,7 @@ from sim.lab.recordings.mapping.quality import FoundQuality, find_quality
 from sim.lab.recordings.mapping.rows import Rows, Stored, describe_rows, find_storage, separate_times
 from sim.lab.recordings.mapping.table import FoundTable, find_table, with_rows
 from sim.lab.recordings.mapping.words import (
+    ROLE_WORDS,
     current_score,
     load_score,
     named_entity,
@@ -388,10 +389,21 @@ def _text(found: _Found, alphabet: Alphabet | None = None) -> str:
         lines.append(f"# neither numbers nor switches: {list_names(map(_one_line, unused), _MAX_UNUSED_COLUMNS)}")
     lines += _derived_signal(parts, found.derived)
     lines += ["", "[effects]    # for `decanter diagnose`"]
-    role = _role(parts.current)
-    lines += [f"{role} = {quoted(parts.current.name)}"] if role and parts.current is not None else []
+    lines += [f"{role} = {quoted(signal)}" for role, signal in _roles(found.columns, parts).items()]
     lines += _alphabet(found, alphabet)
     return "\n".join(lines) + "\n"
+
+
+def _roles(columns: Sequence[FoundColumn], parts: Parts) -> dict[str, str]:
+    """role -> signal: the load's, and those of which one column alone can be it, by its name and unit."""
+    load = _role(parts.current)
+    roles = {load: parts.current.name} if load and parts.current is not None else {}
+    others = [one for one in columns if one.kind == "number" and one not in (parts.temperature, parts.current)]
+    for role, plays in ROLE_WORDS.items():
+        fitting = [one.name for one in others if plays(one.header, one.unit)]
+        if len(fitting) == 1:
+            roles[role] = fitting[0]
+    return roles
 
 
 def _role(load: FoundColumn | None) -> str:
