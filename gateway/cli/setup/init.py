@@ -10,7 +10,7 @@ from typing import Any
 import click
 
 from drivers.driver import capabilities
-from drivers.settings import ConfigError
+from drivers.settings import ConfigError, with_place
 from gateway.commission.files import (
     HEARTBEAT,
     FileChange,
@@ -166,10 +166,7 @@ def _complete_place(given: SharedOptions, device: Path | None, asked: _Prompt) -
     answer = asked.text("address of the PLC (host, host:port, or a serial port)", "--host HOST or --serial PATH")
     if answer.startswith(("/", "COM")):
         return replace(given, settings={**given.settings, "serial": answer})
-    host, colon, port = answer.rpartition(":")
-    if not (colon and port.isdecimal()):
-        return replace(given, settings={**given.settings, "host": answer})
-    return replace(given, settings={**given.settings, "host": host, "port": int(port)})
+    return replace(given, settings=with_place({**given.settings, "host": answer}))
 
 
 @dataclass(frozen=True, slots=True)
