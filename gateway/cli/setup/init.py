@@ -2,6 +2,7 @@
 
 import re
 import sys
+import unicodedata
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -319,8 +320,13 @@ def _match_tag(header: str, tags: Sequence[str]) -> str:
     return max(fitting, key=len, default="")
 
 
+_SPELLED = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue"})
+"""As a tag's name spells them, which has no umlauts; casefold has made ss of the sharp s."""
+
+
 def _letters(text: str) -> str:
-    return "".join(letter for letter in text.casefold() if letter.isalnum())
+    plain = unicodedata.normalize("NFKD", text.casefold().translate(_SPELLED))
+    return "".join(letter for letter in plain if letter.isalnum())
 
 
 def _of_service(folder: Path) -> dict[str, object]:
