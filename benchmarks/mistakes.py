@@ -33,7 +33,7 @@ MISTAKES: tuple[tuple[str, int, str], ...] = (
     ("plc probe --host 127.0.0.1:99999", 2, "has port 99999; give one from 1 to 65535"),
     ("plc probe --host 127.0.0.1:http", 3, "'127.0.0.1:http' is no address,"),
     ("plc probe --host 127.0.0.1 --unit 300", 2, "300 is not in the range 0<=x<=255"),
-    ("plc probe --host 127.0.0.1 --set timeout=0", 2, "modbus: timeout: must be at least 0.001, got 0"),
+    ("plc probe --host 127.0.0.1 --set timeout=0", 2, "0.0 is not in the range 0.001<=x<=60"),
     ("run --clock noon", 2, "there is no plant file: neither"),
     ("docs toturial", 2, "did you mean 'tutorial'"),
     ("docs 9999", 2, "'9999': there is no such page"),

@@ -16,7 +16,6 @@ from click.core import ParameterSource
 
 from drivers.driver import LINKS
 from drivers.named_files import parse_toml
-from drivers.settings import with_place
 from gateway.console import find_plant_file
 from gateway.entry import FormerOption
 
@@ -124,6 +123,12 @@ def shared_options() -> tuple[list[click.Parameter], list[click.Parameter]]:
 
 _SETTINGS = tuple(option.name for option in _collect_params((*_DRIVER_OPTIONS, *_FORMER_OPTIONS)) if option.name)
 """The driver's settings that have an option of their own, or had one."""
+_RANGES = {
+    option.name: option.type
+    for option in _collect_params(_FORMER_OPTIONS)
+    if isinstance(option.type, click.IntRange | click.FloatRange | click.Choice)
+}
+"""What a setting may be, for a value that is wrong before any device is asked."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -235,6 +240,8 @@ def _split_host(settings: dict[str, Any]) -> dict[str, Any]:
     """With the port that was given with the host, which wins over that of a file. Raises BadParameter."""
     if not isinstance(settings.get("host"), str):
         return settings
+    from drivers.settings import with_place  # pydantic with it, which no help needs
+
     try:
         return with_place(settings)
     except ValueError as error:
@@ -246,10 +253,17 @@ def _other(text: str) -> tuple[str, Any]:
     key, equals, value = text.partition("=")
     if not (equals and key.strip()):
         raise click.BadParameter(f"{text!r}: give KEY=VALUE, such as max_registers=16", param_hint="--set")
+    key = key.strip()
     try:
-        return key.strip(), parse_toml(f"value = {value}")["value"]
+        setting = parse_toml(f"value = {value}")["value"]
     except tomllib.TOMLDecodeError:
-        return key.strip(), value.strip()
+        setting = value.strip()
+    if key not in _RANGES:
+        return key, setting
+    try:
+        return key, _RANGES[key].convert(str(setting), None, None)
+    except click.BadParameter as error:
+        raise click.BadParameter(error.message, param_hint=f"--set {key}") from None
 
 
 bit_option = click.option("--bit", type=click.IntRange(0, 15), help="One bit of the register.")
