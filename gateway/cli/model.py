@@ -29,7 +29,7 @@ LEARNED: Table = {
     "fleet": ("gateway.lab.fleet.commands:fleet", "Learn a type's model from many machines; say which stands out."),
 }
 LEARN_EXAMPLES = {
-    "model": "model learn --traces out/traces --out out/model",
+    "model": "model learn model --traces out/traces --out out/model",
     "correction": "model learn correction out/model --traces out/traces --out out/corrected",
     "settings": "model learn settings --traces out/traces --study out/tune.db",
     "fleet": "model learn fleet out/machines --out out/fleet",

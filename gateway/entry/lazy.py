@@ -28,6 +28,10 @@ def load_command(place: str, example: str = "") -> click.Command:
     command = getattr(import_module(module), attribute)
     if not isinstance(command, click.Command):
         raise TypeError(f"{place} is no command")
+    return _with_example(command, example)
+
+
+def _with_example(command: click.Command, example: str) -> click.Command:
     if example:
         listed = dict.fromkeys(getattr(option, "listed_by", "") for option in command.params)
         places = "".join(f"{where}\n\n" for where in listed if where)
@@ -87,7 +91,7 @@ class LazyGroup(click.Group):
         if cmd_name in self.table:
             return load_command(self.table[cmd_name][0], self.examples.get(cmd_name, ""))
         if cmd_name in self.commands:
-            return self.commands[cmd_name]
+            return _with_example(self.commands[cmd_name], self.examples.get(cmd_name, ""))
         former = " ".join([*_words(ctx), cmd_name])
         now = _former_names(ctx).get(former)
         return None if now is None else FormerName(cmd_name, former=former, now=now)

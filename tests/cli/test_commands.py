@@ -232,7 +232,7 @@ def test_check_reads_every_tag_of_a_running_plc_and_says_when_there_is_none(tmp_
     assert gone.exit_code == 3
     assert only_object(gone.stdout)["ok"] is False
     said = decanter("plc", "check", "--config", ROOT / "config/plant.toml", "--port", port)
-    assert said.exit_code == 3 and said.stderr.startswith("decanter: ") and "--port" in said.stderr
+    assert said.exit_code == 3 and said.stderr.startswith("decanter: ") and "--host HOST:PORT" in said.stderr
     assert said.stderr.count(f"127.0.0.1:{port}") == said.stderr.count("\n") == 1
 
 
