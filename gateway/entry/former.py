@@ -55,7 +55,8 @@ class FormerOption(click.Option):
     """
 
     def __init__(self, *args: Any, now: str, **settings: Any) -> None:
-        super().__init__(*args, hidden=True, **settings)
+        super().__init__(*args, **settings)
+        self.hidden = True
         self.now = now
 
     def handle_parse_result(

@@ -123,7 +123,7 @@ def shared_options() -> tuple[list[click.Parameter], list[click.Parameter]]:
 
 _SETTINGS = tuple(option.name for option in _collect_params((*_DRIVER_OPTIONS, *_FORMER_OPTIONS)) if option.name)
 """The driver's settings that have an option of their own, or had one."""
-_RANGES = {
+_RANGES: dict[str | None, Any] = {
     option.name: option.type
     for option in _collect_params(_FORMER_OPTIONS)
     if isinstance(option.type, click.IntRange | click.FloatRange | click.Choice)
