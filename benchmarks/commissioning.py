@@ -124,13 +124,13 @@ def walk(walked: Walk, *, soak_s: float, conformance: bool) -> None:
 
 def _at(walked: Walk) -> tuple[str, ...]:
     ready = walked.plc.ready
-    return "--host", str(ready["host"]), "--port", str(ready["port"])
+    return "--host", f"{ready['host']}:{ready['port']}"
 
 
 def _look(walked: Walk) -> None:
     """This machine, the way there, what can be read."""
     walked.note("Is this machine fit, is the PLC there, and what can be read?")
-    walked.run("doctor")
+    walked.run("check", "computer")
     walked.run("probe", *_at(walked))
     walked.run("scan", "registers", "holding:90-430", *_at(walked))
     found = walked.record()["result"]
@@ -167,7 +167,7 @@ def _configure(walked: Walk) -> None:
     keep = [word for setting in settings for word in ("--keep", setting)]
     read = ("--shift", 1, "--order", "CDAB", "--without", "Riserva", "--heartbeat", "PlcHeartbeat")
     walked.run(
-        "import", walked.unknown.list.name, "--config", "plant.toml", *_at(walked), "--timeout", 0.2, *read, *keep
+        "import", walked.unknown.list.name, "--config", "plant.toml", *_at(walked), "--set", "timeout=0.2", *read, *keep
     )
     walked.note(f"The list has forgotten {LATER}: it lies after the last signal, by the HMI.")
     walked.person.moves_plant(HERE, {})

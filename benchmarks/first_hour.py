@@ -152,7 +152,7 @@ def walk(hour: Hour, wheel: Path | None, warmest: float, model: Path | None = No
     With a `model` that one is taken, and none learned. Raises HourError.
     """
     port, control = free_ports(2)
-    at = f"--host 127.0.0.1 --port {port}"
+    at = f"--host 127.0.0.1:{port}"
     if wheel is not None:
         hour.type(f"python3 -m venv venv && venv/bin/pip install --quiet {wheel}")
     hour.type("decanter docs --examples .")

@@ -1,4 +1,4 @@
-"""What `decanter model fleet` costs as a fleet grows, and whether it finds the machine that is not like the others.
+"""What `model learn fleet` costs as a fleet grows, and whether it finds the machine that is not like the others.
 
 Synthetic machines (`sim.plant`, production; bearings whose heat scatters by 5 % between machines) lie as CSV, one
 folder a machine; one of ten and more makes half as much heat again. Each fleet is studied by the command as a process

@@ -211,7 +211,7 @@ def newcomer(box: Box, package: str) -> dict[str, Any]:
     renames = " ".join(f"--rename '{header}={name}'" for header, name in list(EXPORT.items())[:2])
     box.type(f"dpkg -i {package}")
     box.type(
-        f"decanter init /etc/decanter --device decanter_plc --host 127.0.0.1 --port {PORT} "
+        f"decanter init /etc/decanter --device decanter_plc --host 127.0.0.1:{PORT} "
         f"--temperature {TEMPERATURE} --trace /hand/export.csv {renames}"
     )
     learned = "--map /etc/decanter/columns.toml --out /etc/decanter/models/first"
@@ -286,7 +286,7 @@ def groups(box: Box) -> None:
     """A second group of machines as a service of its own: both scan, and one that is killed costs the other nothing."""
     other = "decanter@second"
     folder = "/etc/decanter/second"
-    box.run(f"decanter init {folder} --device decanter_plc --host 127.0.0.1 --port {PORT + 1}")
+    box.run(f"decanter init {folder} --device decanter_plc --host 127.0.0.1:{PORT + 1}")
     box.run(f"systemctl enable --now {other}")
     box.until("the group scans", lambda: "scanned" in box.shown("StatusText", other))
     exposure = float(re.findall(r": (\d[\d.]*)", box.run(f"systemd-analyze security --no-pager {other}"))[-1])

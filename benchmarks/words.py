@@ -42,7 +42,9 @@ def measure() -> list[Figure]:
     found = leaves(decanter)
     pages = [work for leaf in found for work in works(leaf)]
     listed = [option for page in pages for option in taken_options(page) if not isinstance(option, SharedOption)]
-    shared = sum(map(len, shared_options()))
+    shared = sum(
+        not option.hidden for group in shared_options() for option in group if isinstance(option, click.Option)
+    )
     return [
         Figure("leaf commands", len(found), "", "before", BEFORE["commands"]),
         Figure("help texts of commands and of their works", len(pages), "", "before", BEFORE["commands"]),

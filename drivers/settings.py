@@ -126,6 +126,14 @@ def split_place(host: str) -> tuple[str, int | None]:
     return match["bracketed"] or match["plain"], port
 
 
+def with_place(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """The settings with their host as it is looked up, and the port that was written with it. Raises ValueError."""
+    host, port = split_place(str(settings["host"]))
+    if port is not None and settings.get("port", port) != port:
+        raise ValueError(f"host says port {port}, and port is {settings['port']}; give one of them")
+    return {**settings, "host": host, **({} if port is None else {"port": port})}
+
+
 class Reconnecting(Section):
     """Settings of every driver that keeps a connection: the pauses between its attempts (see `drivers.link`)."""
 

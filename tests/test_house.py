@@ -112,7 +112,7 @@ def lazy_commands(
         if isinstance(command, FirstWordCommand):
             yield from lazy_commands(command, (*words, name))
     for name, inner in group.commands.items() if isinstance(group, LazyGroup) else ():
-        assert isinstance(inner, LazyGroup)
+        assert isinstance(inner, LazyGroup | FirstWordCommand)
         yield from lazy_commands(inner, (*words, name))
 
 

@@ -10,7 +10,7 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from drivers.modbus.identity import PinnedMark, pinned_marks
 from drivers.modbus.plan import RequestLimits
-from drivers.settings import Reconnecting, check_settings, split_place
+from drivers.settings import Reconnecting, check_settings, with_place
 
 
 def _functions(given: object) -> frozenset[int]:
@@ -218,11 +218,3 @@ def device_identity(settings: Mapping[str, Any]) -> Hashable:
     """What tells the device from others, also on its connection (`Capabilities.identifies`). Raises DriverError."""
     checked = read_settings(settings)
     return (connection_place(checked), checked.unit)
-
-
-def with_place(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """The settings with their host as it is looked up, and the port that was written with it. Raises ValueError."""
-    host, port = split_place(str(settings["host"]))
-    if port is not None and settings.get("port", port) != port:
-        raise ValueError(f"host says port {port}, and port is {settings['port']}; give one of them")
-    return {**settings, "host": host, **({} if port is None else {"port": port})}

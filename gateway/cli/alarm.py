@@ -1,8 +1,6 @@
 """`decanter alarm`: the alarms of the running gateway, and what its records say of them."""
 
-import click
-
-from gateway.entry import LazyGroup, Table
+from gateway.entry import FirstWordCommand, Table
 
 _COMMANDS = "gateway.cli.plant.alarms"
 COMMANDS: Table = {
@@ -29,8 +27,11 @@ EXAMPLES = {
     "journal": "alarm journal --since 8h",
     "rates": "alarm rates --since 7d --json",
 }
-
-
-@click.group(cls=LazyGroup, table=COMMANDS, examples=EXAMPLES, short_help="Alarms by ISA-18.2.")
-def alarm() -> None:
-    """See, acknowledge, shelve and count alarms (ISA-18.2, EEMUA 191)."""
+alarm = FirstWordCommand(
+    "alarm",
+    table=COMMANDS,
+    examples=EXAMPLES,
+    usual="list",
+    short_help="Alarms by ISA-18.2.",
+    help="See, acknowledge, shelve and count alarms (ISA-18.2, EEMUA 191).",
+)

@@ -9,6 +9,8 @@ FORMER = {
     "plc arm": "arm",
     "plc disarm": "disarm",
     "plc audit": "audit",
+    "plc doctor": "plc check computer",
+    "plc watch": "plc read --watch",
     "plc plan": "plc check plan",
     "plc verify": "plc check hmi",
     "plc soak": "plc check soak",
@@ -22,5 +24,9 @@ FORMER = {
     "model shadow": "model version shadow",
     "model promote": "model version promote",
     "model lineage": "model version lineage",
+    "model cycles": "model version cycles",
+    "model correct": "model learn correction",
+    "model tune": "model learn settings",
+    "model fleet": "model learn fleet",
 }
 """Former words -> the words of today; what followed the former ones follows these. For one release."""

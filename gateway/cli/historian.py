@@ -1,8 +1,6 @@
 """`decanter historian`: what is on record, as tables for other programs."""
 
-import click
-
-from gateway.entry import LazyGroup, Table
+from gateway.entry import FirstWordCommand, Table
 
 _COMMANDS = "gateway.cli.plant.records"
 COMMANDS: Table = {
@@ -20,8 +18,11 @@ EXAMPLES = {
     "query": "historian query samples --tag TCuscinettiRiduttore --since 10m",
     "tables": "historian tables",
 }
-
-
-@click.group(cls=LazyGroup, table=COMMANDS, examples=EXAMPLES, short_help="The records as tables.")
-def historian() -> None:
-    """Export and query what is on record, a running gateway undisturbed; take recordings into a historian."""
+historian = FirstWordCommand(
+    "historian",
+    table=COMMANDS,
+    examples=EXAMPLES,
+    usual="tables",
+    short_help="The records as tables.",
+    help="Export and query what is on record, a running gateway undisturbed; take recordings into a historian.",
+)

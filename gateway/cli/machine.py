@@ -1,8 +1,6 @@
 """`decanter machine`: the machines of a plant file."""
 
-import click
-
-from gateway.entry import LazyGroup, Table
+from gateway.entry import FirstWordCommand, Table
 
 COMMANDS: Table = {
     "list": ("gateway.cli.plant.machines:list_machines", "List the machines, and how they are where a gateway runs."),
@@ -14,8 +12,10 @@ EXAMPLES = {
     "add": "machine add decanter2 --host 192.168.1.11 --config plant.toml",
     "remove": "machine remove decanter2 --config plant.toml",
 }
-
-
-@click.group(cls=LazyGroup, table=COMMANDS, examples=EXAMPLES)
-def machine() -> None:
-    """List, add and remove the machines of a plant."""
+machine = FirstWordCommand(
+    "machine",
+    table=COMMANDS,
+    examples=EXAMPLES,
+    usual="list",
+    help="List, add and remove the machines of a plant.",
+)

@@ -54,6 +54,10 @@ EXAMPLES = {
     "certificates": "certificates out/certificates --host 192.168.1.10",
     "diagnose": "diagnose --model out/model --traces out/traces --out out/diagnosis",
     "docs": "docs commissioning",
+    "machine": "machine --config plant.toml",
+    "alarm": "alarm --all",
+    "historian": "historian",
+    "user": "user --config plant.toml",
     "completion": "completion bash --install",
 }
 

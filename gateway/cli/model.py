@@ -5,30 +5,43 @@ import click
 from gateway.entry import FirstWordCommand, LazyGroup, Table
 
 COMMANDS: Table = {
-    "learn": ("gateway.lab.learning.commands:learn", "Learn a model from traces and write its directory."),
+    "learn": ("gateway.cli.model:learn", "Learn from traces: a model, a correction, settings, a fleet."),
     "show": ("gateway.lab.models.show:show", "Show a model and where it comes from."),
     "simulate": (
         "gateway.lab.checking.simulate:simulate",
         "Let a model run along measured traces; say how far off it is.",
     ),
     "check": ("gateway.lab.checking.commands:check", "Answer a query: how probable, how hot, whether it can."),
-    "correct": (
+    "judge": ("gateway.cli.model:judge", "Say whether a model is fit: proof, skill, validation, rank, regression."),
+    "version": ("gateway.cli.model:version", "The versions of a store: retrain, cycles, shadow, promote, lineage."),
+    "export": ("gateway.lab.models.commands:export", "Write a model for UPPAAL along traces; compare with its engine."),
+}
+LEARNED: Table = {
+    "model": ("gateway.lab.learning.commands:learn", "Learn a model from traces and write its directory."),
+    "correction": (
         "gateway.lab.learning.commands:correct",
         "Learn T' = k T + b from traces and write the corrected model.",
     ),
-    "judge": ("gateway.cli.model:judge", "Say whether a model is fit: proof, skill, validation, rank, regression."),
-    "version": ("gateway.cli.model:version", "The versions of a store: retrain, shadow, promote, lineage."),
-    "tune": (
+    "settings": (
         "gateway.lab.learning.commands:tune",
         "Search a learning method's best settings by cross-validation over traces.",
     ),
-    "cycles": (
-        "gateway.lab.retraining.commands:cycles_command",
-        "List a library's cycles, rated; exclude one with a reason.",
-    ),
     "fleet": ("gateway.lab.fleet.commands:fleet", "Learn a type's model from many machines; say which stands out."),
-    "export": ("gateway.lab.models.commands:export", "Write a model for UPPAAL along traces; compare with its engine."),
 }
+LEARN_EXAMPLES = {
+    "model": "model learn model --traces out/traces --out out/model",
+    "correction": "model learn correction out/model --traces out/traces --out out/corrected",
+    "settings": "model learn settings --traces out/traces --study out/tune.db",
+    "fleet": "model learn fleet out/machines --out out/fleet",
+}
+learn = FirstWordCommand(
+    "learn",
+    table=LEARNED,
+    examples=LEARN_EXAMPLES,
+    usual="model",
+    short_help="Learn from traces: a model, a correction, settings, a fleet.",
+    help="Learn a model from traces, correct one, search the best settings, or learn from many machines at once.",
+)
 JUDGED: Table = {
     "proof": (
         "gateway.lab.checking.prove:prove",
@@ -71,6 +84,10 @@ VERSIONED: Table = {
         "gateway.lab.retraining.commands:retrain_command",
         "Learn from the historian's new cycles; propose a version that is better.",
     ),
+    "cycles": (
+        "gateway.lab.retraining.commands:cycles_command",
+        "List a library's cycles, rated; exclude one with a reason.",
+    ),
     "shadow": (
         "gateway.lab.retraining.commands:shadow_command",
         "Compare two versions on live cycles; promote the better one by a stated policy.",
@@ -83,6 +100,7 @@ VERSIONED: Table = {
 }
 VERSION_EXAMPLES = {
     "retrain": "model version retrain models/decanter --historian out/historian.sqlite --standard out/traces",
+    "cycles": "model version cycles out/cycles/decanter-TCuscinettiRiduttore --rating rare",
     "shadow": "model version shadow models/decanter --historian out/historian.sqlite --roll-back",
     "promote": "model version promote models/decanter --add out/model",
     "lineage": "model version lineage models/decanter",
@@ -92,7 +110,7 @@ version = FirstWordCommand(
     table=VERSIONED,
     examples=VERSION_EXAMPLES,
     usual="lineage",
-    short_help="The versions of a store: retrain, shadow, promote, lineage.",
+    short_help="The versions of a store: retrain, cycles, shadow, promote, lineage.",
     help="Show a store's versions, learn a better one, hold two against each other, say which one runs.",
 )
 EXAMPLES = {
@@ -100,12 +118,8 @@ EXAMPLES = {
     "show": "model show out/model",
     "simulate": "model simulate out/model --trace out/traces/cd8.csv --picture simulated.png",
     "check": "model check out/model 'Pr[<=600](<> Temp >= 80)' --events out/traces/cd8.csv",
-    "correct": "model correct out/model --traces out/traces --out out/corrected",
     "judge": "model judge out/model --traces out/traces",
     "version": "model version models/decanter",
-    "tune": "model tune --traces out/traces --study out/tune.db",
-    "cycles": "model cycles out/cycles/decanter-TCuscinettiRiduttore --rating rare",
-    "fleet": "model fleet out/machines --out out/fleet",
     "export": "model export out/model --uppaal --trace out/traces/cd8.csv --out out/uppaal",
 }
 

@@ -8,18 +8,16 @@ import click
 from gateway.entry import FirstWordCommand, LazyGroup, Table
 
 COMMANDS: Table = {
-    "doctor": (
-        "gateway.commission.commands:doctor",
-        "Look at this machine before the plant: clock, network, ports, files.",
-    ),
     "probe": ("gateway.commission.commands:probe", "Is the device there, does it speak, and who is it?"),
     "scan": ("gateway.commission.scan:scan", "Look for units, nodes, CAN frames, or readable registers."),
-    "read": ("gateway.commission.read:read", "Read tags or bare addresses: raw words and values side by side."),
+    "read": (
+        "gateway.commission.read:read",
+        "Read tags or bare addresses: raw words and values; --watch: as they change.",
+    ),
     "guess": (
         "gateway.commission.commands:guess",
         "Find type, word order, scale and address from what the HMI shows.",
     ),
-    "watch": ("gateway.commission.commands:watch", "Watch tags as they change."),
     "bind": (
         "gateway.commission.bind:bind",
         "Bind a place in the device to a tag's name; TOML edits keep comments.",
@@ -28,7 +26,7 @@ COMMANDS: Table = {
         "gateway.commission.import_list:import_list",
         "Take the tags of an I/O list (CSV, XLSX) into the device file.",
     ),
-    "check": ("gateway.cli.plc:check", "Check the plant by levels: files, plan, device, HMI, a soak, what is written."),
+    "check": ("gateway.cli.plc:check", "Check by levels: computer, files, plan, device, HMI, a soak, what is written."),
     "served": (
         "gateway.commission.commands:served",
         "Where peers find each tag, its quality and its age, if the gateway serves them.",
@@ -41,6 +39,10 @@ COMMANDS: Table = {
     "replay": ("gateway.commission.commands:replay", "Send a recording through the gateway, without a PLC."),
 }
 CHECKS: Table = {
+    "computer": (
+        "gateway.commission.commands:doctor",
+        "Look at this machine before the plant: clock, network, ports, files.",
+    ),
     "files": ("gateway.commission.commands:check_files", "Check the files alone; nothing is asked of the device."),
     "plan": (
         "gateway.commission.commands:plan",
@@ -64,6 +66,7 @@ CHECKS: Table = {
     ),
 }
 CHECK_EXAMPLES = {
+    "computer": "plc check computer",
     "files": "plc check files",
     "plan": "plc check plan --write",
     "device": "plc check device",
@@ -76,24 +79,22 @@ check = FirstWordCommand(
     table=CHECKS,
     examples=CHECK_EXAMPLES,
     usual="device",
-    short_help="Check the plant by levels: files, plan, device, HMI, a soak, what is written.",
+    short_help="Check by levels: computer, files, plan, device, HMI, a soak, what is written.",
     help="Check a plant, level by level: each asks more of it than the one before.",
 )
 
 ELSEWHERE = {
-    "write": "`decanter plc check plan --write`",
+    "write": "`decanter plc check plan --write`, which shows what would be written; no command writes a register",
     "loop": "`decanter plc check write alarms` and `decanter plc check write heartbeat`",
     "conformance": "`decanter plc check write conformance`",
 }
 
 
 EXAMPLES = {
-    "doctor": "plc doctor",
     "probe": "plc probe --host 192.168.1.10",
     "scan": "plc scan registers holding:0-999 --host 192.168.1.10",
     "read": "plc read 40101 --type float32 --host 192.168.1.10",
     "guess": "plc guess holding:100 72.4 --host 192.168.1.10",
-    "watch": "plc watch --config plant.toml",
     "bind": "plc bind Coppia 40104 --type uint16 --scale 0.1 --units % --config plant.toml",
     "import": "plc import io_list.csv --config plant.toml --host 192.168.1.10",
     "check": "plc check files",

@@ -1,8 +1,6 @@
 """`decanter user`: the accounts of the page, made at the box."""
 
-import click
-
-from gateway.entry import LazyGroup, Table
+from gateway.entry import FirstWordCommand, Table
 
 COMMANDS: Table = {
     "add": ("gateway.cli.plant.accounts:add", "Make an account; its password is asked for."),
@@ -16,8 +14,4 @@ EXAMPLES = {
     "password": "user password rossi --config plant.toml",
     "remove": "user remove rossi --config plant.toml",
 }
-
-
-@click.group(cls=LazyGroup, table=COMMANDS, examples=EXAMPLES)
-def user() -> None:
-    """Accounts of the page."""
+user = FirstWordCommand("user", table=COMMANDS, examples=EXAMPLES, usual="list", help="Accounts of the page.")

@@ -83,7 +83,7 @@ async def check_configuration(sites: Mapping[str, Site], *, offline: bool) -> Co
     if len(absent) < len(sites):
         return result
     # The device's absence is said rather than what fails because of it.
-    sentence = f"{absent[0]}; is the PLC there? Give --host and --port, or start one: decanter emulate"
+    sentence = f"{absent[0]}; is the PLC there? Give --host HOST:PORT, or start one: decanter emulate"
     return CommandResult(result.data, sentence, exit_code(absent[0]))
 
 

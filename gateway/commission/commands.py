@@ -62,22 +62,6 @@ def guess(**options: Any) -> None:
     work(**options)
 
 
-@click.command(short_help="Watch tags as they change.")
-@click.argument("what", nargs=-1)
-@click.option("--period", type=click.FloatRange(0.02, 3600), default=1.0, show_default=True, help="Seconds a reading.")
-@click.option("--seconds", type=click.FloatRange(0.02), help="Stop after so long; else Ctrl-C ends it.")
-@link_options
-def watch(**options: Any) -> None:
-    """Watch tags or addresses as they change: value, raw words, quality, age, least and greatest, a sparkline.
-
-    On a terminal the view is live, and Enter sets a mark: its time and all values are kept in the records. Elsewhere
-    each change is a line.
-    """
-    from gateway.commission.watch import watch as work
-
-    work(**options)
-
-
 @click.command(short_help="Check the files alone; nothing is asked of the device.")
 @link_options
 def check_files(**options: Any) -> None:

@@ -1,4 +1,4 @@
-"""`decanter plc doctor`: is this machine fit for the plant? Nothing is sent to any device."""
+"""`decanter plc check computer`: is this machine fit for the plant? Nothing is sent to any device."""
 
 import asyncio
 import os
@@ -160,7 +160,7 @@ def _word(path: Path) -> str:
 
 
 def doctor(given: SharedOptions) -> None:
-    """Carry out `decanter plc doctor`; its options and its help are in commission/commands.py."""
+    """Carry out `decanter plc check computer`; its options and its help are in commission/commands.py."""
     with sentences():
         anything = given.plant or given.device or given.link or given.settings
         target = find_target(given) if anything else Target("this machine", "", {})

@@ -136,7 +136,9 @@ async def read_raw(site: Site, tags: Sequence[Tag]) -> list[Raw]:
     settings = site.target.settings
     if site.target.capabilities.nodes:
         # The node's objects as they stand, whatever its state; the gateway takes them from PDOs where it can.
-        site.notes.append("asked by SDO; the gateway itself takes what TPDOs carry from those (decanter plc watch)")
+        site.notes.append(
+            "asked by SDO; the gateway itself takes what TPDOs carry from those (decanter plc read --watch)"
+        )
         async with site.bus() as bus:
             return await bus.tags(tags, int(settings.get("node", 1)), float(settings.get("timeout", SDO_S)))
     if site.target.capabilities.registers:
@@ -161,7 +163,7 @@ TYPES = (
 ORDERS = ("ABCD", "CDAB", "BADC", "DCBA")
 
 
-@click.command(short_help="Read tags or bare addresses: raw words and values side by side.")
+@click.command(short_help="Read tags or bare addresses: raw words and values; --watch: as they change.")
 @click.argument("what", nargs=-1)
 @click.option("--type", "dtype", type=click.Choice(TYPES), help="What the addresses hold; plain registers without it.")
 @click.option("--order", type=click.Choice(ORDERS), default="ABCD", show_default=True, help="Byte and word order.")
@@ -170,6 +172,9 @@ ORDERS = ("ABCD", "CDAB", "BADC", "DCBA")
 @bit_option
 @click.option("--length", type=click.IntRange(1), default=2, help="Bytes of a string.")
 @click.option("--count", type=click.IntRange(1, 2000), default=1, help="So many values in a row.")
+@click.option("--watch", "watches", is_flag=True, help="Read again and again; show what changes.")
+@click.option("--period", type=click.FloatRange(0.02, 3600), default=1.0, show_default=True, help="With --watch: each.")
+@click.option("--seconds", type=click.FloatRange(0.02), help="With --watch: stop after so long; else Ctrl-C ends it.")
 @link_options
 def read(
     given: SharedOptions,
@@ -181,11 +186,18 @@ def read(
     bit: int | None,
     length: int,
     count: int,
+    watches: bool,
+    period: float,
+    seconds: float | None,
 ) -> None:
     """Read tags or bare addresses once: raw words and values side by side.
 
     WHAT are tags of the device file, or addresses: holding:100, 40101, holding:100-119, 0x2001:1, dbc:Message.Signal.
     Without WHAT all tags are read.
+
+    With --watch they are read until Ctrl-C: value, quality, age, least and greatest, a sparkline. On a terminal the
+    view is live, and Enter sets a mark: its time and all values are kept in the records. Elsewhere each change is a
+    line.
     """
     kind = DType(dtype) if dtype else None
     how = How(
@@ -197,6 +209,11 @@ def read(
         length=length if kind is DType.STRING else 0,
         count=count,
     )
+    if watches:
+        from gateway.commission.watch import watch  # it reads by what stands here
+
+        watch(given, what, how, period, seconds)
+        return
     arguments = {"what": list(what), "type": dtype, "order": order, "scale": scale, "offset": offset, "count": count}
     perform(given, "read", arguments, lambda site: read_tags(site, what, how), _view)
 

@@ -1,4 +1,4 @@
-"""`decanter plc watch`: tags read again and again, live on a terminal, as plain lines elsewhere; marks in time."""
+"""`plc read --watch`: tags read again and again, live on a terminal, as plain lines elsewhere; marks in time."""
 
 import asyncio
 import signal
@@ -169,12 +169,12 @@ _WIDE = 150
 """Columns of a terminal from which raw words and reference numbers are shown too."""
 
 
-def watch(given: SharedOptions, what: Sequence[str], period: float, seconds: float | None) -> None:
-    """Carry out `decanter plc watch`; its options and its help are in commission/commands.py."""
+def watch(given: SharedOptions, what: Sequence[str], how: How, period: float, seconds: float | None) -> None:
+    """Carry out `decanter plc read --watch`, whose options and help are in commission/read.py."""
     arguments = {"what": list(what), "period": period, "seconds": seconds}
 
     async def work(site: Site) -> CommandResult:
-        seen = [WatchedTag(tag) for tag in select_tags(site, what, How())]
+        seen = [WatchedTag(tag) for tag in select_tags(site, what, how)]
         marks: list[Mark] = []
         live = sys.stdout.isatty() and not given.as_json
 

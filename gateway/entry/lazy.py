@@ -1,18 +1,17 @@
 """Commands that are modules, imported when one of them is asked for, so that help answers at once."""
 
-import shlex
 import sys
 from collections.abc import Mapping, Sequence
 from functools import partial
 from importlib import import_module
-from types import TracebackType
 from typing import Any
 
 import click
 from click.shell_completion import CompletionItem
 
 from drivers.errors import did_you_mean
-from gateway.entry.exits import CallAnswer, Exit, fail, run_command
+from gateway.entry.exits import Exit, fail, run_command
+from gateway.entry.former import FormerName
 from gateway.entry.interrupt import control_c
 from gateway.entry.threads import one_thread
 
@@ -29,6 +28,10 @@ def load_command(place: str, example: str = "") -> click.Command:
     command = getattr(import_module(module), attribute)
     if not isinstance(command, click.Command):
         raise TypeError(f"{place} is no command")
+    return _with_example(command, example)
+
+
+def _with_example(command: click.Command, example: str) -> click.Command:
     if example:
         listed = dict.fromkeys(getattr(option, "listed_by", "") for option in command.params)
         places = "".join(f"{where}\n\n" for where in listed if where)
@@ -88,7 +91,7 @@ class LazyGroup(click.Group):
         if cmd_name in self.table:
             return load_command(self.table[cmd_name][0], self.examples.get(cmd_name, ""))
         if cmd_name in self.commands:
-            return self.commands[cmd_name]
+            return _with_example(self.commands[cmd_name], self.examples.get(cmd_name, ""))
         former = " ".join([*_words(ctx), cmd_name])
         now = _former_names(ctx).get(former)
         return None if now is None else FormerName(cmd_name, former=former, now=now)
@@ -102,7 +105,8 @@ class LazyGroup(click.Group):
             there = [
                 f"`{ctx.find_root().info_name} {group} {name}`"
                 for group, commands in self.commands.items()
-                if isinstance(commands, LazyGroup) and name in (*commands.table, *commands.elsewhere)
+                if (isinstance(commands, LazyGroup | FirstWordCommand) and name in commands.table)
+                or (isinstance(commands, LazyGroup) and name in commands.elsewhere)
             ]
             there += [f"`decanter {now}`" for old, now in _former_names(ctx).items() if old.split()[-1] == name]
             meant = f"there is {' and '.join(there)}" if there else did_you_mean(name, self.list_commands(ctx))
@@ -136,7 +140,7 @@ class LazyGroup(click.Group):
         groups = [
             (name, f"{group.get_short_help_str(80)} {', '.join(group.table)}")
             for name, group in self.commands.items()
-            if isinstance(group, LazyGroup)
+            if isinstance(group, LazyGroup | FirstWordCommand)
         ]
         if groups:
             with formatter.section("Groups of commands"):
@@ -194,64 +198,6 @@ class FirstWordCommand(click.Command):
         words = [CompletionItem(name, help=line) for name, (_, line) in self.table.items()]
         found = [item for item in words if item.value.startswith(incomplete)]
         return found or (self.get_command(ctx, self.usual).shell_complete(ctx, incomplete) if self.usual else [])
-
-
-class FormerName(click.Command):
-    """A command by its name of the last release: it does what it did, and says once what to type now.
-
-    It is said behind the work; not beside a complaint, which stays the one sentence of its call, and not to a program,
-    which asks for JSON and may read both streams as one.
-    """
-
-    def __init__(self, name: str, *, former: str, now: str) -> None:
-        super().__init__(name, hidden=True, add_help_option=False)
-        self.former = former
-        self.now = now
-
-    def make_context(
-        self, info_name: str | None, args: list[str], parent: click.Context | None = None, **extra: Any
-    ) -> click.Context:
-        """That of the command by its name of today."""
-        if parent is None:
-            return super().make_context(info_name, args, parent, **extra)
-        typed = [*self.now.split(), *args]
-        hint = _Hint(self.former, typed)
-        context, command, words = parent.find_root(), parent.find_root().command, typed
-        while isinstance(command, click.Group) and words:
-            name, found, words = command.resolve_command(context, words)
-            if found is None or not isinstance(found, click.Group):
-                command = found or command
-                break
-            command, context = found, click.Context(found, parent=context, info_name=name)
-        try:
-            made = command.make_context(name, words, parent=context, **extra)
-        except click.exceptions.Exit:  # help was asked for, and shown
-            hint.say()
-            raise
-        if not extra.get("resilient_parsing"):
-            made.with_resource(hint)
-        return made
-
-
-class _Hint:
-    """Around the work of a command that was called by its former name."""
-
-    def __init__(self, former: str, typed: Sequence[str]) -> None:
-        self.sentence = f"decanter: `decanter {former}` is now `decanter {shlex.join(typed)}`"
-
-    def say(self) -> None:
-        """Say it on standard error."""
-        click.echo(self.sentence, err=True)
-
-    def __enter__(self) -> None:
-        """Nothing: it is said behind the work."""
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _: TracebackType | None) -> None:
-        """Say it to a person whose work ended without a complaint."""
-        context = click.get_current_context(silent=True)
-        answer = (None if context is None else context.find_object(CallAnswer)) or CallAnswer()
-        if (kind is None or issubclass(kind, SystemExit)) and not (answer.complained or answer.as_json):
-            self.say()
 
 
 def _words(ctx: click.Context) -> list[str]:

@@ -100,7 +100,11 @@ def _refuse_old_name(_: click.Context, __: click.Parameter, given: str | None) -
 @click.command(context_settings={"show_default": True, "help_option_names": ["-h", "--help"]})
 @click.option("--device", "map_path", type=click.Path(path_type=Path), help="Register map (TOML).  [required]")
 @click.option("--map", hidden=True, expose_value=False, callback=_refuse_old_name)
-@click.option("--trace", type=click.Path(path_type=Path), help="Trace to replay (wide CSV, first column time).")
+@click.option(
+    "--trace",
+    type=click.Path(path_type=Path),
+    help="Trace to replay (wide CSV, first column time); decanter emulate reads any by --columns MAP.",
+)
 @click.option("--plant", type=click.Choice(tuple(LIVE_PLANTS)), help="A live plant instead: it reacts to what is fed.")
 @click.option("--trip", type=float, default=80.0, help="Where the drum of --plant trips (degC).")
 @click.option(

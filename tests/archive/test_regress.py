@@ -163,7 +163,7 @@ def test_wrong_input_has_one_sentence(traces: Path, tmp_path: Path) -> None:
         ('traces = ["a.csv"]\nmaps = "x"', "maps: is no key of a standard set"),
         ('traces = ["a.csv"]\nmap = 1', "map: is no name"),
         ("traces = [", "cannot be read as a list of traces"),
-        ('traces = ["none/*.csv"]', "it cannot be read: No such file"),
+        ('traces = ["none/*.csv"]', "no file is of this pattern"),
     ):
         listing.write_text(text, encoding="utf-8")
         refused(decanter(*call), 2, sentence)

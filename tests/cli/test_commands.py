@@ -32,6 +32,7 @@ from gateway.entry.lazy import LazyGroup
 from gateway.store.historian import HistorianError
 from sim.files import ArtefactError
 from sim.lab.recordings.load_report import TraceError
+from sim.plc.program.replay import read_trace
 from sim.strict_json import json_text
 from tests.cli.artefact_set import files, written
 from tests.cli.support import ROOT, decanter, misused, only_object, refused
@@ -67,6 +68,27 @@ def test_emulate_speaks_under_its_own_name() -> None:
     done = subprocess.run([*GATEWAY, "emulate", "--help"], capture_output=True, text=True, check=False)
     assert done.returncode == 0
     assert done.stdout.startswith("Usage: decanter emulate ")
+
+
+def test_emulate_plays_an_export_of_ones_own_by_its_column_map(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    rows = [f"01.03.2026 08:{row:02d}:00;{row + 40},5;{'EIN' if row % 2 else 'AUS'}" for row in (2, 1, 0)]
+    export, column_map = tmp_path / "export.csv", tmp_path / "columns.toml"
+    export.write_text("\n".join(["Zeit;Lager °C;läuft", *rows]), encoding="cp1252")
+    column_map.write_text(
+        'format = "wide"\nseparator = ";"\ndecimal = ","\ntemperature = "T"\n'
+        '[clock]\ncolumn = "Zeit"\nformats = ["%d.%m.%Y %H:%M:%S"]\ntimezone = "UTC"\n'
+        '[signals]\nT = { column = "Lager °C", unit = "degC" }\nOn = { column = "läuft", boolean = true }\n',
+        encoding="utf-8",
+    )
+    called: list[list[str]] = []
+    monkeypatch.setattr("gateway.cli.setup.emulate.os.execv", lambda _, words: called.append(words))
+    assert decanter("emulate", "--trace", export, "--columns", column_map, "--port", 0).exit_code == 0
+    ((*_, option, path, port, number),) = called
+    assert (option, port, number) == ("--trace", "--port", "0")
+    table = read_trace(Path(path))
+    Path(path).unlink()
+    assert {name: list(column) for name, column in table.columns.items()} == {"T": [40.5, 41.5, 42.5], "On": [0, 1, 0]}
+    refused(decanter("emulate", "--columns", column_map), 2, "give --trace FILE, too")
 
 
 def test_emulate_refuses_a_wrong_map_in_one_sentence(wrong: Path) -> None:
@@ -210,7 +232,7 @@ def test_check_reads_every_tag_of_a_running_plc_and_says_when_there_is_none(tmp_
     assert gone.exit_code == 3
     assert only_object(gone.stdout)["ok"] is False
     said = decanter("plc", "check", "--config", ROOT / "config/plant.toml", "--port", port)
-    assert said.exit_code == 3 and said.stderr.startswith("decanter: ") and "--port" in said.stderr
+    assert said.exit_code == 3 and said.stderr.startswith("decanter: ") and "--host HOST:PORT" in said.stderr
     assert said.stderr.count(f"127.0.0.1:{port}") == said.stderr.count("\n") == 1
 
 

@@ -1,4 +1,4 @@
-"""`decanter model fleet`: many machines, one of them odd; each result kept as it comes, the rest done after a kill."""
+"""`model learn fleet`: many machines, one of them odd; each result kept as it comes, the rest done after a kill."""
 
 import csv
 import json
@@ -47,7 +47,7 @@ def plant(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 def command(plant: Path, out: str, *words: object) -> str:
     place = [plant / "machines", "--map", plant / "map.toml", "--out", plant / out]
-    result = decanter("model", "fleet", *place, "--sample", 3, "--jobs", 1, *words)
+    result = decanter("model", "learn", "fleet", *place, "--sample", 3, "--jobs", 1, *words)
     assert result.exit_code == 0, result.output
     return result.stdout
 
@@ -129,12 +129,12 @@ def test_a_file_that_cannot_be_read_beside_good_ones_is_told_also_when_the_machi
 
 def test_bad_places_are_one_sentence(plant: Path, tmp_path: Path) -> None:
     out = ("--out", tmp_path / "out")
-    refused(decanter("model", "fleet", tmp_path, *out), 2, "no machine")
-    refused(decanter("model", "fleet", "postgresql://127.0.0.1:1/x", *out), 2, "127.0.0.1:1/x", "onnection")
-    refused(decanter("model", "fleet", tmp_path / "x.parquet", *out), 2, "x.parquet")
+    refused(decanter("model", "learn", "fleet", tmp_path, *out), 2, "no machine")
+    refused(decanter("model", "learn", "fleet", "postgresql://127.0.0.1:1/x", *out), 2, "127.0.0.1:1/x", "onnection")
+    refused(decanter("model", "learn", "fleet", tmp_path / "x.parquet", *out), 2, "x.parquet")
     with hold_folder(plant / "out"):
         where = ("--map", plant / "map.toml", "--out", plant / "out")
-        refused(decanter("model", "fleet", plant / "machines", *where), 2, "another command is writing there")
+        refused(decanter("model", "learn", "fleet", plant / "machines", *where), 2, "another command is writing there")
 
 
 def site(plant: Path, folder: Path, *names: str) -> Path:
@@ -145,7 +145,7 @@ def site(plant: Path, folder: Path, *names: str) -> Path:
 
 
 def study_of(plant: Path, place: Path, out: Path, *words: object) -> str:
-    result = decanter("model", "fleet", place, "--map", plant / "map.toml", "--out", out, "--jobs", 1, *words)
+    result = decanter("model", "learn", "fleet", place, "--map", plant / "map.toml", "--out", out, "--jobs", 1, *words)
     assert result.exit_code == 0, result.output
     return result.stdout
 
@@ -202,7 +202,13 @@ def test_where_no_machine_can_teach_the_command_says_so_in_one_sentence(plant: P
         (tmp_path / "site" / name).mkdir(parents=True)
         (tmp_path / "site" / name / "day.csv").touch()
     where = (tmp_path / "site", "--map", plant / "map.toml", "--out", tmp_path / "out")
-    refused(decanter("model", "fleet", *where, "--sample", 1), 2, "none of 2 machines can teach", "day.csv", "is empty")
+    refused(
+        decanter("model", "learn", "fleet", *where, "--sample", 1),
+        2,
+        "none of 2 machines can teach",
+        "day.csv",
+        "is empty",
+    )
 
 
 Edit = Callable[[dict[str, Any]], Any]
@@ -236,7 +242,7 @@ def test_a_row_that_was_edited_by_hand_is_one_sentence_with_its_line_and_key(
     edit(rows[line - 1])
     file.write_text("".join(json.dumps(row) + "\n" for row in rows), encoding="utf-8")
     where = (plant / "machines", "--map", plant / "map.toml", "--out", tmp_path / "out", "--sample", 3)
-    refused(decanter("model", "fleet", *where), 2, f"results.jsonl:{line}: ", words, "take that line out")
+    refused(decanter("model", "learn", "fleet", *where), 2, f"results.jsonl:{line}: ", words, "take that line out")
 
 
 def test_a_row_that_is_taken_out_is_done_again_and_a_held_out_error_may_be_unknown(plant: Path, tmp_path: Path) -> None:
@@ -279,7 +285,7 @@ def test_a_parquet_column_of_another_kind_is_one_sentence_with_file_and_column(
     table, file = samples(), tmp_path / "x.parquet"
     table[column] = values
     table.to_parquet(file)
-    result = decanter("model", "fleet", file, "--out", tmp_path / "out", "--temperature", "T", "--jobs", 1)
+    result = decanter("model", "learn", "fleet", file, "--out", tmp_path / "out", "--temperature", "T", "--jobs", 1)
     refused(result, 2, f"x.parquet: column '{column}': ", *words)
 
 

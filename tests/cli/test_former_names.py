@@ -9,6 +9,7 @@ import pytest
 from benchmarks.words import measure
 from gateway.cli.former import FORMER
 from gateway.cli.main import main
+from gateway.cli.plant.plant_file import load
 from gateway.entry import LazyGroup
 from tests.cli.support import ROOT, decanter, find_command, only_object, refused
 
@@ -100,6 +101,61 @@ def test_a_command_of_several_works_is_completed_by_its_words_and_the_options_of
         assert [item.value for item in command.shell_complete(click.Context(command), incomplete)] == found
 
 
+@pytest.mark.parametrize(
+    ("old", "now"),
+    [
+        (("--port", "1502"), ("--host", "127.0.0.1:1502")),
+        (("--timeout", "0.25"), ("--set", "timeout=0.25")),
+        (("--tls", "my certificates"), ("--set", "certificates=my certificates")),
+    ],
+    ids=lambda words: words[0],
+)
+def test_a_former_option_does_what_it_did_and_says_what_to_type(
+    old: tuple[str, str], now: tuple[str, str], tmp_path: Path
+) -> None:
+    device = ROOT / "config" / "devices" / "decanter_plc.toml"
+    words = ["plc", "check", "plan", "--device", device, "--records", tmp_path / "r.jsonl"]
+    words += [] if old[0] == "--port" else ["--host", "127.0.0.1"]
+    before = decanter(*words, *(["--host", "127.0.0.1"] if old[0] == "--port" else []), *old)
+    after = decanter(*words, *now)
+    assert (before.exit_code, before.stdout) == (after.exit_code, after.stdout) and after.exit_code == 0
+    typed = shlex.join(now).replace("127.0.0.1", "HOST").replace("'certificates=my", "certificates='my")
+    assert before.stderr == f"decanter: `{shlex.join(old)}` is now `{typed}`\n" and after.stderr == ""
+    assert decanter(*words, "--host", "127.0.0.1", *old, "--json").stderr == ""
+    assert old[0] not in decanter("plc", "--help").stdout + decanter("plc", "check", "plan", "--help").stdout
+
+
+def test_a_host_with_its_port_wins_over_the_port_of_the_plant_file(tmp_path: Path) -> None:
+    made = decanter("init", tmp_path / "p", "--device", "decanter_plc", "--host", "127.0.0.1", "--set", "port=1555")
+    assert made.exit_code == 0, made.output
+    words = ["plc", "check", "plan", "--config", tmp_path / "p" / "plant.toml", "--records", tmp_path / "r.jsonl"]
+    assert "port 1555 " in decanter(*words).stdout
+    assert "port 1888 " in decanter(*words, "--host", "127.0.0.1:1888").stdout
+    refused(decanter(*words, "--host", "127.0.0.1:1", "--set", "port=2"), 2, "host says port 1, and port is 2")
+
+
+def test_a_machine_that_is_added_has_the_port_that_stands_with_its_host(tmp_path: Path) -> None:
+    plant = tmp_path / "plant.toml"
+    decanter("init", tmp_path, "--device", "decanter_plc", "--host", "127.0.0.1", "--set", "port=1555")
+    assert decanter("machine", "add", "east", "--host", "127.0.0.1:1999", "--config", plant).exit_code == 0
+    read = ["plc", "check", "plan", "--config", plant, "--machine", "east", "--records", tmp_path / "r.jsonl"]
+    assert "port 1999 " in decanter(*read).stdout
+    assert [config.links[0].settings["port"] for config in load(plant, None, None, None)] == [1555, 1999]
+
+
+def test_a_host_with_its_port_replaces_both_of_the_plant_file_for_a_run(tmp_path: Path) -> None:
+    decanter("init", tmp_path, "--device", "decanter_plc", "--host", "127.0.0.1", "--set", "port=1555")
+    (config,) = load(tmp_path / "plant.toml", "10.0.0.7:1666", None, None)
+    assert (config.links[0].settings["host"], config.links[0].settings["port"]) == ("10.0.0.7", 1666)
+
+
+@pytest.mark.parametrize("group", ["alarm", "machine", "user", "historian"])
+def test_a_group_with_a_usual_work_does_it_without_a_word(group: str) -> None:
+    usual = "tables" if group == "historian" else "list"
+    said = decanter(group)
+    assert (said.exit_code, said.output) == ((said := decanter(group, usual)).exit_code, said.output)
+
+
 def test_the_tree_of_commands_stays_small() -> None:
     counted = {figure.name: figure.value for figure in measure()}
-    assert counted["leaf commands"] <= 64 and counted["options that commands take"] <= 750
+    assert counted["leaf commands"] <= 41 and counted["options that commands take"] <= 540

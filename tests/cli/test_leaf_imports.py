@@ -11,14 +11,15 @@ from tests.cli.support import command_paths
 STEPS: tuple[tuple[frozenset[str], str], ...] = (
     (
         frozenset(),
-        """diagnose docs completion emulate model-check model-correct model-cycles model-export model-fleet model-learn
-        model-tune model-judge model-judge-rank model-judge-regression model-judge-skill model-judge-validation
-        model-version model-version-lineage model-version-retrain model-version-shadow keep plc-check""",
+        """diagnose docs completion emulate model-check model-export model-learn model-learn-correction
+        model-learn-fleet model-learn-model model-learn-settings model-judge model-judge-rank model-judge-regression
+        model-judge-skill model-judge-validation model-version model-version-cycles model-version-lineage
+        model-version-retrain model-version-shadow keep plc-check alarm historian machine user""",
     ),
     (
         frozenset({"asyncio"}),
-        """arm audit disarm plc-check-device plc-check-files plc-check-hmi plc-check-plan plc-check-soak plc-doctor
-        plc-guess plc-probe plc-replay plc-report plc-served plc-watch""",
+        """arm audit disarm plc-check-device plc-check-files plc-check-hmi plc-check-plan plc-check-soak
+        plc-check-computer plc-guess plc-probe plc-replay plc-report plc-served""",
     ),
     (
         frozenset({"pydantic"}),

@@ -26,7 +26,7 @@ RESAMPLED = ["--semantics", "resampled", "--training", TRACE]
 
 MEETING: dict[str, list[str]] = {
     "model check": [MODEL, "Pr[<=3600](<> Temp >= 50)", "--events", TRACE, "--from", "trace:1200", "--runs", "100"],
-    "model correct": [MODEL, "--traces", TRACE, "--out", OUT],
+    "model learn correction": [MODEL, "--traces", TRACE, "--out", OUT],
     "model export": [MODEL, "--uppaal", "--trace", TRACE, "--out", OUT],
     "model judge proof": [MODEL, "--traces", TRACE],
     "model judge rank": [MODEL, "--traces", TRACE, "--runs", "100", "--jobs", "1", "--no-skill", *RESAMPLED],
@@ -49,7 +49,8 @@ MEETING: dict[str, list[str]] = {
 """Commands that take a model and, by a column map, traces; `diagnose` has a test of its own."""
 FORGETTING = {"model version lineage", "model version retrain"}
 """Those that take the readings of such traces alone: they encode them for each model (tests/retraining)."""
-LEARNING = {"demo", "historian import", "model fleet", "model learn", "model tune", "trace ingest", "trace show"}
+LEARNING = {"demo", "historian import", "trace ingest", "trace show"}
+LEARNING |= {f"model learn {word}" for word in ("model", "settings", "fleet")}
 """Those that meet no model, or only one that they learn from these very traces."""
 
 

@@ -37,7 +37,7 @@ def decanter(folder: Path, *words: str, by: str = "Ada", told: str = "") -> Resu
 
 
 def at(port: int) -> list[str]:
-    return ["--device", str(DECANTER), "--host", "127.0.0.1", "--port", str(port)]
+    return ["--device", str(DECANTER), "--host", f"127.0.0.1:{port}"]
 
 
 def free_port() -> int:
@@ -92,7 +92,7 @@ def test_without_an_arming_nothing_is_written_and_the_exit_code_is_6(plc: tuple[
 @pytest.mark.parametrize(
     ("by", "words", "reason"),
     [
-        ("", ["--reason", "x", "--minutes", "5"], "needs a name"),
+        ("", ["--reason", "x", "--minutes", "5"], "needs a name: say who arms with --by NAME"),
         ("Ada", ["--reason", " ", "--minutes", "5"], "needs a reason"),
         ("Ada", ["--reason", "x", "--minutes", "481"], "at most 480"),
         ("Ada", ["--reason", "x", "--minutes", "nan"], "at most 480"),
@@ -137,7 +137,7 @@ def test_armed_the_loop_tests_run_each_answer_is_kept_and_disarming_ends_it(
 
 
 def test_a_plc_that_is_not_there_is_exit_code_3_and_disarming_works_all_the_same(tmp_path: Path) -> None:
-    place = [*at(free_port()), "--timeout", "0.2"]
+    place = [*at(free_port()), "--set", "timeout=0.2"]
     assert decanter(tmp_path, "arm", "--reason", "x", "--minutes", "5", *place).exit_code == 0
     gone = decanter(tmp_path, "test", "heartbeat", *place)
     assert gone.exit_code == 3 and gone.stderr.count("\n") == 1

@@ -1,4 +1,4 @@
-"""`decanter model judge rank` and `model tune` from end to end, and their sentences for what cannot be used."""
+"""`model judge rank` and `model learn settings` from end to end, and their sentences for what cannot be used."""
 
 import signal
 import sqlite3
@@ -104,7 +104,7 @@ def test_tune_searches_writes_the_model_and_refuses_other_traces(
     without_bands(monkeypatch)
     file, out = tmp_path / "s.db", tmp_path / "best"
     options = ("--map", "decanter", "--study", file, "--folds", 2, "--method", "lsha")
-    command = ("model", "tune", "--traces", halves, *options)
+    command = ("model", "learn", "settings", "--traces", halves, *options)
     found = only_object(decanter(*command, "--trials", 1, "--out", out, "--name", "best", "--json").stdout)
     assert found["best"]["settings"] == {} and found["default"]["number"] == 0
     assert found["sentence"] == "no settings were found that are better than the defaults"
@@ -113,15 +113,15 @@ def test_tune_searches_writes_the_model_and_refuses_other_traces(
     assert learned.provenance.scores["tuning_crps"] == pytest.approx(found["best"]["value"])
     again = decanter(*command, "--trials", 1)
     assert again.exit_code == 0 and "lsha: 1 trials; the best by held-out CRPS" in again.stdout
-    other = ("model", "tune", "--traces", traces / "cd1.csv", "--cycles", *options, "--trials", 2)
+    other = ("model", "learn", "settings", "--traces", traces / "cd1.csv", "--cycles", *options, "--trials", 2)
     said = refused(decanter(*other), 2)
     assert "usable traces" in said or "another data" in said
 
 
 def test_tune_says_what_it_cannot_use(traces: Path, wrong: Path) -> None:
-    single = ("model", "tune", "--traces", traces / "cd1.csv")
+    single = ("model", "learn", "settings", "--traces", traces / "cd1.csv")
     refused(decanter(*single, "--study", wrong / "s.db"), 2, "1 usable traces", "cut into cycles")
-    both = ("model", "tune", "--traces", traces)
+    both = ("model", "learn", "settings", "--traces", traces)
     refused(decanter(*both, "--study", wrong / "garbage"), 2, "is no study")
     misused(decanter(*both), "--study")
     misused(decanter(*both, "--study", wrong / "s.db", "--method", "magic"), "magic")
@@ -181,7 +181,19 @@ def begun(study: Path) -> bool:
 
 def test_control_c_stops_a_search_with_a_sentence_and_its_own_code(halves: Path, tmp_path: Path) -> None:
     file = tmp_path / "s.db"
-    words = ["model", "tune", "--traces", str(halves), "--study", str(file), "--folds", "2", "--method", "lsha"]
+    words = [
+        "model",
+        "learn",
+        "settings",
+        "--traces",
+        str(halves),
+        "--study",
+        str(file),
+        "--folds",
+        "2",
+        "--method",
+        "lsha",
+    ]
     command = [sys.executable, "-m", "gateway.cli.main", *words]
     with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         while not begun(file):

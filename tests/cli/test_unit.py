@@ -83,8 +83,8 @@ def test_tuning_and_correcting_say_kw(
     read = ("--traces", traces, "--map", column_map)
     study = ("--study", tmp_path / "study.db", "--trials", "1", "--folds", "2")
     for command in (
-        ("tune", *read, *study),
-        ("correct", model, *read, "--out", tmp_path / "corrected", "--max-rate"),
+        ("learn", "settings", *read, *study),
+        ("learn", "correction", model, *read, "--out", tmp_path / "corrected", "--max-rate"),
     ):
         done = decanter("model", *command)
         assert done.exit_code in (0, 1), done.output

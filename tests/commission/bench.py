@@ -32,7 +32,7 @@ def answer(folder: Path, *arguments: object) -> dict[str, Any]:
 
 def at(process: Process) -> tuple[str, ...]:
     """The options that name a running PLC."""
-    return "--host", "127.0.0.1", "--port", str(process.port)
+    return "--host", f"127.0.0.1:{process.port}"
 
 
 def force(process: Process, tag: str, value: object) -> None:

@@ -122,7 +122,7 @@ def test_a_serial_port_that_is_not_there_is_said(tmp_path: Path) -> None:
 
 
 def test_the_doctor_looks_at_this_machine_and_speaks_to_nobody(device: Process, tmp_path: Path) -> None:
-    data = answer(tmp_path, "doctor", *at(device))
+    data = answer(tmp_path, "check", "computer", *at(device))
     names = [step["step"] for step in data["steps"]]
     assert {"software", "clock", "network", "disk", "records", "can", "serial", "way"} <= set(names)
     assert data["frames"]["sent"] == 0
@@ -130,9 +130,9 @@ def test_the_doctor_looks_at_this_machine_and_speaks_to_nobody(device: Process, 
 
 def test_the_doctor_finds_a_changed_record(tmp_path: Path) -> None:
     for _ in range(3):
-        answer(tmp_path, "doctor")
+        answer(tmp_path, "check", "computer")
     path = tmp_path / "records.jsonl"
     path.write_text(path.read_text(encoding="utf-8").replace("the engineer", "somebody else", 1), encoding="utf-8")
-    result = plc(tmp_path, "doctor")
+    result = plc(tmp_path, "check", "computer")
     assert result.exit_code == 1
     assert "line 2 does not follow" in result.stderr

@@ -118,8 +118,8 @@ def test_a_stretch_may_be_written_in_both_ways() -> None:
 def test_a_watch_off_a_terminal_is_a_line_for_each_change(device: tuple[Process, Path], tmp_path: Path) -> None:
     process = device[0]
     result = plc(
-        tmp_path, "watch", "Assorbimento", "PlcHeartbeat", "--device", DECANTER, *at(process), "--period", 0.05,
-        "--seconds", 1.0,
+        tmp_path, "read", "--watch", "Assorbimento", "PlcHeartbeat", "--device", DECANTER, *at(process),
+        "--period", 0.05, "--seconds", 1.0,
     )  # fmt: skip
     assert result.exit_code == 0
     lines = [line.split() for line in result.stdout.splitlines() if "GOOD" in line.split()]
@@ -130,7 +130,17 @@ def test_a_watch_off_a_terminal_is_a_line_for_each_change(device: tuple[Process,
 
 def test_a_watch_gives_extremes_and_counts_as_json(device: tuple[Process, Path], tmp_path: Path) -> None:
     data = answer(
-        tmp_path, "watch", "PlcHeartbeat", "--device", DECANTER, *at(device[0]), "--period", 0.05, "--seconds", 0.4
+        tmp_path,
+        "read",
+        "--watch",
+        "PlcHeartbeat",
+        "--device",
+        DECANTER,
+        *at(device[0]),
+        "--period",
+        0.05,
+        "--seconds",
+        0.4,
     )
     (row,) = data["tags"]
     assert row["max"] > row["min"] and row["good"] == row["changes"] + 1 and row["bad"] == 0
@@ -138,7 +148,17 @@ def test_a_watch_gives_extremes_and_counts_as_json(device: tuple[Process, Path],
 
 def test_a_watch_on_a_terminal_is_live_and_enter_sets_a_mark(device: tuple[Process, Path], tmp_path: Path) -> None:
     ours, theirs = pty.openpty()
-    command = [sys.executable, "-m", "gateway.cli.main", "plc", "watch", "PlcHeartbeat", "--device", str(DECANTER)]
+    command = [
+        sys.executable,
+        "-m",
+        "gateway.cli.main",
+        "plc",
+        "read",
+        "--watch",
+        "PlcHeartbeat",
+        "--device",
+        str(DECANTER),
+    ]
     command += [*at(device[0]), "--period", "0.1", "--seconds", "2.5", "--records", str(tmp_path / "records.jsonl")]
     with subprocess.Popen(command, stdin=theirs, stdout=theirs, stderr=theirs, cwd=ROOT) as process:
         os.close(theirs)

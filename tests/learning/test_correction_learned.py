@@ -170,7 +170,8 @@ def test_the_command_learns_reports_and_writes_the_corrected_model(tmp_path: Pat
     write_model_directory(tmp_path / "wrong", wrong)
     done = decanter(
         "model",
-        "correct",
+        "learn",
+        "correction",
         tmp_path / "wrong",
         "--traces",
         tmp_path / "traces",
@@ -191,7 +192,8 @@ def test_the_command_learns_reports_and_writes_the_corrected_model(tmp_path: Pat
     assert "correction T' = " in shown
     nothing = decanter(
         "model",
-        "correct",
+        "learn",
+        "correction",
         tmp_path / "out",
         "--traces",
         tmp_path / "traces",

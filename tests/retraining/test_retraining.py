@@ -677,10 +677,12 @@ def test_the_commands_show_cycles_and_family_and_make_a_version_again(
     given = ("model", "version", "retrain", store, "--historian", historian, "--library", library, "--full-speed")
     data = only_object(decanter(*given, "--no-diagnosis", "--json").stdout)
     assert data["proposed"] and data["cut"] == CYCLES + 3
-    listed = only_object(decanter("model", "cycles", library, "--picture", tmp_path / "map.png", "--json").stdout)
+    listed = only_object(
+        decanter("model", "version", "cycles", library, "--picture", tmp_path / "map.png", "--json").stdout
+    )
     assert listed["counts"]["badly predicted"] == CYCLES + 3 and (tmp_path / "map.png").stat().st_size > 1000
     name = listed["cycles"][0]["name"]
-    shown = decanter("model", "cycles", library, "--exclude", name, "--reason", "cleaning", "--by", "Ada")
+    shown = decanter("model", "version", "cycles", library, "--exclude", name, "--reason", "cleaning", "--by", "Ada")
     assert "cleaning (Ada)" in shown.stdout
     family = decanter("model", "version", "lineage", store).stdout.splitlines()
     assert family[0].endswith("RUNS  (by hand: it has no record)") and family[1].startswith(f"└─ {data['version']}")
@@ -701,7 +703,7 @@ def test_the_commands_show_cycles_and_family_and_make_a_version_again(
     waiting = only_object(decanter(*given, "--if-due", "--after", 30, "--json").stdout)
     assert waiting == {"ok": True, "due": False, "cycles": 0}
     refused(
-        decanter("model", "cycles", tmp_path / "none"),
+        decanter("model", "version", "cycles", tmp_path / "none"),
         2,
         "is no library of cycles; `decanter model version retrain` makes one",
     )
@@ -843,7 +845,9 @@ def test_a_kept_file_that_is_gone_is_made_again_and_one_that_nobody_has_is_named
         assert content_hash(library.readings(row.content)) == row.content
     file.unlink()
     elsewhere = replace(source, historian=written(tmp_path / "other.sqlite", plant(2, BEGIN + 9e6)))
-    with pytest.raises(ValueError, match=rf"leave the cycle out: decanter model cycles .* --exclude {row.name}"):
+    with pytest.raises(
+        ValueError, match=rf"leave the cycle out: decanter model version cycles .* --exclude {row.name}"
+    ):
         read_cycle(elsewhere, row, library)
 
 
@@ -952,7 +956,9 @@ def test_a_library_of_a_later_program_and_one_that_is_a_directory_are_one_senten
         pass
     with closing(sqlite3.connect(tmp_path / "l" / "cycles.sqlite")) as connection:
         connection.execute("PRAGMA user_version = 7")
-    refused(decanter("model", "cycles", tmp_path / "l"), 2, "has layout 7, and this program knows 1; update it")
+    refused(
+        decanter("model", "version", "cycles", tmp_path / "l"), 2, "has layout 7, and this program knows 1; update it"
+    )
     (tmp_path / "d" / "cycles.sqlite").mkdir(parents=True)
     with (
         pytest.raises(ValueError, match="cannot be opened as a library"),
@@ -968,14 +974,18 @@ def test_a_library_is_listed_while_another_process_works_on_it_and_where_nothing
     run(request_of, library)
     every = library.cycles()
     assert len(every) > 10 and quick.learned == 1
-    listed = only_object(decanter("model", "cycles", library.folder, "--json").stdout)
+    listed = only_object(decanter("model", "version", "cycles", library.folder, "--json").stdout)
     assert [each["name"] for each in listed["cycles"]] == [row.name for row in every]
     given = ("--reason", "cleaning", "--by", "Ada")
-    refused(decanter("model", "cycles", library.folder, "--exclude", "c", *given), 2, "another process is working on")
+    refused(
+        decanter("model", "version", "cycles", library.folder, "--exclude", "c", *given),
+        2,
+        "another process is working on",
+    )
     shutil.copytree(library.folder, tmp_path / "copy")
     (tmp_path / "copy" / ".lock").unlink(missing_ok=True)
     before = {path: path.stat().st_mtime_ns for path in (tmp_path / "copy").rglob("*")}
-    assert decanter("model", "cycles", tmp_path / "copy").exit_code == 0
+    assert decanter("model", "version", "cycles", tmp_path / "copy").exit_code == 0
     assert {path: path.stat().st_mtime_ns for path in (tmp_path / "copy").rglob("*")} == before
     # A process that was killed while it wrote has left its journal: that write is taken back, and the rest listed.
     file = tmp_path / "copy" / "cycles.sqlite"
@@ -986,11 +996,11 @@ def test_a_library_is_listed_while_another_process_works_on_it_and_where_nothing
     )
     assert subprocess.run([sys.executable, "-c", writing, file], check=False).returncode == -9
     assert file.with_name("cycles.sqlite-journal").stat().st_size > 0
-    again = only_object(decanter("model", "cycles", tmp_path / "copy", "--json").stdout)
+    again = only_object(decanter("model", "version", "cycles", tmp_path / "copy", "--json").stdout)
     assert again["cycles"] == listed["cycles"]
     (tmp_path / "empty").mkdir()
     (tmp_path / "empty" / "cycles.sqlite").touch()
-    refused(decanter("model", "cycles", tmp_path / "empty"), 2, "is no library of cycles")
+    refused(decanter("model", "version", "cycles", tmp_path / "empty"), 2, "is no library of cycles")
 
 
 def test_an_edited_record_is_one_sentence_and_a_family_in_a_circle_is_named(

@@ -16,7 +16,7 @@ ROOMS = {
     "sim.lab.checking.language": ("model", "check", "model", "Pr[<=600](<> Temp >= 80)"),
     "sim.lab.uppaal": ("model", "export", "model", "--uppaal", "--trace", "trace.csv", "--out", "out"),
     "sim.lab.formats.foreign": ("model", "show", "foreign/set"),
-    "gateway.lab.fleet": ("model", "fleet", "machines", "--out", "out"),
+    "gateway.lab.fleet": ("model", "learn", "fleet", "machines", "--out", "out"),
     "gateway.lab.ingestion": ("trace", "ingest", "folder", "--into", "archive"),
     "gateway.lab.regression": ("model", "judge", "regression", "store", "--standard", "trace.csv"),
 }

@@ -154,6 +154,20 @@ def test_a_clock_that_goes_back_in_autumn_is_told_as_summer_time(tmp_path: Path)
     assert any("summer time" in line and "--timezone" in line for line in said["report"])
 
 
+def test_a_state_that_changes_in_the_hour_that_comes_twice_is_no_machine(tmp_path: Path) -> None:
+    """One switch with words, one state of three: each tells the two hours apart, as does whatever changes in them."""
+    begin, rows = datetime(2025, 10, 25, 18, tzinfo=UTC), []
+    for index, state in enumerate(["Betrieb", "Stillstand", "Spuelen"] * 320):
+        moment = (begin + timedelta(minutes=index)).astimezone(ZoneInfo("Europe/Berlin"))
+        on = index // 60 % 2 == 0
+        hot = 40 + 20 * on + index % 7
+        rows.append(f"{moment:%d.%m.%Y %H:%M:%S};{hot},5;{'42,5' if on else '0,3'};{'EIN' if on else 'AUS'};{state}")
+    export = written(tmp_path / "a.csv", "Zeit;Lagertemperatur °C;Motorstrom A;Maschine läuft;Zustand", rows[::-1])
+    (trace,), report, said = mapped(export, tmp_path / "m.toml")
+    assert report.refused == 0 and trace.times[-1] - trace.times[0] == 959 * 60
+    assert not any("whose rows" in line for line in said["report"])
+
+
 CELLS: dict[str, tuple[str, tuple[Callable[[float], str], ...]]] = {
     "units in cells": ("Time;Bearing temperature;Motor power;Running", (
         lambda v: f"{v} °C", lambda v: f"{v * 20:.0f} W" if v < 100 else f"{v * 20 / 1000:.3f} kW", str,

@@ -87,7 +87,10 @@ def whole_texts(file: Path) -> list[str]:
 
 def test_an_option_in_a_message_of_a_command_is_its_own_or_the_command_that_has_it_is_named() -> None:
     every = {" ".join(words): find_command(words) for words, _ in command_paths()}
-    every = {name: command for name, command in every.items() if not isinstance(command, FirstWordCommand)}
+    for name, command in [*every.items()]:
+        if isinstance(command, FirstWordCommand):  # its options without a word are those of its usual work
+            every.pop(name)
+            every |= {name: command.get_command(click.Context(command), command.usual)} if command.usual else {}
     by_file: dict[str, set[str]] = {}
     for command in every.values():
         assert command.callback is not None

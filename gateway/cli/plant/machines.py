@@ -6,6 +6,7 @@ from typing import Any
 
 import click
 
+from drivers.settings import with_place
 from gateway.cli.plant.plant_file import config_option
 from gateway.commission.files import DRY_RUN, Edit, commit, plant_findings, with_machine, without_machine
 from gateway.console import CommandResult, Line, Part, Rows, conclude, json_option
@@ -90,10 +91,11 @@ def add(
     **place: Any,
 ) -> None:
     """Add the machine NAME to the plant file; what is not given is as for the others."""
-    device = {"file": device_file, **place}
     predicted = [dict(zip(("tag", "model"), text.split("=", 1), strict=False)) for text in temperatures]
     with sentences():
-        edit = with_machine(path, name, {key: value for key, value in device.items() if value is not None}, predicted)
+        device = {key: value for key, value in {"file": device_file, **place}.items() if value is not None}
+        # The port that stands with the host wins over the common one.
+        edit = with_machine(path, name, with_place(device) if "host" in device else device, predicted)
         _apply_edit(edit, dry_run=dry_run, as_json=as_json)
 
 

@@ -5,6 +5,7 @@ from typing import Any
 
 import click
 
+from drivers.settings import with_place
 from gateway.console import find_plant_file
 from gateway.entry import fail
 from gateway.outside.status import connect
@@ -58,5 +59,6 @@ def control_socket(path: Path, given: Path | None) -> Path:
 
 def load(path: Path, host: str | None, port: int | None, speed: float | None) -> tuple[Config, ...]:
     """The configurations of all machines with what the command line replaces. Raises ConfigError (a ValueError)."""
-    overrides = {"device.host": host, "device.port": port, "clock.speed": speed}
-    return load_plant(path, {key: value for key, value in overrides.items() if value is not None})
+    place = {key: value for key, value in (("host", host), ("port", port)) if value is not None}
+    overrides = {f"device.{key}": value for key, value in (with_place(place) if host else place).items()}
+    return load_plant(path, overrides if speed is None else {**overrides, "clock.speed": speed})

@@ -2,8 +2,12 @@
 
 import os
 import sys
+import tempfile
+from pathlib import Path
 
 import click
+
+from gateway.entry import sentences
 
 # The emulator is started by its name: nothing of the gateway imports it.
 PROGRAM = """\
@@ -20,11 +24,33 @@ run_command(partial(main.main, prog_name="decanter emulate"), sys.argv[1:])
     add_help_option=False,
     short_help="Start the software PLC, which replays a trace.",
 )
+@click.option("--trace", type=click.Path(path_type=Path), help="Trace to replay.")
+@click.option("--columns", metavar="MAP", help="Column map by which --trace is read: an export of one's own.")
 @click.argument("arguments", nargs=-1, type=click.UNPROCESSED)
-def emulate(arguments: tuple[str, ...]) -> None:
+def emulate(trace: Path | None, columns: str | None, arguments: tuple[str, ...]) -> None:
     """Start the software PLC; all arguments are its own (try `decanter emulate --help`).
 
     This process becomes the PLC's, so that signals and exit codes are the PLC's too.
     """
+    if columns is not None:
+        if trace is None:
+            raise click.UsageError("--columns says how a trace is read; give --trace FILE, too")
+        with sentences():
+            trace = _plain_trace(trace, columns)
+    played = () if trace is None else ("--trace", str(trace))
     sys.stdout.flush()
-    os.execv(sys.executable, [sys.executable, "-c", PROGRAM, *arguments])
+    os.execv(sys.executable, [sys.executable, "-c", PROGRAM, *played, *arguments])
+
+
+def _plain_trace(export: Path, columns: str) -> Path:
+    """The export as the PLC replays traces, in a temporary file. Raises TraceError; ValueError for several traces."""
+    from gateway.console import shipped_file
+    from sim.lab.recordings import load_map, load_traces, write_trace
+
+    traces, _ = load_traces(export, load_map(shipped_file("traces", columns)))
+    if len(traces) != 1:
+        raise ValueError(f"{export}: has {len(traces)} traces by {columns}; the PLC replays one: give its file alone")
+    handle, path = tempfile.mkstemp(prefix=f"{traces[0].name}-", suffix=".csv")
+    os.close(handle)
+    write_trace(traces[0], path)
+    return Path(path)

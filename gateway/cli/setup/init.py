@@ -2,6 +2,7 @@
 
 import re
 import sys
+import unicodedata
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -11,7 +12,7 @@ from typing import Any
 import click
 
 from drivers.driver import capabilities
-from drivers.settings import ConfigError
+from drivers.settings import ConfigError, with_place
 from gateway.commission.files import (
     HEARTBEAT,
     FileChange,
@@ -163,10 +164,7 @@ def _complete_place(given: SharedOptions, device: Path | None, asked: _Prompt) -
     answer = asked.text("address of the PLC (host, host:port, or a serial port)", "--host HOST or --serial PATH")
     if answer.startswith(("/", "COM")):
         return replace(given, settings={**given.settings, "serial": answer})
-    host, colon, port = answer.rpartition(":")
-    if not (colon and port.isdecimal()):
-        return replace(given, settings={**given.settings, "host": answer})
-    return replace(given, settings={**given.settings, "host": host, "port": int(port)})
+    return replace(given, settings=with_place({**given.settings, "host": answer}))
 
 
 @dataclass(frozen=True, slots=True)
@@ -386,13 +384,19 @@ def _begin_alike(words: Sequence[str], header: Sequence[str]) -> bool:
 
 def _words(text: str) -> list[str]:
     """The words of a name in lower case: they end where the case changes or no letter or digit stands."""
-    return [
-        word.casefold() for word in re.findall(r"[^\W\d_]?[^\W\d_A-ZÄÖÜÉÈÀ]+|[A-ZÄÖÜÉÈÀ]+(?![a-zäöüéèà])|\d+", text)
-    ]
+    found = re.findall(
+        r"[^\W\d_]?[^\W\d_A-ZÄÖÜÉÈÀ]+|[A-ZÄÖÜÉÈÀ]+(?![a-zäöüéèà])|\d+", unicodedata.normalize("NFC", text)
+    )
+    return [_letters(word) for word in found]
+
+
+_SPELLED = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue"})
+"""As a tag's name spells them, which has no umlauts; casefold has made ss of the sharp s."""
 
 
 def _letters(text: str) -> str:
-    return "".join(letter for letter in text.casefold() if letter.isalnum())
+    plain = unicodedata.normalize("NFKD", text.casefold().translate(_SPELLED))
+    return "".join(letter for letter in plain if letter.isalnum())
 
 
 def _of_service(folder: Path) -> dict[str, object]:

@@ -191,7 +191,7 @@ def _configuration(records: Sequence[CommandRecord]) -> list[dict[str, Any]]:
 
 def _clock(records: Sequence[CommandRecord]) -> dict[str, Any]:
     """What doctor says of this machine's clock, and by how much the HMI's was ahead of it by the newest `verify`."""
-    sentence, offset = "not looked at (decanter plc doctor)", None
+    sentence, offset = "not looked at (decanter plc check computer)", None
     for record in records:
         for step in _dicts(record.result.get("steps")):
             if record.command == "doctor" and step.get("step") == "clock":

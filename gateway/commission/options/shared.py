@@ -17,6 +17,7 @@ from click.core import ParameterSource
 from drivers.driver import LINKS
 from drivers.named_files import parse_toml
 from gateway.console import find_plant_file
+from gateway.entry import FormerOption
 
 _FILE = click.Path(path_type=Path)
 RECORDS = Path("out/commissioning.jsonl")
@@ -51,25 +52,38 @@ _DEVICE_OPTIONS = (
     _shared_option("--link", metavar="KIND", help=f"One of {', '.join(LINKS)}; with --config also a link's name."),
 )
 _DRIVER_OPTIONS = (
-    _shared_option("--host", help="Modbus over a network: the PLC's name or address."),
-    _shared_option("--port", type=click.IntRange(1, 65535), help="Its TCP port (502; TLS: 802)."),
+    _shared_option("--host", metavar="HOST[:PORT]", help="Modbus over a network: where the PLC is (502; TLS: 802)."),
     _shared_option("--unit", type=click.IntRange(0, 255), help="Modbus unit (1)."),
-    _shared_option("--timeout", type=click.FloatRange(0.001, 60), help="Deadline of one request in seconds."),
     _shared_option("--serial", metavar="PATH", help="Modbus RTU: the serial port."),
-    _shared_option("--baud", type=click.IntRange(300), help="Bits a second of the serial line (19200)."),
-    _shared_option("--parity", type=click.Choice(["N", "E", "O"]), help="Parity of the serial line (E)."),
-    _shared_option(
-        "--tls", "certificates", metavar="DIR", help="Modbus/TCP Security: folder of ca.pem, client.pem, client.key."
-    ),
-    _shared_option("--interface", help="CAN: python-can's name of the interface (socketcan), or 'hub'."),
     _shared_option("--channel", help="CAN: the interface's own, such as can0, or a hub's path."),
-    _shared_option("--bitrate", type=click.IntRange(1000), help="CAN: bits a second."),
     _shared_option("--node", type=click.IntRange(1, 127), help="CANopen node."),
-    _shared_option("--eds", type=_FILE, help="CANopen: the node's EDS file."),
-    _shared_option("--dbc", type=_FILE, help="CAN: a DBC file."),
 )
-_OTHERS = _shared_option("--set", "others", multiple=True, metavar="KEY=VALUE", help="Any other setting of the driver.")
-PLACE_OPTIONS = (*_DEVICE_OPTIONS, *_DRIVER_OPTIONS, _OTHERS)
+_OTHERS = _shared_option(
+    "--set",
+    "others",
+    multiple=True,
+    metavar="KEY=VALUE",
+    help="Any other key of the device file's [device]: timeout, baud, parity, interface, bitrate, eds, dbc, "
+    "certificates (the folder of ca.pem, client.pem, client.key: Modbus/TCP Security).",
+)
+
+
+def _former_option(*names: str, now: str, **settings: Any) -> Any:
+    return click.option(*names, cls=FormerOption, now=now, **settings)
+
+
+_FORMER_OPTIONS = (
+    _former_option("--port", type=click.IntRange(1, 65535), now="--host HOST:{}"),
+    _former_option("--timeout", type=click.FloatRange(0.001, 60), now="--set timeout={}"),
+    _former_option("--baud", type=click.IntRange(300), now="--set baud={}"),
+    _former_option("--parity", type=click.Choice(["N", "E", "O"]), now="--set parity={}"),
+    _former_option("--tls", "certificates", now="--set certificates={}"),
+    _former_option("--interface", now="--set interface={}"),
+    _former_option("--bitrate", type=click.IntRange(1000), now="--set bitrate={}"),
+    _former_option("--eds", type=_FILE, now="--set eds={}"),
+    _former_option("--dbc", type=_FILE, now="--set dbc={}"),
+)
+PLACE_OPTIONS = (*_DEVICE_OPTIONS, *_DRIVER_OPTIONS, *_FORMER_OPTIONS, _OTHERS)
 """Which device over which link: for what a plant file does not say."""
 
 _JSON = _shared_option("--json", "as_json", is_flag=True, help="One JSON object instead of text.")
@@ -107,8 +121,14 @@ def shared_options() -> tuple[list[click.Parameter], list[click.Parameter]]:
     return _collect_params(CONNECTION_OPTIONS), _collect_params(RECORD_OPTIONS)
 
 
-_SETTINGS = tuple(option.name for option in _collect_params(_DRIVER_OPTIONS) if option.name)
-"""The driver's settings that have an option of their own."""
+_SETTINGS = tuple(option.name for option in _collect_params((*_DRIVER_OPTIONS, *_FORMER_OPTIONS)) if option.name)
+"""The driver's settings that have an option of their own, or had one."""
+_RANGES: dict[str | None, Any] = {
+    option.name: option.type
+    for option in _collect_params(_FORMER_OPTIONS)
+    if isinstance(option.type, click.IntRange | click.FloatRange | click.Choice)
+}
+"""What a setting may be, for a value that is wrong before any device is asked."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -210,9 +230,22 @@ def _take_shared(options: dict[str, Any]) -> SharedOptions:
         name: str(value) if isinstance(value, Path) else value for name, value in values.items() if value is not None
     }
     settings |= dict(map(_other, options.pop("others", ())))
+    settings = _split_host(settings)
     names = ("plant", "device", "link", "machine", "as_json", "pcap", "records", "by")
     kept = {name: options.pop(name, None) for name in names}
     return SharedOptions(settings=settings, **kept)
+
+
+def _split_host(settings: dict[str, Any]) -> dict[str, Any]:
+    """With the port that was given with the host, which wins over that of a file. Raises BadParameter."""
+    if not isinstance(settings.get("host"), str):
+        return settings
+    from drivers.settings import with_place  # pydantic with it, which no help needs
+
+    try:
+        return with_place(settings)
+    except ValueError as error:
+        raise click.BadParameter(str(error), param_hint="--host") from None
 
 
 def _other(text: str) -> tuple[str, Any]:
@@ -220,10 +253,17 @@ def _other(text: str) -> tuple[str, Any]:
     key, equals, value = text.partition("=")
     if not (equals and key.strip()):
         raise click.BadParameter(f"{text!r}: give KEY=VALUE, such as max_registers=16", param_hint="--set")
+    key = key.strip()
     try:
-        return key.strip(), parse_toml(f"value = {value}")["value"]
+        setting = parse_toml(f"value = {value}")["value"]
     except tomllib.TOMLDecodeError:
-        return key.strip(), value.strip()
+        setting = value.strip()
+    if key not in _RANGES:
+        return key, setting
+    try:
+        return key, _RANGES[key].convert(str(setting), None, None)
+    except click.BadParameter as error:
+        raise click.BadParameter(error.message, param_hint=f"--set {key}") from None
 
 
 bit_option = click.option("--bit", type=click.IntRange(0, 15), help="One bit of the register.")

@@ -15,7 +15,7 @@ from drivers.tag import Tag
 from drivers.tap import Medium
 from gateway.settings import Config, DeviceMap, GatewayPlaces, gateway_places, load_config, load_device
 
-OPTION_OF: dict[str, str] = {"certificates": "--tls"}
+OPTION_OF: dict[str, str] = {"certificates": "--set certificates=DIR"}
 """Where a setting is given by an option of another name."""
 DEFAULT_DRIVER = "modbus"
 """Meant where neither a file nor --link says which."""

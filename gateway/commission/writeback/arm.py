@@ -57,6 +57,8 @@ async def start_arming(
     Raises ArmingError, AuditError, ValueError or OSError.
     """
     require_layouts(site)
+    if not by.strip():
+        raise ArmingError("arming needs a name: say who arms with --by NAME, or once with the variable DECANTER_BY")
     now = time.time()
     arming = sign_arming(by, reason, minutes, now)
     if (config := site.target.config) is not None and config.writeback.mode == "off":

@@ -1,4 +1,4 @@
-"""The options of `model fleet` and its help; the work is loaded when it is asked for."""
+"""The options of `model learn fleet` and its help; the work is loaded when it is asked for."""
 
 from pathlib import Path
 from typing import Any

@@ -1,4 +1,4 @@
-"""`decanter model fleet`: many machines of one type, each judged by itself, here or on a cluster."""
+"""`decanter model learn fleet`: many machines of one type, each judged by itself, here or on a cluster."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def fleet(
     seed: int,
     as_json: bool,
 ) -> None:
-    """Carry out `decanter model fleet`; its options and its help are in fleet/commands.py."""
+    """Carry out `decanter model learn fleet`; its options and its help are in fleet/commands.py."""
     try:
         with sentences(), progress("fleet") as bar, interruptible(bar) as report:
             column_map = load_map(shipped_file("traces", map_name))

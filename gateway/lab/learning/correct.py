@@ -1,4 +1,4 @@
-"""`decanter model correct`: a calibration correction of a model, learned from traces that it was not fitted to."""
+"""`model learn correction`: a calibration correction of a model, learned from traces that it was not fitted to."""
 
 import time
 from collections.abc import Iterator, Sequence
@@ -25,7 +25,7 @@ from sim.sha import display_unit, encode_trace, joint_hash, signal_unit
 def correct(
     name: str, paths: Sequence[str], map_name: str, out: Path, form: str, limit_rate: bool, as_json: bool
 ) -> None:
-    """Carry out `decanter model correct`; its options and its help are in learning/commands.py."""
+    """Carry out `decanter model learn correction`; its options and its help are in learning/commands.py."""
     with sentences(), progress("correcting") as report:
         traces, column_map = load(paths, map_name)
         found = find_model(name, alphabet=column_map.alphabet, temperature=column_map.temperature)

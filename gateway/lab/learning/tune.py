@@ -1,4 +1,4 @@
-"""`decanter model tune`: the best settings of a learning method by cross-validation over traces, resumable."""
+"""`model learn settings`: the best settings of a learning method by cross-validation over traces, resumable."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
@@ -37,7 +37,7 @@ def tune(
     seed: int,
     as_json: bool,
 ) -> None:
-    """Carry out `decanter model tune`; its options and its help are in learning/commands.py."""
+    """Carry out `decanter model learn settings`; its options and its help are in learning/commands.py."""
     with sentences(), progress(f"tuning ({method})") as bar, interruptible(bar) as report:
         traces, column_map = load(paths, map_name)
         warnings = channel_warnings(traces, column_map.alphabet)

@@ -177,7 +177,7 @@ def read_cycle(source: CycleSource, row: CycleRow, library: CycleLibrary) -> Tra
             library.keep(row.name, trace, anew=True)
         return trace
     if lost is not None:
-        leave = f"decanter model cycles {library.folder} --exclude {row.name} --reason WHY --by WHO"
+        leave = f"decanter model version cycles {library.folder} --exclude {row.name} --reason WHY --by WHO"
         raise ValueError(f"{lost}; or leave the cycle out: {leave}") from None
     return None
 

@@ -133,7 +133,7 @@ class CycleLibrary:
                 "UPDATE cycles SET excluded_by = ?, reason = ? WHERE name = ?", (by, reason, name)
             ).rowcount
         if not found:
-            raise ValueError(f"{self.folder}: has no cycle {name!r}; `decanter model cycles` lists them")
+            raise ValueError(f"{self.folder}: has no cycle {name!r}; `decanter model version cycles` lists them")
 
     def rate(self, name: str, rating: Rating, words: str, strangeness: float) -> None:
         """Rate a cycle anew."""

@@ -1,4 +1,4 @@
-"""`decanter model cycles`: the library's cycles, how they were rated, and what a person takes out with a reason."""
+"""`model version cycles`: the library's cycles, how they were rated, and what a person takes out with a reason."""
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -24,7 +24,7 @@ def cycles_command(
     picture: Path | None,
     as_json: bool,
 ) -> None:
-    """Carry out `decanter model cycles`; its options and its help are in retraining/commands.py."""
+    """Carry out `decanter model version cycles`; its options and its help are in retraining/commands.py."""
     if (exclude is None) != (reason is None) or (exclude is None) != (by is None):
         raise click.UsageError("--exclude NAME, --reason TEXT and --by WHO belong together")
     if exclude is not None and not (str(reason).strip() and str(by).strip()):

@@ -224,9 +224,9 @@ def decode_head(path: Path, head: bytes, encoding: str) -> tuple[str, str, str]:
         # Incrementally: the head may end in the middle of a character, which is no fault.
         text = codecs.getincrementaldecoder(chosen)("strict").decode(head, False)
     except UnicodeDecodeError:
-        chosen = _code_page(head) if encoding == "auto" and bom is None else chosen
+        claimed, chosen = chosen, _code_page(head) if encoding == "auto" and bom is None else chosen
         text = head.decode(chosen, "replace")
-        note = f"it is not clean {encoding if bom is None else bom} text; read as {chosen}"
+        note = f"it is not clean {claimed} text; read as {chosen}"
     strange = sum(char < " " and char not in "\t\r\n\f" for char in text[:4096])
     if "\x00" in text[:4096] or strange * 20 > len(text[:4096]):
         raise TraceError(f"{path}: this is not a text file; give the CSV, unpacked")

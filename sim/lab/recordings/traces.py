@@ -102,7 +102,7 @@ def _files(source: Source, column_map: ColumnMap, *, below: bool = False) -> lis
             files += own
             if below or not own:
                 files += csv_files((each for each in path.rglob("*") if each.parent != path), column_map.parts)
-        elif not path.exists() and any(mark in str(path) for mark in "*?["):
+        elif not path.exists() and is_pattern(path):
             # A file may have such a mark in its name: only what is not there is a pattern.
             anchor = Path(path.anchor)
             found = sorted(match for match in anchor.glob(str(path.relative_to(anchor))) if match.is_file())
@@ -112,6 +112,11 @@ def _files(source: Source, column_map: ColumnMap, *, below: bool = False) -> lis
             files.append(path)
     # A file that is named twice, or by its folder too, is one trace and not two.
     return list(dict.fromkeys(files))
+
+
+def is_pattern(path: Path) -> bool:
+    """Whether there is a mark of a pattern in it."""
+    return any(mark in str(path) for mark in "*?[")
 
 
 def csv_files(paths: Iterable[Path], parts: str) -> list[Path]:
@@ -168,7 +173,10 @@ def _load_group(files: Sequence[FileReport], column_map: ColumnMap) -> list[Trac
         except TraceError as error:
             file.error = str(error)
         except (OSError, *UNPACK_ERRORS) as error:
-            file.error = f"{file.path}: it cannot be read: {getattr(error, 'strerror', '') or error}"
+            reason = f"it cannot be read: {getattr(error, 'strerror', '') or error}"
+            if isinstance(error, FileNotFoundError) and is_pattern(file.path):
+                reason = "no file is of this pattern"
+            file.error = f"{file.path}: {reason}"
     if not parts:
         raise TraceError(files[0].error, None)
     used = [file for file in files if not file.error]

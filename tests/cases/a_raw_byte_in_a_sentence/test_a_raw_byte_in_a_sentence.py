@@ -99,8 +99,8 @@ CALLS: list[list[bytes | str]] = [
     [f"stat{STEERING[:1]}us"],
     ["status", "--config", STEERING.replace("\0", "")],
     ["status", f"--conf{STEERING[:4]}"],
-    ["plc", "read", "--host", "127.0.0.1", "--port", STEERING.replace("\0", "")],
-    ["plc", "watch", "--json", "x" * 9000],
+    ["plc", "read", "--unit", STEERING.replace("\0", "")],
+    ["plc", "read", "--watch", "--json", "x" * 9000],
     ["status", "--config", b"\xff\xfe\x1b"],
     ["trace", "show", b"\xff\x9b2J.csv", "--json"],
 ]

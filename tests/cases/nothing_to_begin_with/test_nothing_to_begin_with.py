@@ -66,6 +66,20 @@ def test_a_list_and_an_address_become_a_folder_that_runs(here: Path) -> None:
         assert line in done.stdout
 
 
+def test_a_tags_name_spells_the_umlauts_that_a_column_has(here: Path) -> None:
+    listed = "Name;Adresse;Typ;Einheit\nLager;40101;REAL;°C\nStrom;40103;REAL;A\nMaschine_laeuft;1;BOOL;\n"
+    (here / "list.csv").write_text(listed, encoding="utf-8")
+    rows = [f"2026-03-01 08:{row:02d}:00;{row % 9 + 40};{30 * (row // 9 % 2)};{row // 9 % 2}" for row in range(60)]
+    header = "Zeit;Lagertemperatur °C;Motorstrom A;Maschine läuft"
+    (here / "umlauts.csv").write_text("\n".join([header, *rows]), encoding="cp1252")
+    given = ("--host", "192.0.2.1", "--list", "list.csv", "--temperature", "Lager", "--trace", "umlauts.csv")
+    done = decanter("init", "u", *given, "--heartbeat", "Maschine_laeuft")
+    assert done.exit_code == 0 and done.stderr == "", done.output
+    assert '"Maschine_laeuft" = { column = "Maschine läuft"' in (here / "u" / "columns.toml").read_text(
+        encoding="utf-8"
+    )
+
+
 @pytest.mark.parametrize("device", ["decanter_plc", "decanter_canopen", "decanter_can", "given/unknown_plc.toml"])
 def test_a_device_file_is_taken_over_with_what_it_names(device: str, here: Path) -> None:
     words = ("init", "p", "--device", device, "--temperature", TEMPERATURE, "--json")

@@ -87,7 +87,10 @@ def describe_rows(
         order = np.arange(times.size)[::-1]
         times, local, inside = times[order], local[order], inside[order]
         table = replace(table, rows=table.rows[::-1])
-    machine, session, said = _owners(table, clock, times, inside, answers)
+    # An hour twice in autumn is no sign of several machines: any column that changes in it would tell them apart.
+    autumn = (answers.timezone or _zone(times, local, inside)) if local.any() and _falls(times, inside) else ""
+    even = to_utc(times, local, autumn) if autumn else times
+    machine, session, said = _owners(table, clock, even if _trouble(even, inside) == 0 else times, inside, answers)
     for place in (machine, session):
         if place is not None:
             inside = _codes(list(zip(inside.tolist(), table.column(place), strict=True)))
