@@ -29,7 +29,7 @@ STEPS: tuple[tuple[frozenset[str], str], ...] = (
     (frozenset({"tomlkit"}), "machine-add machine-list machine-remove plc-bind plc-import"),
     (
         frozenset({"cryptography", "sqlite3"}),
-        "certificates keep-diff keep-history keep-rollback keep-backup keep-restore keep-support plc-check-write",
+        "certificates demo keep-diff keep-history keep-rollback keep-backup keep-restore keep-support plc-check-write",
     ),
     (
         frozenset({"numpy"}),
@@ -37,7 +37,7 @@ STEPS: tuple[tuple[frozenset[str], str], ...] = (
         trace-synth""",
     ),
     (frozenset({"lark"}), "trace-ingest"),
-    (frozenset({"rich", "argon2", "scipy"}), "demo top user-add user-list user-password user-remove"),
+    (frozenset({"rich", "argon2", "scipy"}), "top user-add user-list user-password user-remove"),
 )
 """What the commands of a step may load beside what those of the steps before may; their order is that of loading."""
 HEAVY = [
