@@ -6,6 +6,7 @@ import os
 import re
 import signal
 import subprocess
+import sys
 from collections import Counter, defaultdict
 from collections.abc import Iterator
 from importlib import import_module
@@ -21,6 +22,11 @@ from tests.rig.patient_loop import PatientLoop
 
 # Collecting makes what stays and hardly any garbage; `pytest_collection_finish` turns the collector on again.
 gc.disable()
+
+# The tests start some hundred processes, and each of pytest's own loads all tests: where bytecode may not be kept, as
+# in many containers, every one of them would compile our modules anew.
+sys.dont_write_bytecode = False
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
 # Tests look for words, not for where a table folds them; the tests of tables name their own width.
 os.environ["COLUMNS"] = "240"

@@ -2,6 +2,7 @@
 
 import ast
 import json
+import os
 import re
 import subprocess
 import sys
@@ -54,6 +55,10 @@ def test_help_imports_nothing_heavy() -> None:
         "    assert CliRunner().invoke(main, [*group.split(), '--help']).exit_code == 0"
     )
     assert modules_imported_by(code).isdisjoint(HEAVY)
+
+
+def test_what_a_test_compiles_is_kept_for_the_next_process() -> None:
+    assert not sys.dont_write_bytecode and "PYTHONDONTWRITEBYTECODE" not in os.environ
 
 
 def test_a_model_is_shown_without_grammar_and_settings() -> None:

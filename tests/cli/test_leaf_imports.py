@@ -27,18 +27,18 @@ STEPS: tuple[tuple[frozenset[str], str], ...] = (
         alarm-return alarm-reset alarm-journal alarm-rates historian-export historian-query historian-tables
         plc-codegen plc-read plc-scan trace-can""",
     ),
-    (frozenset({"tomlkit"}), "machine-add machine-list machine-remove plc-bind plc-import"),
+    (frozenset({"tomlkit"}), "init machine-add machine-list machine-remove plc-bind plc-import"),
     (
         frozenset({"cryptography", "sqlite3"}),
-        "certificates keep-diff keep-history keep-rollback keep-backup keep-restore keep-support plc-check-write",
+        "certificates demo keep-diff keep-history keep-rollback keep-backup keep-restore keep-support plc-check-write",
     ),
     (
         frozenset({"numpy"}),
-        """historian-import init model-version-promote model-judge-proof model-show model-simulate trace-map trace-show
+        """historian-import model-version-promote model-judge-proof model-show model-simulate trace-map trace-show
         trace-synth""",
     ),
     (frozenset({"lark"}), "trace-ingest"),
-    (frozenset({"rich", "argon2", "scipy"}), "demo top user-add user-list user-password user-remove"),
+    (frozenset({"rich", "argon2", "scipy"}), "top user-add user-list user-password user-remove"),
 )
 """What the commands of a step may load beside what those of the steps before may; their order is that of loading."""
 HEAVY = [

@@ -29,10 +29,7 @@ from gateway.commission.import_list import bindings, list_options, make_reading
 from gateway.commission.options import SharedOptions, place_options
 from gateway.console import CommandResult, Line, Part, conclude, find_service, make_folder, shipped_file
 from gateway.entry import sentences
-from gateway.lab.traces.map import ask_map
 from gateway.settings import load_device
-from sim.lab.recordings import known_unit, parse_map
-from sim.lab.recordings.mapping import RUNNING_SIGNAL, Answers, Undecided, current_score, load_score, running_score
 
 _PATH = click.Path(path_type=Path)
 _LIST_ENDINGS = (".csv", ".xlsx", ".txt", ".tsv")
@@ -260,6 +257,11 @@ def _column_map(
 
     Raises TraceError, or ConfigError for a tag of `rename` that is not there.
     """
+    # What reads a recording loads NumPy, and most folders are made without one.
+    from gateway.lab.traces.map import ask_map
+    from sim.lab.recordings import parse_map
+    from sim.lab.recordings.mapping import RUNNING_SIGNAL, Answers, Undecided
+
     known = described.names
     if strange := [tag for tag in rename.values() if tag not in known]:
         raise ConfigError([f"--rename: {strange[0]!r} is no tag of the device; it has {', '.join(known)}"])
@@ -324,6 +326,9 @@ def _only_tag(part: str, unit: str, tags: Sequence[str], numbers: Mapping[str, s
 
     `numbers` are the units of the tags that are numbers.
     """
+    from sim.lab.recordings import known_unit  # as above
+    from sim.lab.recordings.mapping import current_score, load_score, running_score
+
     if part == "switch":
         fitting = [tag for tag in tags if tag not in numbers and running_score(tag)]
     else:
@@ -339,6 +344,8 @@ def _only_tag(part: str, unit: str, tags: Sequence[str], numbers: Mapping[str, s
 
 def _derived(map_text: str, known: Sequence[str]) -> dict[str, dict[str, Any]]:
     """The signals that the map makes of others which are tags: the gateway makes them by the same law."""
+    from sim.lab.recordings import parse_map  # as above
+
     laws = parse_map(map_text, "the trace's column map").derived
     return {
         name: law.model_dump(mode="json", exclude_defaults=True)

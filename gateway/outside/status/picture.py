@@ -6,6 +6,7 @@ Times are plant seconds UTC, ages and periods plant seconds; a key that ends in 
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from typing import Any, Literal
 
 from pydantic import TypeAdapter, ValidationError
@@ -262,7 +263,9 @@ class GatewayStatus:
     watched: Mapping[str, float] = field(default_factory=dict)
 
 
-_READER = TypeAdapter(GatewayStatus)
+@cache
+def _reader() -> TypeAdapter[GatewayStatus]:
+    return TypeAdapter(GatewayStatus)  # at its first use: it takes longer than most commands that read no status
 
 
 def read_status(plain: object) -> GatewayStatus:
@@ -271,7 +274,7 @@ def read_status(plain: object) -> GatewayStatus:
     Raises StatusError for what is no status of this program's version.
     """
     try:
-        return _READER.validate_python(escape_text(plain))
+        return _reader().validate_python(escape_text(plain))
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(map(str, first["loc"])) or "the status"
