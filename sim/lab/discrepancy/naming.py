@@ -15,6 +15,7 @@ from sim.lab.discrepancy.fitting import (
     automaton_effects,
     catalogue,
     fit,
+    follows_course,
     restore_fit,
     rivals,
     slim,
@@ -37,9 +38,10 @@ from sim.sha import Array, Effect
 
 CONFIRMED, WORTH = 4, 1.0
 """Entries that are confirmed at most, and the screen's gain (nats) from which it is worth while."""
-PROMISED_TIMES = 4.5
+PROMISED_TIMES, PROMISED_TIMES_OF_COURSE = 4.5, 25.0
 """Times the screen's gain that a refit is likelier by at most: the noise has swallowed a part of what is missing, and
-gives it back. Of 55 refits the most was 4.3 times."""
+gives it back. Of 60 refits the most was 4.3 times; and 12 of what follows the temperature itself, as a valve does: what
+it does along the readings is not what it does along its own course."""
 ONE_CHAIN = frozenset({"dead-time", "sensor-lag", "late-current-heating"})
 """What lies between what is done and the reading is named once: a second name would mend the first one's shape."""
 EXTRA_CONFIRMED = 2
@@ -152,7 +154,7 @@ def step(
     likely = [each for each in evidence if each.entry.name in first and each.gain >= WORTH]
     confirmed = list[EffectEvidence]()
     for each in sorted(likely, key=lambda each: -each.gain):
-        if not _falls_short(each.gain, before, confirmed, rules):
+        if not _falls_short(each, before, confirmed, rules):
             told(each.entry.name)
             confirmed = _slim_but_best([*confirmed, confirm(before, each)])
     # What would lead if the cycles scattered less is fitted too, and what it is a special case of: it may be what they
@@ -169,7 +171,7 @@ def step(
     for each in (*differing[:EXTRA_CONFIRMED], *wider):
         # A refit from the very shape ends where the one before did, whatever scatter it begins with.
         repeated = fitted_shapes.get(each.entry.name) == each.shape
-        if each.gain >= WORTH and not repeated and not _falls_short(each.gain, before, confirmed, rules):
+        if each.gain >= WORTH and not repeated and not _falls_short(each, before, confirmed, rules):
             told(each.entry.name)
             confirmed = _slim_but_best(_replace_evidence(confirmed, confirm(quieter(before), each)))
     # What could win is weighed against its special cases: they are fitted too, wherever the screen has them.
@@ -179,7 +181,7 @@ def step(
     behind = [each for each in names[CONFIRMED:] if each.entry.name in special and each.gain >= WORTH]
     for each in behind:
         missing = each.entry.name not in {own.entry.name for own in confirmed}
-        if missing and not _falls_short(each.gain, before, confirmed, rules):
+        if missing and not _falls_short(each, before, confirmed, rules):
             confirmed = _slim_but_best([*confirmed, confirm(before, each)])
     for each in changes_at_a_moment(before, screened.shapes, confirmed, rules, told):
         confirmed = _slim_but_best(_replace_evidence(confirmed, each))
@@ -194,13 +196,18 @@ def step(
     return NamingStep(before, order, _cosines(before, order), rules, nameless, tried)
 
 
-def _falls_short(gain: float, before: Fitted, confirmed: Sequence[EffectEvidence], rules: DecisionRules) -> bool:
-    """Whether a refit of what the screen gives so many nats (`gain`) could change nothing: beside names it would be no
-    further one, and it would not come near what was `confirmed`."""
+def _falls_short(
+    each: EffectEvidence, before: Fitted, confirmed: Sequence[EffectEvidence], rules: DecisionRules
+) -> bool:
+    """Whether a refit could change nothing: beside names it would be no further one, and it would not come near the
+    best that was `confirmed`."""
+    effects = automaton_effects(each.shape.with_strength(1.0), before.frame.record.model)
+    follows = any(follows_course(effect) for effect in effects)
     beside = any(named.existing is None for named in before.state.named)
     needed = rules.least_gain_nats + rules.further_nats if beside else 0.0
-    top = max((each.gain for each in confirmed), default=0.0)
-    return PROMISED_TIMES * gain < max(needed, LOOKED_AGAIN_SHARE * top)
+    top = max((other.gain for other in confirmed), default=0.0)
+    promised = each.gain * (PROMISED_TIMES_OF_COURSE if follows else PROMISED_TIMES)
+    return promised < max(needed, LOOKED_AGAIN_SHARE * top)
 
 
 def changes_at_a_moment(
