@@ -153,7 +153,7 @@ def step(
     first = {each.entry.name for each in (*names[:CONFIRMED], *evidence[:CONFIRMED])}
     likely = [each for each in evidence if each.entry.name in first and each.gain >= WORTH]
     confirmed = list[EffectEvidence]()
-    for each in sorted(likely, key=lambda each: -each.gain):
+    for each in likely:
         if not _falls_short(each, before, confirmed, rules):
             told(each.entry.name)
             confirmed = _slim_but_best([*confirmed, confirm(before, each)])
@@ -178,10 +178,9 @@ def step(
     top = max((each.gain for each in confirmed), default=0.0)
     near = top - margin_of_class(top, rules)
     special = {name for each in confirmed if each.gain >= near for name in each.entry.candidate.special}
-    behind = [each for each in names[CONFIRMED:] if each.entry.name in special and each.gain >= WORTH]
-    for each in behind:
-        missing = each.entry.name not in {own.entry.name for own in confirmed}
-        if missing and not _falls_short(each, before, confirmed, rules):
+    for each in names:
+        done = {own.entry.name for own in confirmed}
+        if each.entry.name in special - done and each.gain >= WORTH:
             confirmed = _slim_but_best([*confirmed, confirm(before, each)])
     for each in changes_at_a_moment(before, screened.shapes, confirmed, rules, told):
         confirmed = _slim_but_best(_replace_evidence(confirmed, each))
