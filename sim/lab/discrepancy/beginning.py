@@ -68,7 +68,7 @@ def _step(phase: _PhaseErrors, running: bool, least: float, rules: DecisionRules
     if abs(moves) < least or size >= float(np.sum(of_line**2)) or wanders:
         return None
     # Under "nothing begins" the share of the squares that the best cut takes depends on the number of cycles alone.
-    shares = _drawn(lambda drawn: _split_gain(drawn, side).max(axis=-1) / (n * drawn.var(axis=-1)), n)
+    shares = _draw(lambda drawn: _split_gain(drawn, side).max(axis=-1) / (n * drawn.var(axis=-1)), n)
     total = float(np.sum((errors - errors.mean()) ** 2))
     p = (1.0 + float(np.count_nonzero(shares >= float(gain[number]) / total))) / (1.0 + DRAWS)
     if p > rules.beginning_most_p:
@@ -97,7 +97,7 @@ def _jump(phase: _PhaseErrors, running: bool, least: float, rules: DecisionRules
     # A free run over held-out cycles begins anew: what changes there is not the machine.
     apart = np.abs(phase.of_trial[2 * side - 1 :] - phase.of_trial[: n - 2 * side + 1]) > 0
     changes = _local_changes(errors, side)
-    chance = _drawn(lambda drawn: _greatest_share(_local_changes(np.cumsum(drawn, axis=-1), side)), n)
+    chance = _draw(lambda drawn: _greatest_share(_local_changes(np.cumsum(drawn, axis=-1), side)), n)
     sizes = np.abs(changes) / max(float(np.median(np.abs(changes))), 1e-300)
     sizes = np.where(apart, 0.0, sizes)
     greatest = scipy.ndimage.maximum_filter1d(sizes, 2 * side + 1) == sizes
@@ -122,7 +122,7 @@ def _jump(phase: _PhaseErrors, running: bool, least: float, rules: DecisionRules
     )
 
 
-def _drawn(statistic: Callable[[Array], Array], n: int) -> Array:
+def _draw(statistic: Callable[[Array], Array], n: int) -> Array:
     """(DRAWS,) a statistic of each row of n normal errors."""
     rng = np.random.default_rng(0)
     return np.concatenate([statistic(rng.standard_normal((DRAWN_AT_ONCE, n))) for _ in range(DRAWS // DRAWN_AT_ONCE)])
