@@ -2,8 +2,9 @@
 
 What is given: a wheel, a PLC that nobody knows (emulated: words swapped, addresses one higher than its I/O list says,
 16 registers a request, one client), and an export of the SCADA under the SCADA's own names. What is typed is counted,
-with its seconds; no file is written by hand. `--record FILE` keeps the commands as a page. `--quick` takes the program
-that is installed here.
+with its seconds; no file is written by hand. `--quick` takes the program that is installed here. `--plant` walks with
+a machine of another make, from its own I/O list and export to a prediction and a diagnosis of its own records; a
+command that is refused ends the hour.
 """
 
 import csv
@@ -17,7 +18,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import chdir, suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
@@ -29,7 +30,9 @@ import numpy as np
 from click.testing import CliRunner
 
 from benchmarks.figures import Figure, give
+from benchmarks.foreign_plants import FOREIGN, ForeignPlant
 from gateway.cli.main import main as decanter
+from gateway.store import HistorianError, recent
 from sim.lab.recordings.trace_file import write_trace
 from sim.plant import production
 from sim.sha.trace import Trace
@@ -45,6 +48,7 @@ EXPORT = {
 """Header in the SCADA's export -> signal; the first two are not called as in the I/O list."""
 MOST_COMMANDS, MOST_S = 12, 600.0
 PATIENCE_S = 300.0
+RECORDED_SCANS = 10
 _RUNNING: tuple[str, ...] = ("plc.pid", "run.pid")
 
 
@@ -54,11 +58,12 @@ class HourError(AssertionError):
 
 @dataclass(frozen=True, slots=True)
 class Typed:
-    """One command, its seconds, and the last line of what it answered."""
+    """One command, its seconds, the last line of what it answered, and all of that."""
 
     line: str
     seconds: float
     answer: str
+    printed: str = ""
 
 
 @dataclass(slots=True)
@@ -94,7 +99,7 @@ class Hour:
         if code != 0:
             raise HourError(f"{line}: exit code {code}; it said:\n{printed}{complaints}")
         spoken = [text for text in printed.splitlines() if text.strip()]
-        self.typed.append(Typed(line, time.monotonic() - begun, spoken[-1].strip() if spoken else ""))
+        self.typed.append(Typed(line, time.monotonic() - begun, spoken[-1].strip() if spoken else "", printed))
         return printed
 
 
@@ -175,21 +180,68 @@ def walk(hour: Hour, wheel: Path | None, warmest: float, model: Path | None = No
     return _watched(hour)
 
 
-def _watched(hour: Hour) -> dict[str, Any]:
-    """`decanter top --once`, as often as somebody looks, until a prediction and a block are there; it counts once."""
+def walk_foreign(hour: Hour, plant: ForeignPlant) -> dict[str, Any]:
+    """All that is typed at a plant of another make; the diagnosis of its own records. Raises HourError."""
+    port, control = free_ports(2)
+    plant.write(hour.folder)
+    # The PLC is there already: this is typed by nobody.
+    begun = (
+        f"decanter emulate --device emulated.toml --trace plant.csv --port {port} --control-port {control} "
+        "> plc.log 2>&1 & echo $! > plc.pid; until grep -q ready plc.log; do sleep 0.1; done"
+    )
+    if (ended := hour.call(begun))[0]:
+        raise HourError(f"the emulated PLC does not start: {ended}")
+    hour.type(
+        f"decanter init --list io.csv --host 127.0.0.1 --port {port} {plant.options} "
+        f"--temperature {plant.temperature} --trace export.csv"
+    )
+    hour.type("decanter plc check")
+    hour.type("decanter model learn --traces export.csv --map columns.toml --out models/first --name machine")
+    hour.type("decanter plc bind --keep model.path=models/first")
+    hour.type("decanter plc check")
+    hour.type("decanter run > run.log 2>&1 & echo $! > run.pid")
+    _watched(hour, lambda status: bool(status.get("prediction") and status.get("forecast")))
+    hour.type("decanter model show models/first")
+    _wait_for_records(hour.folder / "out/historian.sqlite")
+    printed = hour.type(
+        "decanter diagnose --model models/first --historian out/historian.sqlite --out diagnosis --json"
+    )
+    found: dict[str, Any] = json.loads(printed)
+    return found
+
+
+def _wait_for_records(historian: Path) -> None:
+    """Until so many scans are on disk that somebody may look at them. Raises HourError."""
+    begun = time.monotonic()
+    while time.monotonic() - begun < PATIENCE_S:
+        with suppress(HistorianError, ValueError):
+            if recent(historian, "14d").times.size >= RECORDED_SCANS:
+                return
+        time.sleep(0.5)
+    raise HourError(f"fewer than {RECORDED_SCANS} scans are in {historian.name} after {PATIENCE_S:g} s")
+
+
+def _has_block(status: Mapping[str, Any]) -> bool:
+    shadow = status.get("writeback", {}).get("mode")
+    return bool(status.get("prediction") and status.get("forecast") and shadow == "shadow")
+
+
+def _watched(hour: Hour, enough: Callable[[Mapping[str, Any]], bool] = _has_block) -> dict[str, Any]:
+    """`decanter top --once`, as often as somebody looks, until it shows `enough`; it counts once."""
     begun = time.monotonic()
     while True:
         data: dict[str, Any] = json.loads(hour.call("decanter top --once --json")[1] or "{}")
         status = data.get("status") or {}
-        shadow = status.get("writeback", {})
-        if status.get("prediction") and status.get("forecast") and shadow.get("mode") == "shadow":
+        if enough(status):
             break
         if time.monotonic() - begun > PATIENCE_S:
             said = (hour.folder / "run.log").read_text(encoding="utf-8")
             raise HourError(f"no prediction within {PATIENCE_S:g} s: {data.get('findings')}; run said:\n{said}")
         time.sleep(0.5)
     seen = status["prediction"]
-    words = f"{seen['measured']:.1f} degC measured, {seen['mean']:.1f} predicted, write-back {shadow['mode']}"
+    words = (
+        f"{seen['measured']:.1f} degC measured, {seen['mean']:.1f} predicted, write-back {status['writeback']['mode']}"
+    )
     hour.typed.append(Typed("decanter top --once", time.monotonic() - begun, words))
     return status
 
@@ -217,21 +269,26 @@ def page(hour: Hour) -> str:
 @click.option(
     "--model-folder", "model", type=click.Path(path_type=Path), help="A model that is there; none is learned."
 )
+@click.option("--plant", "other", type=click.Choice(list(FOREIGN)), help="A machine of another make; --quick.")
 @click.option("--wheel", type=click.Path(path_type=Path, exists=True), help="A wheel that is there; else one is built.")
-def main(as_json: bool, quick: bool, model: Path | None, wheel: Path | None) -> None:
+def main(as_json: bool, quick: bool, model: Path | None, other: str | None, wheel: Path | None) -> None:
+    if other is not None and not (quick and model is None):
+        raise click.UsageError("--plant belongs to --quick, and learns its own model")
     with tempfile.TemporaryDirectory(prefix="decanter-hour-", ignore_cleanup_errors=True) as name:
         folder = Path(name)
         if wheel is None and not quick:
             build = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(folder / "wheel")]
             subprocess.run(build, cwd=ROOT, check=True, capture_output=True)
             (wheel,) = (folder / "wheel").glob("*.whl")
-        warmest = given(folder)
         environment = {key: value for key, value in os.environ.items() if not key.startswith(("PYTHON", "DECANTER"))}
         programs = Path(sys.executable).parent if quick else folder / "venv" / "bin"
         environment["PATH"] = f"{programs}:{environment['PATH']}"
         hour = Hour(folder, environment, quick)
         try:
-            walk(hour, None if wheel is None or quick else wheel.absolute(), warmest, model)
+            if other is not None:
+                walk_foreign(hour, FOREIGN[other])
+            else:
+                walk(hour, None if wheel is None or quick else wheel.absolute(), given(folder), model)
         except HourError as error:
             raise click.ClickException(str(error)) from None
         finally:

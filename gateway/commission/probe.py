@@ -118,10 +118,47 @@ async def _probe_modbus(site: Site, steps: list[CheckStep], facts: dict[str, Any
         habits |= remedy
     # Of several tries that bring no answer the first one says what is wrong.
     steps += tried if remedy is None else failures
-    if remedy is None and habits:
-        facts["habits"] = {**facts.get("habits", {}), **habits}
-        for key, value in habits.items():
+    if remedy is None:
+        await _confirm_habits(site, habits, steps, facts)
+
+
+async def _confirm_habits(site: Site, habits: Mapping[str, Any], steps: list[CheckStep], facts: dict[str, Any]) -> None:
+    """Which of the habits a connection more shows as well: what is shown once is an accident, and no setting."""
+    found: dict[str, Any] = {}
+    for key, value in habits.items():
+        if await _first_answer(site, {other: habits[other] for other in habits if other != key}) is None:
+            found[key] = value
             steps.append(warning("habit", f"{_HABITS[key]}: {_toml(key, value)} in [device] of the device file"))
+        else:
+            steps.append(ok("habit", f"{_HABITS[key]}: once, and not over another connection; nothing is set"))
+    # An answer that took long, and no other one did: the device was silent at first, and is not slow.
+    first, slowest = facts.pop("seconds_to_first", 0.0), facts.get("round_trip_ms", {}).get("max", 0.0) / 1e3
+    if first > max(UNREQUESTED_WAIT_S, 4 * slowest):
+        again = await _first_answer(site, found)
+        if again is not None and again > max(UNREQUESTED_WAIT_S, 4 * slowest):
+            pause = found["pause_after_connect"] = 0.1 * ceil(10 * max(first, again))
+            sentence = f"answers nothing for up to {pause:.1f} s after connecting: pause_after_connect = {pause:.1f}"
+            steps.append(warning("habit", sentence))
+        else:
+            other = "brought none" if again is None else f"took {again:.1f} s for it"
+            steps.append(
+                ok("habit", f"the first answer took {first:.1f} s, and another connection {other}: nothing is set")
+            )
+    if found:
+        facts["habits"] = found
+
+
+async def _first_answer(site: Site, habits: Mapping[str, Any]) -> float | None:
+    """Seconds to the first answer over a connection of its own; None where nothing is answered."""
+    patience = site.target.settings.get("connect_timeout", CONNECT_S)
+    register = first_register(site.target)
+    try:
+        async with site.registers(connect_timeout=patience, **habits) as survey:
+            with suppress(DeviceException):  # a refusal is an answer
+                await survey.read(register.table, register.number, 1)
+            return survey.statistics().get("seconds_to_first", 0.0)
+    except DriverError:
+        return None
 
 
 async def _ask_device(
@@ -293,27 +330,30 @@ async def _facts(
         except DeviceException as error:
             # A device that lacks the table refuses the function; any other refusal is of the address alone.
             tables[table] = "not offered" if error.code == ILLEGAL_FUNCTION else "offered (address 0 refused)"
-        except (ReplyTimeout, ReplyMismatch):
+        except (ReplyTimeout, ReplyMismatch, LinkDown):
             tables[table] = "no reply"
         else:
             tables[table] = "offered"
     steps.append(ok("tables", ", ".join(f"{table} {state}" for table, state in tables.items())))
-    times = []
-    for _ in range(ROUND_TRIPS):
+    times: list[float] = []
+    lost: list[DriverError] = []
+    while len(times) < ROUND_TRIPS and len(lost) < ROUND_TRIPS:
         begun = time.monotonic()
-        with suppress(DeviceException):  # a refusal makes the round trip as well as an answer
-            await survey.read(register.table, register.number, 1)
-        times.append(1e3 * (time.monotonic() - begun))
+        try:
+            with suppress(DeviceException):  # a refusal makes the round trip as well as an answer
+                await survey.read(register.table, register.number, 1)
+            times.append(1e3 * (time.monotonic() - begun))
+        except (ReplyTimeout, ReplyMismatch, LinkDown) as error:
+            lost.append(error)  # the device has answered before: others are asked for all that
+    if lost:
+        sentence = f"{len(lost)} of {len(lost) + len(times)} requests brought no answer: {lost[-1]}"
+        steps.append(warning("answers", sentence) if times else failed_step("answers", sentence, lost[-1]))
+    if not times:
+        return
     facts["round_trip_ms"] = {"min": min(times), "median": median(times), "max": max(times)}
     sentence = ", ".join(f"{name} {value:.2f}" for name, value in facts["round_trip_ms"].items())
     steps.append(ok("round trip", f"{ROUND_TRIPS} requests, ms: {sentence}"))
-    # An answer that took long, and no other one did: the device was silent at first, and is not slow.
-    first, slowest = survey.statistics().get("seconds_to_first", 0.0), facts["round_trip_ms"]["max"] / 1e3
-    if first > UNREQUESTED_WAIT_S and first > 4 * slowest:
-        pause = 0.1 * ceil(10 * first)
-        facts["habits"] = {**facts.get("habits", {}), "pause_after_connect": pause}
-        sentence = f"answers nothing for up to {first:.1f} s after connecting: pause_after_connect = {pause:.1f}"
-        steps.append(warning("habit", sentence))
+    facts["seconds_to_first"] = survey.statistics().get("seconds_to_first", 0.0)
     timeout, attempts = propose_timeout(facts["round_trip_ms"]["max"] / 1e3)
     facts["proposed"] = {"timeout": timeout, "attempts": attempts}
     steps.append(ok("proposal", f"timeout = {timeout:g} and attempts = {attempts} in [device] of the plant file"))

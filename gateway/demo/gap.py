@@ -114,7 +114,7 @@ def perform(seed: int, out: Path) -> dict[str, Any]:
         where=str(before), out=folder, source=str(out / "after"), seed=seed, most=MAX_NAMED_EFFECTS, created=time.time()
     )
     with progress("diagnosing after it") as report:
-        result = run(request, learned.model, plant.after, signal_roles(column_map), report)
+        result = run(request, learned.model, plant.after, signal_roles(column_map, learned.model), report)
     return figures(document(result.diagnosis), folder)
 
 

@@ -277,14 +277,14 @@ ALARM_KINDS: Mapping[str, AlarmKind] = {
         past=Phrase("the model needed a review", it="il modello era da rivedere", de="das Modell war zu prüfen"),
         applies=_has_model,
         limit=yes_or_no,
-        watches="how often readings lie outside 3 sigma of the model",
+        watches="how often readings lie outside 3 sigma of the model, and whether it is unfit by its verdict",
         response=Phrase(
-            "the readings lie beyond 3 sigma of the model too often: look at the sensor, then learn or correct the "
-            "model",
-            it="le letture escono troppo spesso da 3 sigma del modello: controllare il sensore, poi riapprendere o "
-            "correggere il modello",
-            de="die Messwerte liegen zu oft außerhalb von 3 Sigma des Modells: Sensor prüfen, dann das Modell neu "
-            "lernen oder korrigieren",
+            "the model is unfit, or the readings lie beyond 3 sigma of it too often: look at its verdict and at the "
+            "sensor, then learn or correct the model",
+            it="il modello non è idoneo, o le letture ne escono troppo spesso da 3 sigma: guardare il suo verdetto e "
+            "il sensore, poi riapprendere o correggere il modello",
+            de="das Modell ist unbrauchbar, oder die Messwerte liegen zu oft außerhalb seiner 3 Sigma: sein Urteil und "
+            "den Sensor prüfen, dann das Modell neu lernen oder korrigieren",
         ),
         consequence="the bands of the forecast are too narrow",
     ),

@@ -84,6 +84,7 @@ KEYS = (
     "borrowed",
     "plain",
     "anomalies",
+    "roles",
     "provenance",
 )
 
@@ -140,6 +141,7 @@ def model_document(model: Model) -> dict[str, Any]:
         **({"borrowed": sorted(model.borrowed)} if model.borrowed else {}),
         **({"plain": [_plain_part(member) for member in model.plain]} if model.plain else {}),
         **({"anomalies": _anomalies_part(model.anomalies)} if model.anomalies is not None else {}),
+        **({"roles": dict(model.roles)} if model.roles is not None else {}),
         "provenance": _provenance_part(model.provenance),
     }
 
@@ -196,6 +198,7 @@ def parse_model(text: str, file: str | Path = "model.json") -> Model:
         borrowed=_read_borrowed_names(root, sha),
         plain=tuple(_read_plain(node) for node in root.get("plain").each()) if "plain" in root.value else (),
         anomalies=_read_anomalies(root.get("anomalies")) if "anomalies" in root.value else None,
+        roles=root.get("roles").table(JsonNode.text) if "roles" in root.value else None,
         unit=unit,
     )
     try:

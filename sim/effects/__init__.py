@@ -46,6 +46,7 @@ from sim.effects.kinds import (
     refuse,
     sensor_offset,
     sensor_offsets,
+    usual_roles,
 )
 from sim.effects.late import SETTLED_LAGS, late_jumps, late_mean, late_source, remaining_share
 from sim.effects.lines import LineError

@@ -3,6 +3,7 @@
 docs/effects.md has the equations, how exactly each engine solves them, and how a row is added.
 """
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -36,7 +37,12 @@ ROLES: dict[str, str] = {
     for role in (*kind.roles.needed, *(optional.role for optional in kind.roles.optional))
     if role.signal
 }
-"""The plant's signal of each role; a column map gives other data's signals the plant's names."""
+"""The signal of each role at the decanter: of a model or a recording that does not say its own roles."""
+
+
+def usual_roles(roles: Mapping[str, str] | None) -> Mapping[str, str]:
+    """The `roles` that somebody said, the decanter's where nobody did."""
+    return ROLES if roles is None else roles
 
 
 def effect_kind(effect: Effect) -> EffectKind:

@@ -33,7 +33,6 @@ from sim.engine.particles_augmented import acting_paths, acting_stays, augmented
 from sim.engine.plant import Plant, compile_plant
 from sim.engine.recursion import linear_recursion, matrix_recursion
 from sim.engine.schedules import Policy, Schedule, resync_targets, schedule, step_coefficients
-from sim.engine.simulation import SimulatedRuns, simulate
-from sim.engine.simulation_augmented import SamplingPlan, augmented_plan
+from sim.engine.simulation import SamplingPlan, SimulatedRuns, augmented_plan, simulate
 from sim.engine.terms import held_terms
 from sim.engine.tracker import Tracker, compile_model, compile_tracker, next_location, repeat_factor

@@ -18,8 +18,7 @@ from sim.engine.belief_state import Belief, Hidden
 from sim.engine.kernel import move
 from sim.engine.particles import PathRuns, bridges, draw_states, drawn_temperatures, merge
 from sim.engine.plant import Indices, Plant
-from sim.engine.simulation_augmented import root
-from sim.engine.tables import tables
+from sim.engine.tables import noise_root, tables
 from sim.engine.terms import Segments
 from sim.engine.tracker import Tracker, next_location
 from sim.sha import SHA, UNKNOWN, Array, Event, Mask, Paths
@@ -115,8 +114,8 @@ def augmented_path_runs(
 
     start, end, clamps = np.empty(shape), np.empty(shape), 0
     before, after = (sensor_offsets(sha, belief.time + at) for at in (begin, begin + dt))
-    closed = root(table.closed)
-    other = closed if table.open is None else root(table.open)
+    closed = noise_root(table.closed)
+    other = closed if table.open is None else noise_root(table.open)
     opened = np.full(shape[1], hidden.opened)
     for row in range(shape[0]):
         rows = slice(row * shape[1], (row + 1) * shape[1])

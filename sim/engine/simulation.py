@@ -8,6 +8,10 @@ deterministic mean plus a deviation y, and the deviation follows
 so that offsets and means never enter the inner loop. Steps that end at neither an event nor an output are composed
 into one beforehand (the composition of affine Gaussian steps is one), and a normal m that only one step feels is drawn
 together with that step's noise. Both leave the joint law of the outputs as it is.
+
+Under a rate limit or effects a run goes row by row (`_row_runs`). With effects each step is exact in law where it is
+linear. Radiation is linearised about the mean course, the same for all runs; what that leaves out is taken for each run
+at its step's start.
 """
 
 from collections.abc import Callable
@@ -17,11 +21,15 @@ from math import inf, isfinite
 
 import numpy as np
 
-from sim.engine.moment_equations import AffineSteps, affine_steps, free_mean, run_flags
+from sim.effects import sensor_offset, sensor_offsets
+from sim.engine.kernel import move
+from sim.engine.moment_equations import AffineSteps, affine_steps, augmented_course, free_mean, run_flags, stay_draws
+from sim.engine.moments_augmented import drawn_start
+from sim.engine.plant import Plant
 from sim.engine.recursion import linear_recursion
 from sim.engine.schedules import Schedule
-from sim.engine.simulation_augmented import augmented_plan, augmented_runs
-from sim.sha import Array, Distribution, Flow, Indices, distributions, draw_parameter, draw_temperature, flows
+from sim.engine.tables import Tables, noise_root
+from sim.sha import Array, Distribution, Indices, Mask, distributions, draw_parameter, draw_temperature, flows
 
 CHUNK_RUNS = 8192
 """Runs that go through the steps together: few enough that their working rows stay in the cache."""
@@ -81,9 +89,9 @@ def simulate(
     # no mean can be split off; with effects a run has more states than X.
     go: Kernel
     if steps.segments is not None:
-        go = partial(augmented_runs, augmented_plan(steps, distributions.mean(law)))
+        go = partial(_row_runs, augmented_plan(steps, distributions.mean(law)))
     elif isfinite(steps.sha.max_rate):
-        go = partial(_limited_runs, _limited_plan(steps, affine_steps(steps)), steps.sha.max_rate)
+        go = partial(_row_runs, _LimitedPlan(steps, np.sqrt(affine_steps(steps).noise)))
     else:
         start = distributions.mean(law)
         go = partial(_free_runs, _free_plan(steps, affine_steps(steps), start), start)
@@ -226,83 +234,106 @@ def _free_runs(
             np.add(y, step.mean, out=out[step.output])
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Limited:
-    """One step of X itself, under a rate limit that depends on the run's own X and m."""
+@dataclass(frozen=True, slots=True)
+class SamplingPlan:
+    """A schedule with effects made ready for runs: the steps' tables, roots of their noise (n, d, d), and how much too
+    high the sensor reads at each output (degC)."""
 
-    fresh_law: Distribution | None
-    mode_law: Distribution | None
-    drawn: bool
-    mode: float
-    flow: Flow
-    age: float
-    dt: float
-    offset: float
-    sigma: float
-    low: float
-    high: float
-    output: int
+    schedule: Schedule
+    plant: Plant
+    steps: Tables
+    closed: Array
+    open: Array
+    read_offset: Array
+
+    def start(self, x: Array, rng: np.random.Generator) -> Array:
+        """(N, d) states of runs whose first readings are `x` (N,)."""
+        return drawn_start(self.plant, x, sensor_offset(self.schedule.sha, self.schedule.start), rng)
+
+    def advance(
+        self, row: int, s: Array, mode: Array, opened: Mask, rng: np.random.Generator
+    ) -> tuple[Array, Mask, Mask]:
+        """(states, thermostat open, rate limit met) of the runs after a step; each has its own thermostat."""
+        # The same numbers serve an open and a closed thermostat: how many are drawn does not depend on the run.
+        drawn = rng.standard_normal((len(s), self.plant.size))
+        noise = drawn @ self.closed[row].T
+        if opened.any():
+            noise = np.where(opened[:, None], drawn @ self.open[row].T, noise)
+        moved = move(self.plant, self.steps, row, s=s, mode=mode, opened=opened, noise=noise)
+        return moved.s, moved.opened, moved.met
+
+    def readings(self, s: Array, output: int) -> Array:
+        """(N,) what the sensor reads at the output time."""
+        return np.asarray(s[:, self.plant.sensor_state] + self.read_offset[output])
 
 
-def _limited_plan(steps: Schedule, affine: AffineSteps) -> list[_Limited]:
-    fresh, mode = _laws(steps)
-    low, high = np.where(steps.checked, steps.sha.low, -inf), np.where(steps.checked, steps.sha.high, inf)
-    columns = (
-        affine.drawn.resampled,
-        steps.entry,
-        steps.location,
-        affine.drawn.mode,
-        steps.age,
-        steps.dt,
-        steps.offset,
-        np.sqrt(affine.noise),
-        low,
-        high,
-        steps.output,
+def augmented_plan(steps: Schedule, x0: float) -> SamplingPlan:
+    """The plan of runs under effects whose first reading has the mean `x0` (degC)."""
+    plant, _, course = augmented_course(steps, x0)
+    closed, other = course.steps.closed, course.steps.open
+    roots = noise_root(closed)
+    return SamplingPlan(
+        schedule=steps,
+        plant=plant,
+        steps=course.steps,
+        closed=roots,
+        open=roots if other is None else noise_root(other),
+        read_offset=sensor_offsets(steps.sha, steps.times),
     )
-    return [
-        _Limited(
-            fresh_law=fresh[place] if new_x else None,
-            mode_law=mode[place] if entry else None,
-            drawn=mode[place] is not None,
-            mode=mean_m,
-            flow=steps.sha.locations[place].flow,
-            age=age,
-            dt=dt,
-            offset=offset,
-            sigma=sigma,
-            low=low_,
-            high=high_,
-            output=output,
-        )
-        for new_x, entry, place, mean_m, age, dt, offset, sigma, low_, high_, output in zip(
-            *(column.tolist() for column in columns), strict=True
-        )
-    ]
 
 
-def _limited_runs(
-    plan: list[_Limited],
-    max_rate: float,
+@dataclass(frozen=True, slots=True)
+class _LimitedPlan:
+    """The same of X alone, (N, 1), under a rate limit that depends on the run's own X and m; `sigma` (n,) is noise."""
+
+    schedule: Schedule
+    sigma: Array
+
+    def start(self, x: Array, _rng: np.random.Generator) -> Array:
+        return x[:, None]
+
+    def advance(
+        self, row: int, s: Array, mode: Array, opened: Mask, rng: np.random.Generator
+    ) -> tuple[Array, Mask, Mask]:
+        steps, x = self.schedule, s[:, 0]
+        flow, rate, age = steps.sha.locations[steps.location[row]].flow, steps.sha.max_rate, steps.age[row]
+        target = mode + steps.offset[row]
+        met = np.abs(flows.drift(flow, x, target, age)) > rate
+        # The mean is limited, the noise is the free flow's: the semantics of the model, not an approximation to it.
+        x = flows.mean_step(flow, x, target, age=age, dt=steps.dt[row], max_rate=rate)
+        if self.sigma[row]:
+            x = x + self.sigma[row] * rng.standard_normal(x.size)
+        return x[:, None], opened, met
+
+    def readings(self, s: Array, _output: int) -> Array:
+        return s[:, 0]
+
+
+def _row_runs(
+    plan: SamplingPlan | _LimitedPlan,
     x: Array,
     rng: np.random.Generator,
     out: Array,
     clamps: Indices,
     limited: Indices,
 ) -> None:
-    mode = np.zeros_like(x)
-    for step in plan:
-        if step.fresh_law is not None:
-            x = distributions.draw(step.fresh_law, x.size, rng)
-        if step.mode_law is not None:
-            mode = distributions.draw(step.mode_law, x.size, rng)
-        if step.dt > 0:
-            target = (mode if step.drawn else step.mode) + step.offset
-            limited += np.abs(flows.drift(step.flow, x, target, step.age)) > max_rate
-            # The mean is limited, the noise is the free flow's: the semantics of the model, not an approximation to it.
-            x = flows.mean_step(step.flow, x, target, age=step.age, dt=step.dt, max_rate=max_rate)
-            x = x + step.sigma * rng.standard_normal(x.size) if step.sigma else x
-        clamps += (x < step.low) | (x > step.high)
-        x = np.clip(x, step.low, step.high)
-        if step.output >= 0:
-            out[step.output] = x
+    """Runs that cannot be parted into a mean and a deviation: each step for each run's own state."""
+    steps = plan.schedule
+    drawn, (fresh, laws) = stay_draws(steps), _laws(steps)
+    s, mode, opened = plan.start(x, rng), np.zeros(x.size), np.zeros(x.size, dtype=np.bool_)
+    low, high = steps.sha.low, steps.sha.high
+    for row, place in enumerate(steps.location.tolist()):
+        # X before m, both before the step's noise: a seed's runs depend on the order.
+        if drawn.resampled[row] and (renewal := fresh[place]) is not None:
+            s[:, 0] = distributions.draw(renewal, x.size, rng)
+        if steps.entry[row]:
+            law = laws[place]
+            mode = np.full(x.size, drawn.mode[row]) if law is None else distributions.draw(law, x.size, rng)
+        if steps.dt[row] > 0:
+            s, opened, met = plan.advance(row, s, mode, opened, rng)
+            limited += met
+        if steps.checked[row] and (s[:, 0].min() < low or s[:, 0].max() > high):
+            clamps += (s[:, 0] < low) | (s[:, 0] > high)
+            s[:, 0] = np.clip(s[:, 0], low, high)
+        if steps.output[row] >= 0:
+            out[steps.output[row]] = plan.readings(s, int(steps.output[row]))

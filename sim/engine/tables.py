@@ -91,6 +91,16 @@ def _half(plant: Plant, segments: Segments, sums: Terms) -> Half:
     )
 
 
+def noise_root(half: Half) -> Array:
+    """(n, d, d) matrices R with R R^T = noise, also where that is singular."""
+    if half.noise.shape[1] == 1:
+        return np.sqrt(half.noise)
+    # Eigenvalues and not Cholesky: a lag gets its noise through X alone, over a short step almost none. What rounding
+    # leaves below 0 is 0.
+    values, vectors = np.linalg.eigh(half.noise)
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :])
+
+
 def blend_steps(steps: Tables, opened: Array) -> Half:
     """Each step with the thermostat open for the part `opened` (n,) of it; without the terms of the open ones.
 

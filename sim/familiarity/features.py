@@ -11,7 +11,7 @@ from math import floor, isfinite, nan
 
 import numpy as np
 
-from sim.effects import ROLES
+from sim.effects import usual_roles
 from sim.sha import Alphabet, Array, Bins, Event, Switch, Trace
 
 POINT_SECONDS = 300.0
@@ -162,9 +162,12 @@ class PointSource:
     others: Mapping[str, str]
 
     @classmethod
-    def for_alphabet(cls, alphabet: Alphabet, temperature: str) -> "PointSource":
-        """That of a model of the `temperature`: feed and hall by the names that the plant has for them."""
-        return cls(alphabet, temperature, {role: ROLES[role] for role in ("feed", "ambient")})
+    def for_alphabet(
+        cls, alphabet: Alphabet, temperature: str, roles: Mapping[str, str] | None = None
+    ) -> "PointSource":
+        """That of a model of the `temperature`; feed and hall by its `roles`, by the decanter's names for None."""
+        named = usual_roles(roles)
+        return cls(alphabet, temperature, {role: named[role] for role in ("feed", "ambient") if role in named})
 
     @property
     def bins(self) -> Bins | None:

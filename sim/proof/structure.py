@@ -100,19 +100,43 @@ def dead_ends(sha: SHA) -> tuple[str, ...]:
 def components(sha: SHA) -> tuple[tuple[str, ...], ...]:
     """The strongly connected components, largest first: sets of locations that can all reach one another."""
     names, onward = [location.name for location in sha.locations], _onward(sha)
-    reached: dict[str, set[str]] = {}
-    for name in names:
-        found, waiting = {name}, [name]
+    backward: dict[str, set[str]] = {name: set() for name in names}
+    for name, targets in onward.items():
+        for target in targets:
+            backward[target].add(name)
+    # Kosaraju and Sharir: against the arrows, from the location that was left last on.
+    left = _leave_in_order(names, onward)
+    group_of: dict[str, int] = {}
+    for number, name in enumerate(reversed(left)):
+        waiting = [name]
         while waiting:
-            news = onward[waiting.pop()] - found
-            found |= news
-            waiting += news
-        reached[name] = found
-    # An automaton has some dozens of locations; a library's linear-time method brings 6 MB into a gateway that stays.
-    groups = dict.fromkeys(
-        tuple(other for other in names if other in reached[name] and name in reached[other]) for name in names
-    )
+            place = waiting.pop()
+            if place not in group_of:
+                group_of[place] = number
+                waiting += backward[place]
+    members: dict[int, list[str]] = {}
+    for name in names:
+        members.setdefault(group_of[name], []).append(name)
+    groups = [tuple(group) for group in members.values()]
     return tuple(sorted(groups, key=lambda group: (-len(group), names.index(group[0]))))
+
+
+def _leave_in_order(names: Sequence[str], onward: Mapping[str, set[str]]) -> list[str]:
+    """The names in the order in which a search in depth is done with them."""
+    left, seen = [], set()
+    for root in names:
+        waiting = [(root, iter((root,)))]
+        while waiting:
+            name, targets = waiting[-1]
+            fresh = next((target for target in targets if target not in seen), None)
+            if fresh is None:
+                waiting.pop()
+                if waiting:
+                    left.append(name)
+            else:
+                seen.add(fresh)
+                waiting.append((fresh, iter(onward[fresh])))
+    return left
 
 
 def traps(sha: SHA) -> tuple[tuple[str, ...], ...]:

@@ -123,7 +123,8 @@ class Model:
     (`sim.effects.correction`), while `sha` alone is the automaton's own. `borrowed` are the locations that no data have
     shown: their parameters are another's, or what physics says. `plain` are the forecasters that may stand beside it.
     A model of a type of machine has what it knows of each of them in `machines`, by name (`sim.effects.of_machine`).
-    `anomalies` is what its anomaly score did on data held out; None where nobody looked.
+    `anomalies` is what its anomaly score did on data held out; None where nobody looked. `roles` are the parts that the
+    plant's signals play to effects and cycles, by role; None where nobody said, {} where no signal plays one.
     """
 
     sha: SHA
@@ -141,6 +142,7 @@ class Model:
     sensor_memory: float = 0.0
     machines: Mapping[str, MachineCorrection] = field(default_factory=dict)
     anomalies: AnomalyRecord | None = None
+    roles: Mapping[str, str] | None = None
 
 
 def plain_model(model: Model, member: PlainMember) -> Model:

@@ -1,5 +1,6 @@
 """One exact step over several pieces: its law, where it is filled in, and that answers are those of single pieces."""
 
+import tracemalloc
 from dataclasses import replace
 from math import inf, sqrt
 
@@ -69,6 +70,16 @@ def test_only_runs_near_a_line_take_single_pieces(line: float, pieces: int | Non
     for piece in found:  # a piece without a bridge keeps away from the line
         if not piece.bridge:
             assert ((line - piece.start) * (line - piece.end)).min() > 0.0
+
+
+def test_a_query_of_too_many_steps_is_refused_before_they_are_laid_out() -> None:
+    """Six million steps are half a gigabyte."""
+    tracemalloc.start()
+    with pytest.raises(ValueError, match="needs 6000000 steps a run, above 200000"):
+        known_engine(TOGETHER[1].world, Cuts(3e7, looked=((0.0, 3e7),)))
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 50e6
 
 
 BAND = Both(compare(">=", 39.8), compare("<", 42.5))

@@ -4,9 +4,12 @@ from dataclasses import replace
 from itertools import count
 from math import inf
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components
 
 from sim.engine.tracker import OnlinePolicy, compile_model, next_location
 from sim.lab.formats.find import find_model
@@ -40,8 +43,6 @@ def graph(edges: str, names: str = "pqrs") -> SHA:
 
 
 def trace(word: str, name: str = "t") -> Trace:
-    import numpy as np
-
     events = tuple(Event(10.0 + place, UNKNOWN if symbol == "?" else symbol) for place, symbol in enumerate(word))
     return Trace(name, np.array([0.0]), {}, events)
 
@@ -74,6 +75,20 @@ def test_reachability_dead_ends_and_components_are_those_of_the_graph() -> None:
     assert components(sha) == (("p", "q"), ("r",), ("s",))
     assert dead_ends(graph("paq qaq", "pq")) == ("q",), "a loop to itself is no way out"
     assert traps(graph("paq qar raq", "pqr")) == (("q", "r"),)
+
+
+@settings(deadline=None, max_examples=100)
+@given(st.sets(st.tuples(st.sampled_from("pqrstuvw"), st.sampled_from("pqrstuvw")), max_size=16))
+def test_components_are_those_that_scipy_finds(arrows: set[tuple[str, str]]) -> None:
+    names = "pqrstuvw"
+    rows, columns = [names.index(one) for one, _ in arrows], [names.index(other) for _, other in arrows]
+    count_, labels = connected_components(
+        csr_array((np.ones(len(arrows)), (rows, columns)), shape=(8, 8)), directed=True, connection="strong"
+    )
+    groups = [tuple(name for name, label in zip(names, labels, strict=True) if label == each) for each in range(count_)]
+    found = components(graph(" ".join(f"{one}a{other}" for one, other in sorted(arrows)), names))
+    assert set(found) == set(groups) and len(found) == count_
+    assert [len(group) for group in found] == sorted(map(len, found), reverse=True)
     assert traps(graph("paq qap", "pq")) == ()
 
 

@@ -1,6 +1,7 @@
 """`decanter diagnose` and `decanter demo --discrepancy`: what they write, what they refuse, what they read."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from gateway.lab.gap.diagnose import signal_roles
 from gateway.machine.reading.scan import Scan
 from gateway.machine.records import Keeper
 from gateway.store.read_back import recent
+from sim.artefacts.model_json import model_text, parse_model
 from sim.effects.kinds import ROLES
 from sim.lab.formats.find import find_model
 from sim.lab.recordings.column_map import load_map
@@ -18,7 +20,7 @@ from sim.plant.cooled import EPOCH_S, CooledPlant, cooled_days
 from sim.plant.scenarios import scenario
 from sim.sha.trace import Trace
 from tests.cli.support import ROOT, decanter, misused, only_object, refused
-from tests.gateway.support import one_machine
+from tests.gateway.support import one_machine, two_modes
 from tests.rig.no_bands import without_bands
 
 
@@ -102,12 +104,17 @@ def test_a_historian_is_diagnosed_from_a_time_or_a_span_on(model: Path, tmp_path
     refused(decanter(*nowhere), 2, "there is no historian")
 
 
-def test_roles_are_the_maps_own_or_the_plants() -> None:
-    maps = ROOT / "config" / "traces"
-    assert signal_roles(None) == signal_roles(load_map(maps / "decanter.toml")) == ROLES
-    car = signal_roles(load_map(maps / "carobd.toml"))
-    assert car == {"current": "Load", "speed": "VehicleSpeed", "ambient": "IntakeAirTemperature"}
-    assert signal_roles(load_map(maps / "femto.toml")) == {}
+def test_roles_are_the_maps_own_or_the_models_or_the_decanters() -> None:
+    maps, nobodys = ROOT / "config" / "traces", two_modes()
+    decanters = load_map(maps / "decanter.toml")
+    assert signal_roles(decanters, nobodys) == ROLES
+    pump = replace(nobodys, roles={"ambient": "HallTemp"})
+    assert signal_roles(decanters, pump) == {"ambient": "HallTemp"}
+    for model in (nobodys, pump):
+        car = signal_roles(load_map(maps / "carobd.toml"), model)
+        assert car == {"current": "Load", "speed": "VehicleSpeed", "ambient": "IntakeAirTemperature"}
+        assert signal_roles(load_map(maps / "femto.toml"), model) == {}
+    assert parse_model(model_text(pump)) == pump and '"roles"' not in model_text(nobodys)
     fields = set(load_map(maps / "skab.toml").effects.__class__.model_fields)
     assert fields == set(ROLES), "a column map can give every role that the catalogue knows, and no other"
 

@@ -265,6 +265,52 @@ def test_a_place_that_the_list_writes_in_two_ways_is_two_tags_and_one_that_was_c
     assert len(bits.tags) == 1 and len(bits.problems) == 2, "a bit shown otherwise is a slip of the spreadsheet"
 
 
+@pytest.mark.parametrize("header", ["Invalid value", "Value if invalid", "Ungültig", "Not implemented", "Fehlerwert"])
+def test_a_number_for_no_reading_is_known_by_more_headers(header: str, tmp_path: Path) -> None:
+    found = row(tmp_path, f"Address;Type;{header}", "100;INT16;0x7FFF")
+    assert isinstance(found, dict) and found["sentinel"] == 0x7FFF
+
+
+@pytest.mark.parametrize(
+    ("header", "cells", "word"),
+    [
+        ("Address;Type;Size", "100;INT;32", "is 32, and 'INT' has 1"),
+        ("Address;Type;Bits", "100;UINT;32", "is 32"),
+        ("Address;Type;Range", "100;UINT16;-40..150", "-40 to 150 is beyond what a uint16"),
+        ("Address (zero based);Type", "40001;INT16", "give --numbers decimal"),
+        ("Register (0-based);Type", "40101;INT16", "--numbers plain"),
+    ],
+)
+def test_a_cell_that_contradicts_the_type_or_the_header_refuses_its_row(
+    header: str, cells: str, word: str, tmp_path: Path
+) -> None:
+    found = row(tmp_path, header, cells)
+    assert isinstance(found, str) and word in found
+    known = [("100;INT;16", "int16"), ("100;REAL;4", "float32"), ("100;REAL;2", "float32"), ("100;INT16;2", "int16")]
+    for own, dtype in known if "Size" in header else ():
+        taken = row(tmp_path, header, own)
+        assert isinstance(taken, dict) and taken["dtype"] == dtype
+    if "based" in header:
+        assert row(tmp_path, header, "40;INT16") == row(tmp_path, "Address;Type", "40;INT16")
+        plain = row(tmp_path, header, cells, Reading(numbers="plain"))
+        assert isinstance(plain, dict) and plain["address"] == f"holding:{cells.partition(';')[0]}"
+
+
+def test_two_numbers_that_lie_across_one_another_are_refused_and_one_in_another_is_not(tmp_path: Path) -> None:
+    found = read(
+        tmp_path, "Name;Address;Type\nA;100;REAL\nB;101;REAL\nC;102;REAL\nD;103;INT\nE;200;ULINT\nF;202;UDINT\n"
+    )
+    assert [tag.name for tag in found.tags] == ["A", "C", "D", "E", "F"]
+    (said,) = found.problems
+    assert "line 3: 'B', float32 at '101', shares registers with 'A' of line 2, float32 at '100'" in said
+
+
+@pytest.mark.parametrize(("words", "table"), [("Read Input Registers", "input"), ("Read Holding Registers", "holding")])
+def test_a_function_by_its_name_is_its_table(words: str, table: str, tmp_path: Path) -> None:
+    found = row(tmp_path, "Function;Address;Type", f"{words};100;INT")
+    assert isinstance(found, dict) and found["address"] == f"{table}:100"
+
+
 def test_several_sentinels_are_a_list(tmp_path: Path) -> None:
     found = row(tmp_path, "Address;Type;Sentinel", "100;INT16;0x7FFF / 0x8000")
     assert isinstance(found, dict) and found["sentinel"] == [0x7FFF, 0x8000]

@@ -3,11 +3,16 @@
 import socket
 import struct
 import tomllib
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import pytest
 
+from drivers.errors import ReplyTimeout
+from drivers.survey import ReadWords
 from gateway.commission import probe
 from tests.commission.bench import Handler, answer, plc, server
 
@@ -32,11 +37,13 @@ def take(link: socket.socket, size: int) -> bytes:
     return data
 
 
-def device(*, transaction: int | None = None, unit: int | None = None, vendor: bytes = b"Maker") -> Handler:
-    """A device whose registers hold their own numbers, and which answers in one way of its own."""
+def device(
+    *, transaction: int | None = None, unit: int | None = None, vendor: bytes = b"Maker", answers: int = 1000
+) -> Handler:
+    """A device whose registers hold their own numbers, and which answers so often a connection, in a way of its own."""
 
     def handle(link: socket.socket) -> None:
-        while True:
+        for _ in range(answers):
             head = take(link, 7)
             pdu = take(link, int.from_bytes(head[4:6], "big") - 1)
             if pdu[0] == 43:
@@ -50,6 +57,7 @@ def device(*, transaction: int | None = None, unit: int | None = None, vendor: b
             number = head[:2] if transaction is None else transaction.to_bytes(2, "big")
             own = head[6:7] if unit is None else bytes((unit,))
             link.sendall(number + b"\0\0" + (len(reply) + 1).to_bytes(2, "big") + own + reply)
+        link.close()
 
     return handle
 
@@ -81,6 +89,74 @@ def test_the_setting_that_reads_a_device_is_found_said_and_written(
         assert written == {"name": "d", "driver": "modbus", **habits, "identity": {"vendor": "Maker"}}
         assert "# kept" in file.read_text()
         assert answer(tmp_path, "read", "T", *at)["readings"][0]["value"] == 3
+
+
+class Scripted:
+    """A device of which each connection shows its own first answer: so many seconds, or another transaction id."""
+
+    target = SimpleNamespace(
+        capabilities=SimpleNamespace(registers=True),
+        settings={},
+        kind="modbus",
+        place="a line",
+        driver="modbus",
+        tags=(),
+    )
+    evidence = SimpleNamespace(greeting=b"")
+
+    def __init__(self, *firsts: float | str) -> None:
+        self.firsts = iter(firsts)
+        self.asked: list[dict[str, Any]] = []
+
+    @asynccontextmanager
+    async def registers(self, *, connect_timeout: float, **habits: Any) -> AsyncIterator["Scripted"]:
+        self.asked.append(habits)
+        self.first = next(self.firsts)
+        yield self
+
+    async def read(self, *_: object) -> ReadWords:
+        if isinstance(self.first, str) and not self.asked[-1]:
+            raise ReplyTimeout("another id", remedy={"transaction_id": "any"})
+        return ReadWords((0,), 0.0)
+
+    async def identity(self) -> dict[str, str]:
+        return {}
+
+    async def server_id(self) -> str:
+        return ""
+
+    def statistics(self) -> dict[str, float]:
+        return {"seconds_to_first": 0.0 if isinstance(self.first, str) else self.first, "foreign_replies": 1}
+
+
+@pytest.mark.parametrize(
+    ("firsts", "habits"),
+    [
+        ((1000.0, 900.0), {"pause_after_connect": 1000.0}),
+        ((1000.0, 0.0), {}),
+        (("another", "another", "another"), {"transaction_id": "any"}),
+        (("another", "another", 0.0), {}),
+    ],
+    ids=["quiet", "one slow answer", "another id", "one late answer"],
+)
+async def test_a_habit_is_what_two_connections_show(
+    firsts: tuple[float | str, ...], habits: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(probe, "mention_gateway", lambda site: None)
+    site = Scripted(*firsts)
+    result = await probe.probe_device(cast(Any, site))
+    assert not result.complaint and result.data.get("habits", {}) == habits
+    assert next(site.firsts, None) is None
+    told = next(step for step in result.data["steps"] if step["step"] == "habit")
+    assert (told["state"] == "ok") is not bool(habits) and ("nothing is set" in told["sentence"]) is not bool(habits)
+
+
+def test_a_device_that_hangs_up_after_some_answers_is_probed_to_the_end(tmp_path: Path) -> None:
+    with server(device(answers=4)) as port:
+        data = answer(tmp_path, "probe", "--host", "127.0.0.1", "--port", port)
+    told = {step["step"]: step for step in data["steps"]}
+    assert data["exit"] == 0 and "requests brought no answer" in told["answers"]["sentence"]
+    assert told["answers"]["state"] == "warning" and told["round trip"]["sentence"].startswith("10 requests")
 
 
 def test_another_device_than_the_pinned_one_is_found_by_every_command(tmp_path: Path) -> None:

@@ -36,7 +36,7 @@ class DeviceHabit:
 HABITS: tuple[DeviceHabit, ...] = (
     DeviceHabit(
         habit="answers nothing for a while after a connection was made",
-        found="`probe`: the first answer takes long and no other one does",
+        found="`probe`: over two connections the first answer takes long and no other one does",
         done="the pause before the first question grows with each connection in a row that brought no answer",
         setting="pause_after_connect",
         threads=(

@@ -5,9 +5,10 @@ import json
 import zipfile
 from collections.abc import Callable
 from dataclasses import replace
-from datetime import datetime, timedelta
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
+from zoneinfo import ZoneInfo
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from openpyxl import Workbook
 
 from gateway.cli.main import main
 from gateway.console import shipped_file
-from sim.lab.recordings import LoadReport, TraceError, load_map, load_traces
+from sim.lab.recordings import LoadReport, TraceError, load_map, load_traces, numbers
 from sim.lab.recordings.clock import spread_evenly
 from sim.sha import Trace
 from tests.traces.exports import STEP, Recording, comma, recording, wide, written
@@ -199,6 +200,83 @@ def test_numbers_that_mean_no_reading_are_named_and_refused(code: float, tmp_pat
     assert any(f"{code:g}" in line for line in said["report"]) and f"bad = [{code:g}]" in said["text"]
     assert report.files[0].bad_cells == len(at)
     assert np.nanmax(trace.signals["Bearing_temperature"]) == np.delete(plant.heat, at).max()
+
+
+@pytest.mark.parametrize("code", [-40.0, -50.0])
+def test_where_a_sensors_range_begins_is_no_reading_of_a_warm_bearing(code: float, tmp_path: Path) -> None:
+    heat = recording().heat.copy()
+    heat[[33, 70, 71, 150]] = code
+    (trace,), _, said = mapped(wide(tmp_path / "a.csv", of=replace(recording(), heat=heat)), tmp_path / "m.toml")
+    assert np.flatnonzero(np.isnan(trace.signals["Bearing_temperature"])).tolist() == [33, 70, 71, 150]
+    assert any(f"holds {code:g}" in line for line in said["report"])
+
+
+def test_thousands_by_points_in_a_file_of_decimal_commas_are_no_fractions(tmp_path: Path) -> None:
+    cells = (comma, lambda value: f"{value * 1000:,.0f}".replace(",", "."), str)
+    header = "Zeit;Lagertemperatur;Motorstrom [mA];Betrieb"
+    (trace,), _, _ = mapped(wide(tmp_path / "a.csv", header=header, cells=cells, mark=";"), tmp_path / "m.toml")
+    assert np.allclose(trace.signals["Motorstrom"], recording().current)
+
+
+def test_hundreds_of_thousands_are_read_as_india_writes_them_and_a_mark_twice_is_no_decimal_one() -> None:
+    assert numbers(["1,49,830", "99,830", "830"])[0].tolist() == [149830.0, 99830.0, 830.0]
+    assert numbers(["1,234,567", "950,123", "0"])[0].tolist() == [1234567.0, 950123.0, 0.0]
+    assert np.isnan(numbers(["1,49,83", "1,4983,000"])[0]).all()
+    assert numbers(["0.400", "149.830"], ",")[0].tolist() == [0.4, 149.83]
+
+
+def test_numbers_with_both_marks_are_refused_as_that(tmp_path: Path) -> None:
+    cells = (lambda value: str(value) if value > 40 else comma(value), comma, str)
+    mixed = wide(tmp_path / "a.csv", cells=cells, mark=";", header="Time;Bearing temperature;Motor current;Running")
+    assert "with a decimal point and with a decimal comma" in asked(mixed, tmp_path / "m.toml", "--yes")
+
+
+@pytest.mark.parametrize(
+    ("turned", "words"),
+    [(lambda heat: heat * 1.8 + 32, "in degC and in degF"), (lambda heat: heat + 273.15, "in degC and in kelvin")],
+)
+@pytest.mark.parametrize("first", [True, False], ids=["before", "behind"])
+def test_a_unit_that_changes_half_way_is_asked_for(
+    turned: Callable[[np.ndarray], np.ndarray], words: str, first: bool, tmp_path: Path
+) -> None:
+    plant = recording()
+    changed = (plant.seconds < 1200) == first
+    heat = np.where(changed, turned(plant.heat), plant.heat).round(2)
+    export = wide(tmp_path / "a.csv", of=replace(plant, heat=heat))
+    assert words in asked(export, tmp_path / "m.toml", "--yes")[: 10**4]
+    mapped(export, tmp_path / "m.toml", "--unit", "Bearing temperature=degC")
+    units = written(
+        tmp_path / "b.csv",
+        "Time,Bearing temperature,Unit",
+        [f"{at},{value},{'F' if new else 'C'}" for at, value, new in zip(plant.moments, heat, changed, strict=True)],
+    )
+    assert "rows are in degC and in degF" in asked(units, tmp_path / "n.toml", "--yes")
+
+
+def test_counts_of_a_converter_are_no_tenths_of_a_degree(tmp_path: Path) -> None:
+    counts = replace(recording(), heat=(recording().heat / 150 * 27648).round())
+    said = asked(wide(tmp_path / "a.csv", of=counts), tmp_path / "m.toml", "--yes")
+    assert "no bearing rests at" in said and "0.1 degC" not in said
+
+
+@pytest.mark.parametrize(
+    ("zone", "begin"),
+    [("Europe/Rome", datetime(2024, 3, 31, 0, 40)), ("America/New_York", datetime(2024, 3, 10, 6, 40))],
+)
+def test_a_clock_that_goes_forward_in_spring_leaves_no_gap(zone: str, begin: datetime, tmp_path: Path) -> None:
+    walls = {at: begin + timedelta(seconds=s) for at, s in zip(recording().moments, recording().seconds, strict=True)}
+
+    def wall(at: datetime) -> str:
+        return f"{walls[at].replace(tzinfo=UTC).astimezone(ZoneInfo(zone)):%Y-%m-%d %H:%M:%S}"
+
+    (trace,), _, said = mapped(wide(tmp_path / "a.csv", clock=wall), tmp_path / "m.toml")
+    is_the_plant(trace, tmp_path / "m.toml")
+    assert any("goes forward by an hour" in line and zone in line for line in said["report"])
+    # The same pause on another day is one.
+    (trace,), _, said = mapped(
+        wide(tmp_path / "b.csv", clock=lambda at: wall(at).replace("-03-", "-05-")), tmp_path / "n.toml"
+    )
+    assert np.ptp(trace.times) == 3600 + STEP * 239 and not any("goes forward" in line for line in said["report"])
 
 
 def test_a_temperature_that_passes_85_is_no_code(tmp_path: Path) -> None:

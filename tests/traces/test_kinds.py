@@ -170,6 +170,34 @@ def test_the_quality_of_notes_beside_it_is_not_taken_for_that_of_the_readings(tm
     assert any("rows without readings" in line for line in said["report"])
 
 
+@pytest.mark.parametrize("header", ["Time,Quality", "Time,Value"])
+def test_a_quality_of_its_own_file_needs_no_name_that_all_share(header: str, tmp_path: Path) -> None:
+    export = tags(tmp_path / "plant", {"Quality": ["Bad" if at % 40 == 7 else "Good" for at in range(240)]}, header)
+    for name, values in (("Bearing temperature", PLANT.heat), ("Motor current", PLANT.current)):
+        rows = [f"{moment},{value}" for moment, value in zip(PLANT.moments, values, strict=True)]
+        written(export / f"{name}.csv", f"Time,{name}", rows)
+    (trace,), _, said = mapped(export, tmp_path / "m.toml")
+    assert any("6 readings are not of a good quality" in line for line in said["report"])
+    for signal in ("Bearing_temperature", "Motor_current"):
+        assert np.array_equal(np.flatnonzero(np.isnan(trace.signals[signal])), np.arange(7, 240, 40))
+
+
+@pytest.mark.parametrize(
+    ("of_quality", "header"), [("{} quality", "Time,Quality"), ("{}.Q", "Time,{}.Q"), ("{}.Q", "Time,Value")]
+)
+def test_a_quality_file_of_each_tag_judges_its_own(of_quality: str, header: str, tmp_path: Path) -> None:
+    export = tmp_path / "plant"
+    export.mkdir()
+    for name, values, bad in (("TI10", PLANT.heat, 7), ("TI101", PLANT.heat + 9.0, 8), ("II101.PV", PLANT.current, 9)):
+        rows = list(zip(PLANT.moments, values.tolist(), strict=True))
+        written(export / f"{name}.csv", "Time,Value", [f"{moment},{value}" for moment, value in rows])
+        words = [f"{moment},{0 if at % 40 == bad else 192}" for at, (moment, _) in enumerate(rows)]
+        written(export / f"{of_quality.format(name)}.csv", header.format(name), words)
+    (trace,), _, _ = mapped(export, tmp_path / "m.toml", "--temperature", "TI101/Value", "--current", "II101.PV/Value")
+    for signal, bad in (("TI10", 7), ("TI101", 8), ("II101.PV", 9)):
+        assert np.array_equal(np.flatnonzero(np.isnan(trace.signals[signal])), np.arange(bad, 240, 40))
+
+
 def test_a_quality_that_is_named_after_one_tag_is_not_taken_for_that_of_all(tmp_path: Path) -> None:
     readings = {"TI101": PLANT.heat.tolist(), "II101": PLANT.current.tolist()}
     export = tags(tmp_path / "plant", {**readings, "TI101 quality": ["Good"] * 240})

@@ -1,5 +1,6 @@
 """The judge of a learned model: each way to be unfit has its word, from `learn` on, and promotion obeys it."""
 
+import asyncio
 import json
 import shutil
 from collections.abc import Callable, Sequence
@@ -13,7 +14,8 @@ from click.testing import CliRunner
 from gateway.cli.main import main
 from gateway.machine.model import load_model
 from gateway.outside.status import HealthFinding, findings, judge_health, read_status
-from gateway.settings import load_plant
+from gateway.plant.app import run
+from gateway.settings import load_config, load_plant
 from sim.artefacts import VERDICT_FILE, Force, ModelVerdict, current, promote, read_verdict, version_directory
 from sim.files import ArtefactError
 from sim.lab.formats import save, write_model_directory
@@ -21,7 +23,8 @@ from sim.lab.judge import judge_learning
 from sim.lab.learning import Coverage
 from sim.sha import SHA, Alphabet, Edge, Flow, Location, Model, Switch, Trace, encode_trace
 from tests.gateway.status_picture import picture
-from tests.gateway.support import CURRENT, RUNNING, TEMPERATURE, plant_file, two_modes
+from tests.gateway.support import CURRENT, RUNNING, TEMPERATURE, Bench, plant_file, two_modes
+from tests.gateway.test_app import Patient
 
 DAY_S, ROW_S, STAY_S = 86_400.0, 60.0, 4 * 3600.0
 MODEL = two_modes(gap=150.0)
@@ -106,6 +109,11 @@ def one_place() -> Model:
     return replace(MODEL, sha=SHA("one", (place,), edges, place.name), semi_markov={})
 
 
+def unseen() -> Model:
+    """Locations whose values are lent by a neighbour."""
+    return replace(MODEL, borrowed=frozenset(place.name for place in MODEL.sha.locations))
+
+
 def switch_alone() -> Model:
     alphabet = Alphabet((Switch(RUNNING, rising="W_ON", falling="W_OFF"),), gap=150.0)
     return replace(MODEL, alphabet=alphabet)
@@ -146,6 +154,11 @@ CASES: dict[str, tuple[Callable[[], ModelVerdict], str, str]] = {
         lambda: judged(model=one_place()),
         "unfit",
         "36.0 h of running and 36.0 h of rest as if they were the same",
+    ),
+    "locations that no trace shows": (
+        lambda: judged(model=unseen()),
+        "limited",
+        "3 of 3 locations were never seen; next: learn with traces that show them",
     ),
     "one day": (lambda: judged(record(1)), "limited", "on 1 day: how one differs"),
     "few forecasts": (
@@ -238,3 +251,38 @@ def test_show_prove_check_and_health_say_what_was_judged(tmp_path: Path) -> None
     status = replace(status, model=replace(status.model, verdict=bad.word, verdict_sentence=bad.sentence))
     assert HealthFinding("model", f"the model is {bad.sentence}") in findings(status)
     assert str(judge_health(status)) == "attention"
+
+
+ASKED_OF_A_GATEWAY = (
+    "a good one",
+    "every third reading a code",
+    "a switch upside down",
+    "degrees Fahrenheit",
+    "one location for everything",
+    "one day",
+    "few forecasts",
+    "worse than persistence",
+    "bands that nothing mends",
+    "a flow without bound",
+    "simulated traces",
+)
+
+
+@pytest.mark.parametrize("what", ASKED_OF_A_GATEWAY)
+async def test_a_gateway_says_of_each_kind_what_the_judge_said_in_status_alarm_and_health(
+    tmp_path: Path, what: str
+) -> None:
+    verdict = CASES[what][0]()
+    write_model_directory(tmp_path / "model", MODEL, more={VERDICT_FILE: verdict.text()})
+    config = load_config(plant_file(tmp_path, '[model]\npath = "model"\n[forecast]\nruns = 50\n'))
+    bench = Bench(config, Patient(), stop_after=10)
+    plain = await asyncio.wait_for(run(config, clock=bench.clock, stop=bench.stop, driver=bench), 300.0)
+    status = read_status(plain)
+    assert status.model is not None
+    assert (status.model.verdict, status.model.verdict_sentence) == (verdict.word, verdict.sentence)
+    unfit = verdict.word == "unfit"
+    assert (plain["alarms"]["review"] == "unacknowledged") == unfit
+    said = [finding.sentence for finding in findings(status) if finding.check == "model"]
+    assert (f"the model is {verdict.sentence}" in said) == unfit
+    if unfit:
+        assert str(judge_health(status)) == "attention"

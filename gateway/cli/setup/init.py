@@ -2,6 +2,7 @@
 
 import re
 import sys
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -29,8 +30,8 @@ from gateway.console import CommandResult, Line, Part, conclude, find_service, m
 from gateway.entry import sentences
 from gateway.lab.traces.map import ask_map
 from gateway.settings import load_device
-from sim.lab.recordings import parse_map
-from sim.lab.recordings.mapping import RUNNING_SIGNAL, Answers, Undecided
+from sim.lab.recordings import known_unit, parse_map
+from sim.lab.recordings.mapping import RUNNING_SIGNAL, Answers, Undecided, current_score, load_score, running_score
 
 _PATH = click.Path(path_type=Path)
 _LIST_ENDINGS = (".csv", ".xlsx", ".txt", ".tsv")
@@ -81,9 +82,9 @@ def init(given: SharedOptions, folder: Path, **options: Any) -> None:
             trace = None if answer == "none" else Path(answer)
         temperatures = _temperatures(described, options["temperatures"], asked)
         heartbeat = options["heartbeat"] or (_heartbeat(known) if device is None else None)
-        map_text, unknown, derived = "", list[str](), dict[str, dict[str, Any]]()
+        map_text, open_points, derived = "", list[str](), dict[str, dict[str, Any]]()
         if trace is not None:
-            map_text, unknown = _column_map(trace, known, temperatures[0], options["rename"], asked)
+            map_text, open_points = _column_map(trace, described, temperatures[0], options["rename"], asked)
             derived = _derived(map_text, known)
         wanted = FirstFolder(
             folder=folder,
@@ -112,11 +113,7 @@ def init(given: SharedOptions, folder: Path, **options: Any) -> None:
             raise ValueError(f"{there}: is there already; give another folder, or --overwrite")
         make_folder(folder)
         made = wanted.write()
-    warnings = [
-        f"{name!r} of the trace is no tag of the device: a model learned with it cannot run here; "
-        f"say which tag it is: --overwrite --rename {name!r}=TAG"
-        for name in unknown
-    ]
+    warnings = list(open_points)
     if heartbeat is None and device is None:
         warnings.append("no heartbeat is known: a PLC that stands still would look alive; give --heartbeat TAG")
     if io_list is not None:
@@ -259,12 +256,13 @@ def _heartbeat(tags: Sequence[str]) -> str | None:
 
 
 def _column_map(
-    trace: Path, known: Sequence[str], temperature: str, rename: Mapping[str, str], asked: _Prompt
+    trace: Path, described: _Described, temperature: str, rename: Mapping[str, str], asked: _Prompt
 ) -> tuple[str, list[str]]:
-    """The column map of a trace, its signals called as the tags are; and the events' signals that are no tag.
+    """The column map of a trace, its signals called as the tags are; and what of it a person should look at.
 
     Raises TraceError, or ConfigError for a tag of `rename` that is not there.
     """
+    known = described.names
     if strange := [tag for tag in rename.values() if tag not in known]:
         raise ConfigError([f"--rename: {strange[0]!r} is no tag of the device; it has {', '.join(known)}"])
     answers = Answers()
@@ -274,35 +272,71 @@ def _column_map(
             break
         except Undecided as open_point:
             # Which temperature the model is to predict was said already.
-            mine = [choice for choice in open_point.choices if _match_tag(choice, known) == temperature]
-            if open_point.field != "temperature" or len(mine) != 1 or answers.temperature:
+            choices = {**match_columns(open_point.choices, known), **rename}
+            mine = [choice for choice in open_point.choices if choices.get(choice) == temperature]
+            if open_point.field == "temperature" and len(mine) == 1 and not answers.temperature:
+                answers = answers.with_answer("temperature", mine[0])
+                continue
+            if open_point.field == "temperature" and not mine:
                 raise ValueError(
-                    f"{open_point}: to `decanter trace map {trace} -o {trace.stem}.toml`, and leave --trace out here"
+                    f"{trace}: none of its columns is called as {temperature} is; say which one it is: "
+                    + " or ".join(f"--rename {choice!r}={temperature}" for choice in open_point.choices)
                 ) from None
-            answers = answers.with_answer("temperature", mine[0])
+            raise ValueError(
+                f"{open_point}: to `decanter trace map {trace} -o {trace.stem}.toml`, and leave --trace out here"
+            ) from None
     drafted = parse_map(first.text, str(trace))
-    headers = [drafted.signal_names(signal)[0] for signal in drafted.signals]
-    names = {header: tag for header in headers if (tag := rename.get(header) or _match_tag(header, known))}
+    units = {drafted.signal_names(name)[0]: signal.unit for name, signal in drafted.signals.items()}
+    names = match_columns(list(units), known) | {header: tag for header, tag in rename.items() if header in units}
     if temperature in names.values():
         answers = answers.with_answer("temperature", temperature)
     else:
         names[first.temperature] = temperature
     # The events come from the other two parts: those must be tags, or a gateway has no events.
-    open_parts = {"the motor's current": first.current, "whether the machine runs": first.running or RUNNING_SIGNAL}
-    unknown = []
-    for part, header in open_parts.items():
+    open_points = []
+    for part, header in {"load": first.current, "switch": first.running or RUNNING_SIGNAL}.items():
         if not header or header in names:
             continue
+        left = [name for name in known if name not in names.values()]
         tag = rename.get(header, "")
+        only = _only_tag(part, units[header], left, described.numbers) if header in units and not tag else ""
         if not tag and asked.here:
-            left = [name for name in known if name not in names.values()]
-            answer = asked.text(f"the tag of {part} ({header!r} in the trace)", "--rename", choices=[*left, "none"])
+            question = {"load": "the motor's current", "switch": "whether the machine runs"}[part]
+            question = f"the tag of {question} ({header!r} in the trace)"
+            answer = asked.text(question, "--rename", default=only or None, choices=[*left, "none"])
             tag = "" if answer == "none" else answer
+        elif only:
+            tag = only
+            open_points.append(
+                f"{header!r} of the trace is taken for {tag}, the only {part} among the tags that are left; where it "
+                f"is another: --overwrite --rename {header!r}=TAG"
+            )
         if tag:
             names[header] = tag
         elif header not in drafted.derived:
-            unknown.append(header)
-    return ask_map(trace, answers, names).text, unknown
+            open_points.append(
+                f"{header!r} of the trace is no tag of the device: a model learned with it cannot run here; "
+                f"say which tag it is: --overwrite --rename {header!r}=TAG"
+            )
+    return ask_map(trace, answers, names).text, open_points
+
+
+def _only_tag(part: str, unit: str, tags: Sequence[str], numbers: Mapping[str, str]) -> str:
+    """The one of `tags` that says running, or that loads the machine in the column's `unit`; "" for none or several.
+
+    `numbers` are the units of the tags that are numbers.
+    """
+    if part == "switch":
+        fitting = [tag for tag in tags if tag not in numbers and running_score(tag)]
+    else:
+        fitting = [
+            tag
+            for tag in tags
+            if tag in numbers
+            and (current_score(tag, numbers[tag]) or load_score(tag, numbers[tag]))
+            and (not unit or not numbers[tag] or unit == known_unit(numbers[tag]))
+        ]
+    return fitting[0] if len(fitting) == 1 else ""
 
 
 def _derived(map_text: str, known: Sequence[str]) -> dict[str, dict[str, Any]]:
@@ -315,11 +349,46 @@ def _derived(map_text: str, known: Sequence[str]) -> dict[str, dict[str, Any]]:
     }
 
 
-def _match_tag(header: str, tags: Sequence[str]) -> str:
-    """The longest tag whose letters and digits the header's contain, whatever stands around it; "" for none."""
-    plain = _letters(header)
-    fitting = [tag for tag in tags if len(_letters(tag)) > 2 and _letters(tag) in plain]
+def match_columns(headers: Sequence[str], tags: Sequence[str]) -> dict[str, str]:
+    """header -> tag, of those that are called alike.
+
+    That is the longest tag whose letters and digits the header's contain, else the only one each of whose words begins
+    one of the header's, where no other header has it: PumpRun is "Pump 3 running".
+    """
+    named = {header: tag for header in headers if (tag := _tag_within(header, tags))}
+    left = [tag for tag in tags if tag not in named.values()]
+    fitting = {
+        header: [tag for tag in left if _begin_alike(_words(tag), _words(header))]
+        for header in headers
+        if header not in named
+    }
+    counts = Counter(tag for tags_of in fitting.values() for tag in tags_of)
+    alike = {header: mine[0] for header, mine in fitting.items() if len(mine) == 1 and counts[mine[0]] == 1}
+    return named | alike
+
+
+def _tag_within(header: str, tags: Sequence[str]) -> str:
+    """The longest tag whose letters and digits the header's contain from the beginning of a word on; "" for none.
+
+    DE_Temp is in "DE temperature", and not in "NDE temperature".
+    """
+    words = _words(header)
+    rests = ["".join(words[place:]) for place in range(len(words))]
+    fitting = [tag for tag in tags if len(_letters(tag)) > 2 and any(rest.startswith(_letters(tag)) for rest in rests)]
     return max(fitting, key=len, default="")
+
+
+def _begin_alike(words: Sequence[str], header: Sequence[str]) -> bool:
+    """Whether there are two words at least, single letters aside, and each begins a word of the header."""
+    words = [word for word in words if len(word) > 1 or word.isdigit()]
+    return len(words) > 1 and all(any(other.startswith(word) for other in header) for word in words)
+
+
+def _words(text: str) -> list[str]:
+    """The words of a name in lower case: they end where the case changes or no letter or digit stands."""
+    return [
+        word.casefold() for word in re.findall(r"[^\W\d_]?[^\W\d_A-ZÄÖÜÉÈÀ]+|[A-ZÄÖÜÉÈÀ]+(?![a-zäöüéèà])|\d+", text)
+    ]
 
 
 def _letters(text: str) -> str:
@@ -338,6 +407,11 @@ def _of_service(folder: Path) -> dict[str, object]:
     return {**places, "page.enabled": True} if service.unit == "decanter" else {**places}
 
 
+def _plain_name(folder: Path) -> str:
+    """The folder's name as one that a model's files can have."""
+    return re.sub(r"[^\w-]+", "_", folder.resolve().name).strip("_-") or "plant"
+
+
 def _next(folder: Path, trace: Path | None, temperatures: Sequence[str]) -> list[str]:
     """What to type next; the trace's column map speaks of the first temperature."""
     begin = "decanter run            # and `decanter top` in another terminal"
@@ -351,7 +425,7 @@ def _next(folder: Path, trace: Path | None, temperatures: Sequence[str]) -> list
         path = trace.absolute() if lines[0].startswith("cd ") else trace
         key = "model.path" if len(temperatures) == 1 else f"temperature.{temperatures[0]}.model"
         lines += [
-            f"decanter model learn --traces {path} --map columns.toml --out models/first",
+            f"decanter model learn --traces {path} --map columns.toml --out models/first --name {_plain_name(folder)}",
             f"decanter plc bind --keep {key}=models/first",
         ]
     return lines

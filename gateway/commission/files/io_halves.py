@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from gateway.commission.files.cells import ListSheet
+from gateway.commission.files.io_words import WIDTHS
+from gateway.commission.survey import parse_register
 
 _WORD = r"(?:[ _-]?order)?[ _-]?(?:word|16[ _-]?bits?)"
 _HIGH = re.compile(
@@ -38,6 +40,31 @@ class Listed:
     taken: str = ""
     written: str = ""
     unread: str = ""
+
+
+def part_overlaps(sheet: ListSheet, tags: Sequence[Listed]) -> tuple[list[Listed], list[str]]:
+    """(the tags that stay, a sentence for each that begins in the middle of another number and ends behind it).
+
+    One of both is elsewhere or not so wide. What lies in another as a whole is a part of it, or another view of it.
+    """
+    wide = [tag for tag in tags if WIDTHS.get(tag.keys["dtype"], 0) > 1]
+    places = {tag.line: parse_register(tag.keys["address"]) for tag in wide}
+    ends = {tag.line: places[tag.line].number + WIDTHS[tag.keys["dtype"]] for tag in wide}
+    said: dict[int, str] = {}
+    around: list[Listed] = []
+    for tag in sorted(wide, key=lambda tag: (places[tag.line].table, places[tag.line].number, tag.line)):
+        own, end = places[tag.line], ends[tag.line]
+        around = [o for o in around if places[o.line].table == own.table and ends[o.line] > own.number]
+        across = next((o for o in around if places[o.line].number < own.number and ends[o.line] < end), None)
+        if across is None:
+            around.append(tag)
+            continue
+        said[tag.line] = (
+            f"{sheet.path}: line {tag.line}: {tag.name!r}, {tag.keys['dtype']} at {tag.written!r}, shares registers "
+            f"with {across.name!r} of line {across.line}, {across.keys['dtype']} at {across.written!r}: correct an "
+            "address or a type"
+        )
+    return [tag for tag in tags if tag.line not in said], list(said.values())
 
 
 def part_halves(sheet: ListSheet, tags: Sequence[Listed]) -> tuple[list[Listed], list[str], str]:

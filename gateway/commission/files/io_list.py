@@ -24,7 +24,7 @@ from gateway.commission.files.cells import (
     parse_decimal,
     read_sheet,
 )
-from gateway.commission.files.io_halves import Listed, part_halves
+from gateway.commission.files.io_halves import Listed, part_halves, part_overlaps
 from gateway.commission.files.io_models import ModelError, read_model
 from gateway.commission.files.io_places import SIEMENS, AddressCell, ListedPlace, Numbering, parse_place
 from gateway.commission.files.io_polls import by_formula, is_iobroker, of_iobroker, read_polls
@@ -113,9 +113,10 @@ def read_io_list(path: Path, how: Reading, columns: Mapping[str, str] | None = N
         raise ListError(f"{path}: has no registers; give a list with one entry a tag")
     if not tags and not problems:
         raise ListError(f"{path}: has a header in line {sheet.header_line} and no row under it; give one row a tag")
+    tags, across = part_overlaps(sheet, tags) if how.registers else (tags, [])
     tags, torn, note = part_halves(sheet, tags)
     sheet = replace(sheet, notes=(*sheet.notes, note)) if note else sheet
-    return IoList(sheet, tuple(tags), (*problems, *torn))
+    return IoList(sheet, tuple(tags), (*problems, *across, *torn))
 
 
 def _structured(path: Path, how: Reading, page: str | None) -> ListSheet | None:
@@ -409,7 +410,8 @@ def _numbering(sheet: ListSheet, how: Reading) -> Numbering:
     header = set(header_key(sheet.columns.get("address", "")).split())
     cells = [line.get("address").lower() for line in sheet.lines]
     bare = [cell for cell in cells if re.fullmatch(r"[0-9a-f]{1,4}", cell)]
-    first = 1 if header & {"1", "one"} and header & {"based", "base", "from"} else 0
+    based = bool(header & {"based", "base", "from"})
+    first = 1 if header & {"1", "one"} and based else 0
     if how.numbers or header & {"hex", "hexadecimal", "hexa", "esadecimale", "esa"}:
         hexadecimal = how.numbers == "hex" if how.numbers else not header & {"dec", "decimal", "decimale"}
         return Numbering(hexadecimal, first, how.numbers != "plain")
@@ -417,6 +419,9 @@ def _numbering(sheet: ListSheet, how: Reading) -> Numbering:
         either = (
             "ioBroker's table does not say whether its aliases are on: give --numbers decimal (40101 is holding:100)"
         )
+        return Numbering(either=f"{either} or --numbers plain (it is the address itself)")
+    if header & {"0", "zero"} and based:
+        either = "the header counts from 0, as references do not: give --numbers decimal (40101 is holding:100)"
         return Numbering(either=f"{either} or --numbers plain (it is the address itself)")
     doubt = ""
     if odd := next((cell for cell in bare if not cell.isdecimal()), None):
@@ -596,8 +601,9 @@ def _plausible(
         return low, high, ""
     scale, offset = line[0] or 1.0, line[1] or 0.0
     reach = sorted(limit * scale + offset for limit in limits)
-    slack = _RANGE_TOLERANCE * max(abs(reach[0]), abs(reach[1])) + abs(scale)
-    outside = (high is not None and high > reach[1] + slack) or (low is not None and low < reach[0] - slack)
+    # Each end by its own size: what has no sign holds nothing below 0, however far it reaches above.
+    slack = [_RANGE_TOLERANCE * abs(end) + abs(scale) for end in reach]
+    outside = (high is not None and high > reach[1] + slack[1]) or (low is not None and low < reach[0] - slack[0])
     if outside and abs(scale) < 1 and high == limits[1] and low in (None, *limits, 0.0):
         # Its ends are the type's own: it is a range of raw counts.
         counts = [end if end is None else round(end * scale + offset, _SCALE_DECIMALS) for end in (low, high)]

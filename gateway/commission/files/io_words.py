@@ -61,7 +61,8 @@ COLUMNS: Mapping[str, tuple[str, ...]] = {
     ),
     "length": (
         *("lunghezza", "length", "len", "byte", "bytes", "caratteri"),
-        *("lange", "longueur", "longitud"),
+        *("lange", "longueur", "longitud", "size", "data size", "bits", "bit length", "no of bits", "data length"),
+        *("grosse", "groesse", "datenlange", "bitlange", "dimensione", "taille", "tamano"),
     ),
     "scale": (
         *("scala", "scale", "fattore", "factor", "fattore di scala", "scale factor", "scaling", "moltiplicatore"),
@@ -110,6 +111,10 @@ COLUMNS: Mapping[str, tuple[str, ...]] = {
     "sentinel": (
         *("sentinella", "sentinel", "non disponibile", "not available", "valore guasto", "fault value", "na"),
         *("fehlerwert", "ersatzwert", "valeur de defaut", "valor de fallo"),
+        *("invalid", "invalid value", "value if invalid", "error value", "bad value", "null value", "no value"),
+        *("nan value", "unavailable", "unavailable value", "value not available", "not implemented", "unimplemented"),
+        *("undefined", "undefined value", "ungultig", "ungultiger wert", "valore non valido", "valeur invalide"),
+        *("valor invalido",),
     ),
     "access": (
         *("accesso", "access", "r w", "rw", "lettura scrittura", "read write", "permessi", "direzione"),
@@ -195,6 +200,8 @@ TABLES: Mapping[str, str] = {
     **dict.fromkeys(("holding reg", "registro holding", "mw", "registri di mantenimento", "fc 3", "fc 03"), "holding"),
     **dict.fromkeys(("input", "input register", "input registers", "ir", "3x", "04", "fc4", "fc04"), "input"),
     **dict.fromkeys(("registro input", "registro di ingresso", "input reg", "fc 4", "fc 04"), "input"),
+    **{f"read {name}": name.split()[0] for name in ("holding registers", "input registers", "discrete inputs")},
+    "read coils": "coil",
     **dict.fromkeys(("coil", "coils", "0x", "01", "1", "fc1", "fc01", "fc 1", "fc 01", "bobina", "bobine"), "coil"),
     **dict.fromkeys(("discrete", "discrete input", "discrete inputs", "1x", "02", "2", "fc2", "fc02"), "discrete"),
     **dict.fromkeys(("ingresso digitale", "ingressi digitali", "fc 2", "fc 02"), "discrete"),

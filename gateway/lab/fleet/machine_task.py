@@ -96,7 +96,9 @@ def _judge_traces(task: FleetTask, read: Sequence[Trace]) -> MachineResult:
         candidates["own"] = own
     found: dict[str, Any] = {}
     if task.diagnosis:
-        diagnosis = diagnose(corrected, traces, seed=task.seed, roles=signal_roles(task.column_map)).diagnosis
+        diagnosis = diagnose(
+            corrected, traces, seed=task.seed, roles=signal_roles(task.column_map, corrected)
+        ).diagnosis
         found = {"verdict": diagnosis.verdict, "effects": tuple(effect.name for effect in diagnosis.effects)}
     return MachineResult(
         machine=name,

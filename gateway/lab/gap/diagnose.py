@@ -23,7 +23,7 @@ from gateway.lab.models.propose import propose, recorded_drift, require_store
 from gateway.lab.traces.load import load
 from gateway.store import reading, recent
 from sim.artefacts import model_hash, read_effect_lines
-from sim.effects import ROLES
+from sim.effects import usual_roles
 from sim.lab.discrepancy import (
     Diagnosis,
     DiagnosisOutcome,
@@ -92,9 +92,9 @@ def require_model(request: DiagnosisRequest, column_map: ColumnMap) -> Model:
     return model
 
 
-def signal_roles(column_map: ColumnMap | None) -> Mapping[str, str]:
-    """role -> signal: the map's own table, else the plant's names."""
-    return ROLES if column_map is None or column_map.effects is None else column_map.effects.roles
+def signal_roles(column_map: ColumnMap, model: Model) -> Mapping[str, str]:
+    """role -> signal: as the map says, else as the one says that the model was learned with, else the decanter's."""
+    return usual_roles(model.roles if column_map.roles is None else column_map.roles)
 
 
 def check_traces(model: Model, traces: Sequence[Trace], source: str) -> None:
@@ -239,7 +239,8 @@ def diagnose(
         report("reading", 0.0)
         # The model before the traces: it is refused in a moment, and a historian of weeks takes its time.
         store = require_store(where) if proposes else None
-        model = require_model(request, load_map(shipped_file("traces", map_name)))
+        column_map = load_map(shipped_file("traces", map_name))
+        model = require_model(request, column_map)
         if historian is not None and if_drifting:
             with reading(historian) as connection:
                 drift = recorded_drift(connection, historian, machine=machine, temperature=model.temperature)
@@ -250,7 +251,6 @@ def diagnose(
                 )
                 conclude(CommandResult({"due": False, "drifting": drift.cycles}), lambda _: [said], as_json=as_json)
                 return
-        column_map: ColumnMap | None = None  # a historian's signals have the plant's own names
         if historian is None:
             traces, column_map = load(sources, map_name)
         else:
@@ -258,7 +258,7 @@ def diagnose(
         if overlap := find_overlap(traces):
             click.echo(f"{overlap}: the traces are taken one after the other, as given (a folder by names)", err=True)
         experiments = load(made, map_name)[0] if made else ()
-        result = run(request, model, traces, signal_roles(column_map), report, experiments=experiments)
+        result = run(request, model, traces, signal_roles(column_map, model), report, experiments=experiments)
         proposed = result.diagnosis.experiment
         if schedule is not None and proposed is not None:
             write_trace(proposed.trace, schedule)

@@ -68,7 +68,7 @@ def free_run_error(model: Model, cycle: Trace) -> FreeRunError | None:
 def cycle_features(model: Model, trace: Trace, begin: float = -inf, end: float = inf) -> CyclePoints:
     """The features along an encoded trace, or along the part of it from `begin` to `end` (s UTC)."""
     first, last = float(trace.times[0]), float(trace.times[-1])
-    source = PointSource.for_alphabet(model.alphabet, model.temperature)
+    source = PointSource.for_alphabet(model.alphabet, model.temperature, model.roles)
     return cycle_points(trace, source, begin=max(begin, first), end=min(end, last))
 
 

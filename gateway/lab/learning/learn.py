@@ -217,7 +217,7 @@ def teach_model(
         model, spread, values, shown = learned.model, learned.spread, learned.values, diagnostics(learned)
         coverage = learned.coverage
     # Of several machines it is a model of their type, and has what is each one's own.
-    model = replace(model, machines=machine_corrections(model, traces, spread))
+    model = replace(model, machines=machine_corrections(model, traces, spread), roles=column_map.roles)
     familiar = trained_familiarity(model, traces)
     verdict = judge_learning(model, [encode_trace(trace, model.alphabet) for trace in traces], coverage)
     return TaughtModel(

@@ -576,7 +576,7 @@ def diagnose(
             created=now(),
             report=out is not None,
         )
-        result = run(request, chosen, recording.traces, signal_roles(recording.column_map), progress)
+        result = run(request, chosen, recording.traces, signal_roles(recording.column_map, chosen), progress)
     diagnosis = result.diagnosis
     return DiagnosedGap(
         verdict=diagnosis.verdict,

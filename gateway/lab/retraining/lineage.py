@@ -98,7 +98,7 @@ def _remake(store: Path, version: str, folder: Path | None, former: list[Trace])
                 given[content] if content in given else library.readings(content) for _, content in record.training
             ]
     before = load_version(store, version)
-    made = learned_model(record, traces, before.alphabet, before.temperature).model
+    made = learned_model(record, traces, before).model
     same = model_hash(made) == model_hash(before)
     changed = ["the program"] if record.code != code_hash() else []
     changed += [f"{name} (then {was})" for name, was in record.software.items() if software().get(name) != was]

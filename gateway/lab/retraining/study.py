@@ -57,7 +57,7 @@ from sim.lab.formats import save, write_model_directory
 from sim.lab.judge import compare_horizons, judge_learning, propose_verdict
 from sim.lab.tuning import METHODS, Settings, StudyPlan, Task, Taught, tune
 from sim.proof import verify
-from sim.sha import Alphabet, Model, Trace, content_hash, encode_trace, joint_hash
+from sim.sha import Model, Trace, content_hash, encode_trace, joint_hash
 
 Progress = Callable[[str, float], None]
 
@@ -217,7 +217,7 @@ def retrain(
             settings_found, tuned = _search_settings(request, present, method, training, folder)
         report(f"learning ({method})", 0.25)
         record = _record(request, source, method, chosen, settings=settings_found)
-        taught = learned_model(record, training, present.alphabet, present.temperature)
+        taught = learned_model(record, training, present)
         whole = [encode_trace(trace, taught.model.alphabet) for trace in join_traces(training, present.alphabet.gap)]
         verdict = judge_learning(taught.model, whole, taught.coverage)
         write_model_directory(folder / "model", taught.model, taught.values, more={VERDICT_FILE: verdict.text()})
@@ -419,21 +419,21 @@ def _search_settings(
     return dict(best), found.sentence
 
 
-def learned_model(record: TrainingRecord, training: Sequence[Trace], alphabet: Alphabet, temperature: str) -> Taught:
+def learned_model(record: TrainingRecord, training: Sequence[Trace], like: Model) -> Taught:
     """The model that a record says, from its `training` (traces without events); the same whenever it is asked for.
 
-    Cycles that follow one another are learned from as one trace, or no model would ever see a rest end. Raises
-    ValueError where they teach none.
+    Its alphabet, temperature and signals' roles are those of the model `like`. Cycles that follow one another are
+    learned from as one trace, or no model would ever see a rest end. Raises ValueError where they teach none.
     """
     # Traces that do not say their machine are of the historian's: named beside unnamed would be two machines.
     if any(not trace.machine for trace in training):
         training = [replace(trace, machine="") for trace in training]
-    task = Task(join_traces(training, alphabet.gap), alphabet, temperature, record.seed, record.name)
+    task = Task(join_traces(training, like.alphabet.gap), like.alphabet, like.temperature, record.seed, record.name)
     taught = METHODS[record.method].learn(task, record.settings)
     contents = tuple(sorted({content for _, content in record.training}))
     names = tuple(name for name, _ in record.training)
     origin = replace(taught.model.provenance, parent=record.parent_hash, contents=contents, traces=names)
-    return replace(taught, model=replace(taught.model, provenance=origin))
+    return replace(taught, model=replace(taught.model, provenance=origin, roles=like.roles))
 
 
 def join_traces(traces: Sequence[Trace], gap: float) -> list[Trace]:

@@ -43,7 +43,7 @@ class CycleFamiliarity:
 
     def __init__(self, known: Familiarity | None, model: Model, limit: float) -> None:
         self._known, self._limit = known, limit
-        self.cycle = GrowingCycle(PointSource.for_alphabet(model.alphabet, model.temperature))
+        self.cycle = GrowingCycle(PointSource.for_alphabet(model.alphabet, model.temperature, model.roles))
         self._excess = ExcessSoFar()
         self._begin: float | None = None
         self.rating = FamiliarityRating("unknown", limit)

@@ -160,7 +160,7 @@ class ModelUnit:
         prediction = prediction.with_familiarity(rating)
         if self.outlook.ensemble is not None:
             self.outlook.ensemble.familiarity = rating.word
-        if self.loaded.verdict is not None and self.loaded.verdict.word == "unfit":
+        if self._unfit:
             prediction = prediction.at_best("red")
         if self.twin is not None:
             self.twin.take(scan.time, scan.good(self.predictor.temperature), scan.good(self.twin.twin))
@@ -243,6 +243,11 @@ class ModelUnit:
         """The newest forecast, while it is fresh and the state that it began from is still known."""
         return self.outlook.fresh(prediction.time) if prediction.known else None
 
+    @property
+    def _unfit(self) -> bool:
+        """Whether the model was called unfit where it was learned."""
+        return self.loaded.verdict is not None and self.loaded.verdict.word == "unfit"
+
     def findings(self, prediction: ScanPrediction, forecast: Forecast | None) -> dict[str, float | None]:
         """What the alarms of the model look at, in the order in which they are stepped; None where it is not known."""
         p, trusted = prediction, prediction.known and prediction.inputs_good
@@ -251,7 +256,7 @@ class ModelUnit:
             "predicted over limit": limit,
             "anomaly": p.anomaly if trusted else None,
             "unfamiliar": None if p.familiarity is None else p.familiarity.strangeness,
-            "review": float(self.guards.flagged) if trusted else None,
+            "review": 1.0 if self._unfit else float(self.guards.flagged) if trusted else None,
             "drift": float(self.guards.drift.running),
             # Where a reading is bad that has an alarm of its own.
             "no forecast": float(forecast is None) if p.inputs_good else None,

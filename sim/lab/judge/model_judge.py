@@ -225,8 +225,6 @@ def _degrees_are_celsius(case: LearnedCase) -> Said:
 def _judge_places(case: LearnedCase) -> Said:
     switch = first_switch(case.model.alphabet)
     seconds = _stays(case, switch.signal) if switch is not None else {}
-    known = [place for place in case.model.sha.locations if place.distribution is not None]
-    borrowed = [place for place in known if place.name in case.model.borrowed]
     mixed = {
         name: (on, off) for name, (on, off) in seconds.items() if min(on, off) > max(MIXED_S, MIXED_SHARE * (on + off))
     }
@@ -235,9 +233,14 @@ def _judge_places(case: LearnedCase) -> Said:
         name, (on, off) = max(mixed.items(), key=lambda item: min(item[1]))
         said = f"{name} holds {on / 3600:.1f} h of running and {off / 3600:.1f} h of rest as if they were the same"
         return (False if shown == 1 else None), said
-    if known and len(borrowed) > MAX_BORROWED_SHARE * len(known):
-        return None, f"{len(borrowed)} of {len(known)} locations were never seen"
-    return True, f"{shown or len(known)} locations are told apart"
+    return True, f"{shown or len(case.model.sha.locations)} locations are told apart"
+
+
+def _were_seen(case: LearnedCase) -> Said:
+    known = [place for place in case.model.sha.locations if place.distribution is not None]
+    borrowed = [place for place in known if place.name in case.model.borrowed]
+    few = len(borrowed) <= MAX_BORROWED_SHARE * len(known)
+    return few or None, f"{len(borrowed)} of {len(known)} locations were never seen"
 
 
 def _stays(case: LearnedCase, signal: str) -> dict[str, tuple[float, float]]:
@@ -305,7 +308,8 @@ CRITERIA: Mapping[str, tuple[Callable[[LearnedCase], Said], str]] = {
     "switch": (_switch_is_upright, "derive it in the column map from what says standstill: [derived], below = 0.5"),
     "from a plant": (_from_a_plant, "learn from the plant's own recordings"),
     "degrees": (_degrees_are_celsius, "say the unit in the column map, or go on if the machine is kept so warm"),
-    "locations": (_judge_places, "learn with --method bins, or with traces that show them"),
+    "locations": (_judge_places, "learn with --method bins, which keeps the switch's positions apart"),
+    "seen": (_were_seen, "learn with traces that show them, or with fewer thresholds"),
     "targets": (_judge_range, "learn with longer stays"),
     "scale": (_moves_in_its_unit, "give the readings in a smaller unit, by the column map"),
 }

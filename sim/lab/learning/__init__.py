@@ -25,9 +25,13 @@ if TYPE_CHECKING:
         LinearFit,
         fit_at_rates,
         fit_free_run,
+        load,
         loads,
         predict,
+        pushed_targets,
+        relaxing_rates,
         steps,
+        targets,
     )
     from sim.lab.learning.held_out import (
         FOLDS,

@@ -11,7 +11,7 @@ free run resemble each other, so the likelihood is tempered by their correlation
 priors count, and standard errors would be several times too small without it.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from sim.engine import linear_recursion
 from sim.lab.learning.runs import FreeRuns, Indices
-from sim.sha import FLOWS, Array, Flow, Mask, coefficients
+from sim.sha import FLOWS, RELAXING_FLOWS, Array, Coefficients, Flow, Mask, coefficients
 
 HUBER_LIMIT = 1.345
 ROUNDS, SETTLED = 12, 0.02
@@ -116,14 +116,20 @@ class _StepsOfRuns:
     alike: tuple[_StepsOfOneKind, ...]
     first: Mask
 
+    def coefficients(self, rates: Sequence[float]) -> Coefficients:
+        """(decay, pull, variance at a noise of 1) of every step at the given rates."""
+        decay, pull, density = np.ones(self.first.size), np.zeros(self.first.size), np.zeros(self.first.size)
+        for each in self.alike:
+            params = dict.fromkeys(FLOWS[each.kind].params, 1.0)
+            if each.kind in RATE_PARAMETERS:
+                params[RATE_PARAMETERS[each.kind]] = float(rates[each.rate])
+            rows = each.rows
+            decay[rows], pull[rows], density[rows] = coefficients(Flow(each.kind, params), each.age, each.dt)
+        return decay, pull, density
+
     def step_coefficients(self, log_rates: Array) -> tuple[Array, Array]:
         """(decay, pull) of every step at the given log(rate); exactly (0, 0) where a run begins."""
-        decay, pull = np.ones(self.first.size), np.zeros(self.first.size)
-        for each in self.alike:
-            params = dict.fromkeys(FLOWS[each.kind].params, 0.0)
-            if each.kind in RATE_PARAMETERS:
-                params[RATE_PARAMETERS[each.kind]] = float(np.exp(log_rates[each.rate]))
-            decay[each.rows], pull[each.rows], _ = coefficients(Flow(each.kind, params), each.age, each.dt)
+        decay, pull, _ = self.coefficients([float(np.exp(each)) for each in log_rates])
         # Nothing is carried over from the run before: exactly 0, so that one recursion serves all runs.
         decay[self.first] = 0.0
         pull[self.first] = 0.0
@@ -150,20 +156,53 @@ def steps(runs: FreeRuns, shape: FitShape, log_rates: Array) -> tuple[Array, Arr
     return _run_steps(runs, shape).step_coefficients(log_rates)
 
 
-def loads(runs: FreeRuns, shape: FitShape) -> Array:
-    """(n, p) what each linear parameter adds to the target of each step, per unit of the parameter."""
-    rows = np.arange(len(runs))
-    total = np.zeros((len(runs), shape.centre.size))
-    _add(total, rows, shape.target[runs.place], np.ones(len(runs)))
+def plain_steps(runs: FreeRuns, shape: FitShape, rates: Array) -> Coefficients:
+    """(decay, pull, variance at a noise of 1) of every step at the given rates, those at a run's beginning too."""
+    return _run_steps(runs, shape).coefficients(rates.tolist())
+
+
+def relaxing_rates(runs: FreeRuns, shape: FitShape, rates: Array) -> Array:
+    """(n,) 1/s the rate of each step's flow, 0 where it does not relax."""
+    relaxing = np.array([kind in RELAXING_FLOWS for kind in shape.kinds])
+    return np.asarray(np.append(rates, 0.0)[np.where(relaxing, shape.rate, -1)][runs.place])
+
+
+def load(runs: FreeRuns, shape: FitShape, parameter: int) -> Array:
+    """(n,) what a linear parameter adds to the target of each step, per unit of the parameter."""
+    total: Array = (shape.target == parameter)[runs.place].astype(float)
     for number in range(shape.gain.shape[1]):
-        beyond = runs.inputs[:, number] - shape.reference[runs.place, number]
-        _add(total, rows, shape.gain[runs.place, number], np.nan_to_num(beyond))
+        driven = shape.gain[:, number] == parameter
+        if driven.any():
+            total += np.where(driven[runs.place], _excess(runs, shape, number), 0.0)
     return total
 
 
-def _add(total: Array, rows: Indices, columns: Indices, values: Array) -> None:
-    known = columns >= 0
-    total[rows[known], columns[known]] += values[known]
+def loads(runs: FreeRuns, shape: FitShape) -> Array:
+    """(n, p) `load` of all linear parameters."""
+    total = np.empty((len(runs), shape.centre.size))
+    for parameter in range(shape.centre.size):
+        total[:, parameter] = load(runs, shape, parameter)
+    return total
+
+
+def targets(runs: FreeRuns, shape: FitShape, linear: Array) -> Array:
+    """(n,) the target of each step at the linear parameters (p,)."""
+    values = np.append(linear, 0.0)  # the last is that of a place without a parameter (-1)
+    total = np.asarray(values[shape.target][runs.place])
+    for number in range(shape.gain.shape[1]):
+        if (shape.gain[:, number] >= 0).any():
+            total += values[shape.gain[:, number]][runs.place] * _excess(runs, shape, number)
+    return total
+
+
+def pushed_targets(runs: FreeRuns, shape: FitShape, linear: Array) -> Array:
+    """(n,) what the inputs alone add to the target of each step."""
+    return targets(runs, replace(shape, target=np.full_like(shape.target, -1)), linear)
+
+
+def _excess(runs: FreeRuns, shape: FitShape, number: int) -> Array:
+    """(n,) by how much an input is more than that at which it adds nothing; 0 while it was never read."""
+    return np.nan_to_num(runs.inputs[:, number] - shape.reference[:, number][runs.place])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -20,9 +20,9 @@ import scipy
 from sim.effects import DisturbanceStep, disturbance_step
 from sim.engine import repeat_factor
 from sim.lab.learning.data import resolution
-from sim.lab.learning.free_run import RATE_PARAMETERS, FitShape, FreeRunFit, loads
+from sim.lab.learning.free_run import FitShape, FreeRunFit, loads, plain_steps, relaxing_rates
 from sim.lab.learning.runs import FreeRuns, Indices, sample_runs, stretches
-from sim.sha import FLOWS, RELAXING_FLOWS, Array, Effect, Flow, Mask, Trace, coefficients
+from sim.sha import Array, Effect, Mask, Trace
 
 HORIZONS_S = (60.0, 300.0, 900.0)
 CHUNK_KNOTS = 150
@@ -146,16 +146,7 @@ class _Ahead:
 
 
 def _steps(runs: FreeRuns, shape: FitShape, fit: FreeRunFit, groups: Indices) -> _KnotSteps:
-    n = len(runs)
-    decay, pull, density, rate = np.ones(n), np.zeros(n), np.zeros(n), np.zeros(n)
-    for place in np.unique(runs.place):
-        kind, rows = shape.kinds[place], runs.place == place
-        params = dict.fromkeys(FLOWS[kind].params, 1.0)
-        if kind in RATE_PARAMETERS:
-            params[RATE_PARAMETERS[kind]] = float(fit.rates[shape.rate[place]])
-        decay[rows], pull[rows], density[rows] = coefficients(Flow(kind, params), runs.age[rows], runs.dt[rows])
-        if kind in RELAXING_FLOWS:
-            rate[rows] = params["k"]
+    decay, pull, density = plain_steps(runs, shape, fit.rates)
     return _KnotSteps(
         decay=decay,
         pull=pull,
@@ -168,8 +159,8 @@ def _steps(runs: FreeRuns, shape: FitShape, fit: FreeRunFit, groups: Indices) ->
         reading=runs.reading,
         run=runs.run,
         dt=runs.dt,
-        k=rate,
-        repeats=np.ones(n),
+        k=relaxing_rates(runs, shape, fit.rates),
+        repeats=np.ones(len(runs)),
     )
 
 

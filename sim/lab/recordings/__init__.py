@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from sim.lab.recordings.fault_codes import find_codes
     from sim.lab.recordings.load_report import LoadReport, TraceError, list_names
     from sim.lab.recordings.readings import unread_hash
-    from sim.lab.recordings.sources import read_head, recording_name
+    from sim.lab.recordings.sources import named_after, read_head, recording_name
     from sim.lab.recordings.text_table import (
         MAX_HEADER_LINE,
         SEPARATORS,

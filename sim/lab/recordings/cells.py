@@ -25,8 +25,13 @@ RUN_WORDS = frozenset(SWITCH_WORDS[3][0])
 _BLANKS = re.compile(r"(?<=\d)[ '’\xa0\u202f](?=\d{3}(?!\d))")
 _SIGNED = re.compile(r"^([+-])\s+(?=[\d.,])")
 """A sign that stands apart from its number, as recorders print columns."""
-_GROUPED_PATTERNS = {mark: re.compile(rf"[+-]?\d{{1,3}}(?:{re.escape(mark)}\d{{3}})+") for mark in ".,"}
-"""Thousands that are set apart by a mark; twice the same mark in a cell can be nothing else."""
+_GROUPED_PATTERNS = {
+    mark: re.compile(rf"[+-]?(?:\d{{1,3}}(?:[{mark}]\d{{3}})+|\d{{1,2}}(?:[{mark}]\d\d)+[{mark}]\d{{3}})")
+    for mark in ".,"
+}
+"""Thousands, or hundreds above a thousand as India writes them, set apart by a mark; twice a mark is nothing else."""
+_THOUSANDS = re.compile(r"[+-]?(?:\d{1,3}|[1-9]\d{0,2}(?:\.\d{3})+)")
+"""A whole number whose thousands are set apart by points wherever it has any."""
 _MEASURED = re.compile(r"([+-]?[\d.,'’\xa0\u202f ]*\d(?:[eE][+-]?\d+)?)\s*([^\d\s].*)")
 """A number and its unit in one cell, as dashboards show them."""
 
@@ -81,6 +86,9 @@ def decimal_mark(cells: Sequence[str]) -> Decimal:
     for cell in cells:
         if "," in cell and "." in cell:
             return "," if cell.rfind(",") > cell.rfind(".") else "."
+        # 1,234,567 beside 950,123: no number has two decimal marks.
+        if cell.count(",") > 1 and _GROUPED_PATTERNS[","].fullmatch(cell.strip()):
+            return "."
     # A comma can only be inside a cell as a decimal comma, unless points show that it groups thousands.
     return "," if any("," in cell for cell in cells) and not any("." in cell for cell in cells) else "."
 
@@ -90,6 +98,10 @@ def numbers(cells: Sequence[str], decimal: Decimal = "auto", unit: str = "") -> 
 
     With `unit`, a cell that says its own unit is converted to it.
     """
+    # In a file with decimal commas 149.830 beside 400 is no fraction, which Python would make of it.
+    pointed = decimal == "," and any("." in cell for cell in cells)
+    if pointed and all(not cell.strip() or _THOUSANDS.fullmatch(cell.strip()) for cell in cells):
+        cells = [cell.replace(".", "") for cell in cells]
     plain = _plain_floats(cells)
     if plain is not None:
         return plain, np.zeros(plain.shape, dtype=bool)

@@ -281,9 +281,14 @@ class ColumnMap(_MapPart):
         self._check_roles()
         return self
 
+    @property
+    def roles(self) -> dict[str, str] | None:
+        """role -> signal, as the table `effects` says; None where there is none."""
+        return None if self.effects is None else self.effects.roles
+
     def _check_roles(self) -> None:
         known = (*self.signals, *self.derived)
-        for role, signal in ({} if self.effects is None else self.effects.roles).items():
+        for role, signal in (self.roles or {}).items():
             if signal not in known and not self.extra:
                 raise ValueError(f"effects.{role} names {signal!r}; {_require_word(signal, known)}")
 

@@ -14,7 +14,7 @@ from sim.lab.recordings.clock import clock_columns, read_clock, to_utc
 from sim.lab.recordings.column_map import ColumnMap, Long, Names, SignalColumn
 from sim.lab.recordings.fault_codes import find_codes
 from sim.lab.recordings.load_report import FileReport, TraceError, list_names
-from sim.lab.recordings.sources import recording_name
+from sim.lab.recordings.sources import named_after, recording_name
 from sim.lab.recordings.text_table import UNNAMED_COLUMN, TextLayout, find_column, find_layout, read_rows
 from sim.sha import Array, Mask
 
@@ -248,24 +248,32 @@ def _quality_places(path: Path, chunk: _Chunk, column_map: ColumnMap, report: Fi
 def judged(readings: FileReadings, files: Sequence[FileReport]) -> FileReadings:
     """The readings without those that a quality in a file of its own calls bad; its word holds until the next one.
 
-    What stands before its first word is judged by none, and is not good.
+    It is of the file that it is named after, or of all. What stands before its first word is judged by none, and is not
+    good.
     """
     quality = readings.series.get(_OF_OTHERS)
     if quality is None:
         return readings
-    said = readings.times[quality.rows]
-    order = np.argsort(said, kind="stable")
-    words = np.concatenate(([0.0], quality.values[order]))
+    names = {index: recording_name(file.path) for index, file in enumerate(files)}
+    of_rows = readings.files[quality.rows]
+    judges = set(np.unique(of_rows).tolist())
+    not_good = np.zeros(readings.times.size, dtype=bool)
+    for judge in judges:
+        owner = named_after(names[judge], [name for index, name in names.items() if index not in judges])
+        said, words = readings.times[quality.rows][of_rows == judge], quality.values[of_rows == judge]
+        order = np.argsort(said, kind="stable")
+        at = np.searchsorted(said[order], readings.times, "right")
+        own = np.isin(readings.files, [index for index, name in names.items() if owner in ("", name)])
+        not_good |= own & (np.concatenate(([0.0], words[order]))[at] == 0.0)
     series = {}
     for name, column in readings.series.items():
         if name == _OF_OTHERS:
             continue
-        at = np.searchsorted(said[order], readings.times[column.rows], "right")
         values, bad = column.values.copy(), column.bad.copy()
-        for reason, mask in _reject_values(name, values, words[at] == 0.0).items():
+        for reason, mask in _reject_values(name, values, not_good[column.rows]).items():
             for index, file in enumerate(files):
-                own = column.rows[mask & (readings.files[column.rows] == index)]
-                file.bad(readings.lines[own].tolist(), reason, [])
+                own_rows = column.rows[mask & (readings.files[column.rows] == index)]
+                file.bad(readings.lines[own_rows].tolist(), reason, [])
             bad |= mask
         series[name] = Series(column.rows, values, bad)
     return replace(readings, series=series)

@@ -5,6 +5,7 @@ Each kind has its kept library, which is imported where such a file is read.
 
 import gzip
 import io
+import re
 import zipfile
 import zlib
 from collections.abc import Callable, Iterable
@@ -56,6 +57,12 @@ def recording_name(path: Path) -> str:
     """The name of a recording's file without what says how it is written."""
     packed = path.suffix.lower() in _PACKED_SUFFIXES and Path(path.stem).suffix
     return Path(path.stem).stem if packed else path.stem
+
+
+def named_after(name: str, others: Iterable[str]) -> str:
+    """The longest of other files' names that stands in a file's own as whole words; "" for none."""
+    fitting = [other for other in others if re.search(rf"(?<![^\W_]){re.escape(other)}(?![^\W_])", name, re.IGNORECASE)]
+    return max(fitting, key=len, default="")
 
 
 def is_recording(path: Path) -> bool:

@@ -310,7 +310,8 @@ def _no_header(
     bare = f", and it is no row of {len(column_map.columns)} numbers without header" if column_map.columns else ""
     return (
         f"{path}: line {number}: there is no column {', '.join(lacking)}; {present}{bare}; "
-        f"{meant}{' ' if meant else ''}give the file for which the column map was written, or correct the map"
+        f"{meant}{' ' if meant else ''}give the file for which the column map was written, or this file's own map "
+        f"(`decanter trace map` drafts one)"
     )
 
 

@@ -82,8 +82,13 @@ def test_a_device_file_is_taken_over_with_what_it_names(device: str, here: Path)
 
 def test_signals_that_are_no_tags_are_named_with_what_to_do(here: Path) -> None:
     data = only_object(decanter("init", "p", *LIST, "--trace", "export.csv", "--json").stdout)
+    # One tag alone is a current in A; two say running, so that nobody knows which one it is.
     assert ["Corrente motore [A]" in each or "Stato marcia" in each for each in data["warnings"]] == [True, True]
+    assert "is taken for Assorbimento, the only load" in data["warnings"][0]
+    assert "is no tag of the device" in data["warnings"][1]
     assert all("--rename" in each for each in data["warnings"])
+    read = load_map(here / "p" / "columns.toml")
+    assert read.signal_names("Assorbimento") == ("Corrente motore [A]",)
     refused(decanter("init", "q", *LIST, "--trace", "export.csv", "--rename", "Stato marcia=Nobody"), 2, "Nobody")
     assert not (here / "q").exists()
 

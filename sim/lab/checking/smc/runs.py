@@ -25,7 +25,6 @@ from sim.lab.checking.smc.paths import (
     Engine,
     Indices,
     World,
-    effects_engine,
     known_engine,
     semi_markov,
 )
@@ -41,9 +40,8 @@ MAX_MOMENTS = 1_000_000
 
 def engine(world: World, where: Cuts) -> Engine:
     """The engine for a world: along its trace's events, or by the semi-Markov law."""
-    if world.under_effects:
-        return effects_engine(world, where)
-    return known_engine(world, where) if world.trace is not None else semi_markov(world, where)
+    known = world.trace is not None or world.under_effects
+    return known_engine(world, where) if known else semi_markov(world, where)
 
 
 def chunk_size(number: int) -> int:

@@ -96,34 +96,6 @@ def move_frame(frame: Frame, record: Record) -> Frame:
     return Frame(record, frame.shape, frame.names)
 
 
-def targets(frame: Frame, linear: Array) -> Array:
-    """(n,) the target of each step at the linear parameters (p,)."""
-    shape, runs = frame.shape, frame.record.runs
-    values = np.append(linear, 0.0)  # the last is that of a place without a parameter (-1)
-    total = np.asarray(values[shape.target][runs.place])
-    for number in range(shape.gain.shape[1]):
-        if (shape.gain[:, number] >= 0).any():
-            total += values[shape.gain[:, number]][runs.place] * _excess(frame, number)
-    return total
-
-
-def load(frame: Frame, parameter: int) -> Array:
-    """(n,) what a linear parameter adds to the target of each step, per unit of the parameter."""
-    shape, place = frame.shape, frame.record.runs.place
-    total: Array = (shape.target == parameter)[place].astype(float)
-    for number in range(shape.gain.shape[1]):
-        driven = shape.gain[:, number] == parameter
-        if driven.any():
-            total += np.where(driven[place], _excess(frame, number), 0.0)
-    return total
-
-
-def _excess(frame: Frame, number: int) -> Array:
-    """(n,) by how much an input is more than that at which it adds nothing; 0 while it was never read."""
-    runs = frame.record.runs
-    return np.nan_to_num(runs.inputs[:, number] - frame.shape.reference[:, number][runs.place])
-
-
 def with_priors(frame: Frame) -> Frame:
     """The frame with the given values believed in locations that its record hardly shows.
 

@@ -14,7 +14,7 @@ from scipy.linalg.lapack import dtbtrs
 
 from sim.effects import Structural, effect_kind, heat_lag, is_gradual
 from sim.engine import linear_recursion
-from sim.lab.discrepancy.fitting.baseline import Frame, load, targets
+from sim.lab.discrepancy.fitting.baseline import Frame
 from sim.lab.discrepancy.fitting.effects import (
     deviation,
     follows_course,
@@ -27,7 +27,7 @@ from sim.lab.discrepancy.fitting.effects import (
 from sim.lab.discrepancy.fitting.named import Named, automaton_effects
 from sim.lab.discrepancy.fitting.noise import Grid, decay_and_pull
 from sim.lab.discrepancy.fitting.record import Record
-from sim.lab.learning import RATE_PARAMETERS, Indices, steps
+from sim.lab.learning import Indices, load, relaxing_rates, steps, targets
 from sim.sha import Array, Effect
 
 ITERATIONS, STILL = 60, 1e-6
@@ -80,8 +80,8 @@ def run_free(
     runs = frame.record.runs
     first = runs.first
     decay, pull = steps(runs, frame.shape, log_rates)
-    target = targets(frame, linear)
-    k = step_rates(frame, log_rates)
+    target = targets(runs, frame.shape, linear)
+    k = relaxing_rates(runs, frame.shape, np.exp(log_rates))
     effects = [effect for each in named for effect in automaton_effects(each, frame.record.model)]
     heating = [effect for effect in effects if not on_sensor(effect)]
     # A run's first row has decay 0, so that one recursion serves all runs: what is pushed there is the start itself.
@@ -138,14 +138,6 @@ def _drive(
 def midway(frame: Frame, course: Array) -> Array:
     """(n,) degC a course at the middle of each step."""
     return np.where(frame.record.runs.first, course, 0.5 * (course + np.concatenate([course[:1], course[:-1]])))
-
-
-def step_rates(frame: Frame, log_rates: Array) -> Array:
-    """(n,) 1/s the rate of each step's flow, 0 where it does not relax."""
-    shape = frame.shape
-    relaxing = np.array([RATE_PARAMETERS.get(kind) == "k" for kind in shape.kinds])
-    rate = np.append(np.exp(log_rates), 0.0)[np.where(relaxing, shape.rate, -1)]
-    return np.asarray(rate[frame.record.runs.place])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -240,7 +232,7 @@ def _forcings(
     """What each parameter changes (n,) of a step's end, and of the reading at once (None: nothing)."""
     p, r = frame.count
     for number in range(p):
-        yield here.pull * load(frame, number), None
+        yield here.pull * load(frame.record.runs, frame.shape, number), None
     if r:
         loss = state.loss if heating else None
         group = np.append(frame.shape.rate, -1)[frame.record.runs.place]
@@ -271,7 +263,7 @@ def _linear_steps(frame: Frame, log_rates: Array, loss: Array | None) -> _Linear
     decay, pull = steps(runs, frame.shape, log_rates)
     if loss is None:
         return _LinearSteps(decay, np.zeros(len(runs)), pull)
-    k = step_rates(frame, log_rates)
+    k = relaxing_rates(runs, frame.shape, np.exp(log_rates))
     _, own = decay_and_pull(k, runs.dt)
     decay, heated = decay_and_pull(k + loss, runs.dt)
     decay, heated = np.where(runs.first, 0.0, decay), np.where(runs.first, 0.0, heated)

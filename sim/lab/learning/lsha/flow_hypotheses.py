@@ -23,6 +23,7 @@ from sim.lab.learning import (
     folds,
     labels,
     predict,
+    pushed_targets,
     sample_runs,
     steps,
 )
@@ -468,12 +469,7 @@ def _motion(runs: FreeRuns, shape: FitShape, fit: LinearFit, rates: Array) -> Mo
     """The fitted flow's step at every knot, and what the gains add to its target."""
     decay, pull = steps(runs, shape, np.log(rates))
     decay = np.where(runs.first, 1.0, decay)
-    offset = np.zeros(len(runs))
-    for number in range(shape.gain.shape[1]):
-        column = shape.gain[runs.place, number]
-        input_gain = np.where(column >= 0, fit.linear[column], 0.0)
-        offset += input_gain * np.nan_to_num(runs.inputs[:, number] - shape.reference[runs.place, number])
-    return Motion(decay, pull, offset)
+    return Motion(decay, pull, pushed_targets(runs, shape, fit.linear))
 
 
 def choose_flows(flowing: Flowing, teacher: Teacher) -> tuple[Motion, dict[str, Flow]]:

@@ -500,8 +500,10 @@ def check_temperature(
     # Whole numbers that no bearing reaches are tenths, whatever unit the header names.
     tenths = whole and (low > _MAX_REST_DEGC or high > HOTTEST)
     if (low > _MAX_REST_DEGC and not temperature.unit) or tenths:
-        likely = "K" if kelvin and not whole else "0.1 degC" if whole else ""
-        choices = [*(["K"] if kelvin else []), *(["0.1 degC"] if whole else []), "degC"]
+        # Counts of a converter are whole too, and are no tenths of what a bearing can have.
+        parts = whole and 0.1 * low <= _MAX_REST_DEGC and 0.1 * high <= HOTTEST
+        likely = "K" if kelvin and not whole else "0.1 degC" if parts else ""
+        choices = [*(["K"] if kelvin else []), *(["0.1 degC"] if parts else []), "degC"]
         raise Undecided(
             where,
             f"{header!r} goes from {low:g} to {high:g}{'' if temperature.unit else ' and says no unit'}: no bearing "
@@ -509,7 +511,16 @@ def check_temperature(
             f"{' or '.join({'K': 'kelvin'}.get(unit, unit) for unit in choices[:-1]) or 'another unit'} it may",
             "unit",
             [f"{header}={unit}" for unit in choices],
-            guess=f"{header}={likely}",
+            guess=f"{header}={likely}" if likely else "",
+        )
+    if change := _changed_unit(temperature.values):
+        row, before, after, how = change
+        raise Undecided(
+            where,
+            f"{header!r} goes from {before:g} to {after:g} at reading {row + 1} of the file and stays there, which is "
+            f"the same {how}: export what stands before and behind it apart, or say that it is in one unit",
+            "unit",
+            [f"{header}=degC"],
         )
     for twin in columns:
         if twin is temperature or twin.kind != "number" or twin.values.shape != temperature.values.shape:
@@ -528,6 +539,38 @@ def check_temperature(
                     [f"{hot.header}=F", f"{hot.header}=C"],
                     guess=f"{hot.header}=F",
                 )
+
+
+def _changed_unit(values: Array) -> tuple[int, float, float, str] | None:
+    """(row, the reading before it, its own, how they are one) of the one step in which a temperature changes its unit.
+
+    None where no step is one. It is no other step's size, and the readings stay above it.
+    """
+    at = np.flatnonzero(np.isfinite(values))
+    read = values[at]
+    if read.size < 2 * _LEAST_BESIDE:
+        return None
+    steps = np.abs(np.diff(read))
+    place = int(steps.argmax())
+    if not _LEAST_BESIDE <= place + 1 <= read.size - _LEAST_BESIDE:
+        return None
+    usual = float(np.partition(steps, -2)[-2])
+    before, after = read[place - _LEAST_BESIDE + 1 : place + 1], read[place + 1 : place + 1 + _LEAST_BESIDE]
+    low, high = sorted((float(before[-1]), float(after[0])))
+    if high - low <= _TIMES_USUAL_STEP * usual:
+        return None
+    for factor, offset, how in ((1.8, 32.0, "in degC and in degF"), (1.0, 273.15, "in degC and in kelvin")):
+        if abs(factor * low + offset - high) <= factor * min(usual, 1.0) + _UNIT_SLACK:
+            return int(at[place + 1]), float(before[-1]), float(after[0]), how
+    return None
+
+
+_LEAST_BESIDE = 5
+"""Readings on either side of a step that may be a change of the unit."""
+_TIMES_USUAL_STEP = 5.0
+"""Times the largest other step, from which on a step is of another kind."""
+_UNIT_SLACK = 0.1
+"""degC by which two readings beside each other may differ in their last digit."""
 
 
 def _answered_column(

@@ -1,6 +1,7 @@
 """A column map drafted from a file, as commented TOML that loads as it stands."""
 
 import json
+import re
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -41,6 +42,7 @@ from sim.lab.recordings.mapping.quality import FoundQuality, find_quality
 from sim.lab.recordings.mapping.rows import Rows, Stored, describe_rows, find_storage, separate_times
 from sim.lab.recordings.mapping.table import FoundTable, find_table, with_rows
 from sim.lab.recordings.mapping.words import (
+    ROLE_WORDS,
     current_score,
     load_score,
     named_entity,
@@ -218,9 +220,12 @@ def _columns(
     if long is None:
         places = [p for p in range(len(table.header)) if p not in taken and table.header[p] not in ("", UNNAMED_COLUMN)]
         decimal = find_decimal([table.column(place) for place in places], table.separator)
+        _check_units(table, places)
         found = [
             describe_column(table.header[p], table.titles[p], table.units[p], table.column(p), decimal) for p in places
         ]
+        for column, place in zip(found, places, strict=True):
+            _check_marks(table, column, place)
         return found, [times] * len(found), decimal
     decimal = find_decimal([table.column(long.value)], table.separator)
     cells: dict[str, list[str]] = {}
@@ -238,6 +243,35 @@ def _columns(
                 )
     found = [describe_column(name, name, units.get(name, ""), each, decimal) for name, each in cells.items() if name]
     return found, [np.array(each) for name, each in own.items() if name], decimal
+
+
+def _check_units(table: FoundTable, places: Sequence[int]) -> None:
+    """Raises TraceError for a column of units by which the rows of a wide file are in different ones."""
+    for place in (each for each in places if named_unit(table.header[each])):
+        units = {unit for cell in set(table.column(place)) if (unit := known_unit(cell))}
+        if len(units) > 1:
+            raise TraceError(
+                f"{table.path}: {table.header[place]!r} says that rows are in {' and in '.join(sorted(units))}: a "
+                "signal has one unit; export it in one"
+            )
+
+
+_ONE_MARK = re.compile(r"[+-]?\d+([.,])\d+")
+"""A number with one mark, which may be a decimal point or a decimal comma."""
+
+
+def _check_marks(table: FoundTable, column: FoundColumn, place: int) -> None:
+    """Raises TraceError for a column that is no number as some of its cells have a decimal comma and others a point."""
+    if column.kind == "number":
+        return
+    cells = [cell for cell in table.column(place) if cell]
+    marked = [(cell, match[1]) for cell in cells if (match := _ONE_MARK.fullmatch(cell))]
+    shown = {mark: cell for cell, mark in reversed(marked)}
+    if len(shown) == 2 and 2 * len(marked) > len(cells):
+        raise TraceError(
+            f"{table.path}: {column.header!r} has numbers with a decimal point and with a decimal comma "
+            f"({shown['.']}, {shown[',']}): export it with one of them"
+        )
 
 
 def _with_codes(column: FoundColumn, traces: Sequence[Trace], *, slow: bool) -> FoundColumn:
@@ -355,10 +389,21 @@ def _text(found: _Found, alphabet: Alphabet | None = None) -> str:
         lines.append(f"# neither numbers nor switches: {list_names(map(_one_line, unused), _MAX_UNUSED_COLUMNS)}")
     lines += _derived_signal(parts, found.derived)
     lines += ["", "[effects]    # for `decanter diagnose`"]
-    role = _role(parts.current)
-    lines += [f"{role} = {quoted(parts.current.name)}"] if role and parts.current is not None else []
+    lines += [f"{role} = {quoted(signal)}" for role, signal in _roles(found.columns, parts).items()]
     lines += _alphabet(found, alphabet)
     return "\n".join(lines) + "\n"
+
+
+def _roles(columns: Sequence[FoundColumn], parts: Parts) -> dict[str, str]:
+    """role -> signal: the load's, and those of which one column alone can be it, by its name and unit."""
+    load = _role(parts.current)
+    roles = {load: parts.current.name} if load and parts.current is not None else {}
+    others = [one for one in columns if one.kind == "number" and one not in (parts.temperature, parts.current)]
+    for role, plays in ROLE_WORDS.items():
+        fitting = [one.name for one in others if plays(one.header, one.unit)]
+        if len(fitting) == 1:
+            roles[role] = fitting[0]
+    return roles
 
 
 def _role(load: FoundColumn | None) -> str:

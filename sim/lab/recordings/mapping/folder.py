@@ -74,6 +74,7 @@ def one_table(folder: Path, files: Sequence[Path], answers: Answers) -> tuple[Fo
     rows: list[tuple[float, int, dict[str, str]]] = []
     titles: dict[str, str] = {}
     units: dict[str, str] = {}
+    of_files: dict[str, set[str]] = {}
     for number, (table, own) in enumerate(zip(tables, clocks, strict=True)):
         keys: list[str] = []
         for place, name in enumerate(table.header):
@@ -84,6 +85,7 @@ def one_table(folder: Path, files: Sequence[Path], answers: Answers) -> tuple[Fo
             names += [key] if key not in names else []
             titles.setdefault(key, recording_name(table.path) if shared else table.titles[place])
             units.setdefault(key, table.units[place])
+            of_files.setdefault(key, set()).add(recording_name(table.path))
             keys.append(key)
         for row, time in zip(table.rows, times[number].tolist(), strict=True):
             rows.append((time, order.index(number), dict(zip(keys, row, strict=True))))
@@ -96,5 +98,6 @@ def one_table(folder: Path, files: Sequence[Path], answers: Answers) -> tuple[Fo
         units=tuple(units[name] for name in names),
         rows=tuple(tuple(row.get(name, "") for name in names) for _, _, row in rows),
         parts=f"*{ending}",
+        files=tuple(next(iter(of_files[name])) if len(of_files[name]) == 1 else "" for name in names),
     )
     return table, replace(clock, place=0, date=None if date is None else 1)

@@ -5,9 +5,10 @@ from collections import Counter
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
-from sim.lab.recordings import UNNAMED_COLUMN, TraceError, list_names
+from sim.lab.recordings import UNNAMED_COLUMN, TraceError, list_names, named_after
 from sim.lab.recordings.mapping.answers import BLANK_IS_GOOD, NO_COLUMN, Answers, Undecided
 from sim.lab.recordings.mapping.table import FoundTable, has_numbers
+from sim.lab.recordings.mapping.words import named_value
 
 _NAMED = re.compile(
     r"quality|qualit(?:y|à|é|ät|aet)?$|qualität|calidad|(?:^|[._ ])q(?:ual|c)?$|opc.?status|g[üu]e?ltig|valid",
@@ -71,10 +72,9 @@ def find_quality(
     beside = {place: _neighbour_cells(table, place, named, readings) for place in named}
     # One that stands in rows of its own, as in a file beside, says nothing of the others.
     places = tuple(place for place in named if any(beside[place]))
-    of_all = [place for place in named if _is_of_all(table, place)]
-    if not places and len(of_all) == 1:
-        places = (of_all[0],)
-        beside[of_all[0]] = [cell for cell in table.column(of_all[0]) if cell]
+    if not places:
+        places = tuple(_of_other_files(table, named, readings))
+        beside |= {place: [cell for cell in table.column(place) if cell] for place in places}
     apart = [table.header[place] for place in named if place not in places]
     if apart and not places:
         raise Undecided(
@@ -124,19 +124,24 @@ def find_quality(
 
 def is_quality(table: FoundTable, place: int) -> bool:
     """Whether a column is called after a quality, or is a status that says nothing but how good readings are."""
-    if _NAMED.search(table.header[place]) or _NAMED.search(table.titles[place]):
+    said_by = [table.header[place], table.titles[place]]
+    if table.files and named_value(table.header[place]):
+        said_by.append(table.files[place])  # a column Value says what it is by its file's name
+    if any(map(_NAMED.search, said_by)):
         return True
     words = {cell.casefold() for cell in table.column(place) if cell}
     return bool(words) and _STATUS.search(table.header[place]) is not None and all(map(_TOLD.fullmatch, words))
 
 
-def _is_of_all(table: FoundTable, place: int) -> bool:
-    """Whether a quality is a file of its own, named after no other: then it is of the readings of all others."""
-    own, _, value = table.header[place].partition("/")
-    files = Counter(name.partition("/")[0].casefold() for name in table.header if "/" in name)
-    others = files.keys() - {own.casefold()}
-    alone = files[own.casefold()] == 1
-    return bool(table.parts and value) and alone and not any(other in own.casefold() for other in others)
+def _of_other_files(table: FoundTable, named: Sequence[int], readings: Sequence[int]) -> list[int]:
+    """The qualities that are files of their own: the one of all others, or one of each, which it is named after."""
+    files = Counter(file for file, name in zip(table.files, table.header, strict=False) if name != UNNAMED_COLUMN)
+    judged = {table.files[place] for place in readings} if table.files else set()
+    alone = [place for place in named if table.files and table.files[place] and files[table.files[place]] == 1]
+    owners = [named_after(table.files[place], judged - {""}) for place in alone]
+    if owners == [""] or (owners and judged == set(owners) and len(owners) == len(judged)):
+        return alone
+    return []
 
 
 def _neighbour_cells(table: FoundTable, place: int, named: Sequence[int], readings: Sequence[int]) -> list[str]:

@@ -26,6 +26,8 @@ _MAX_OWNERS = 500
 """Machines or sessions of one export: more words in a column are readings."""
 _MAX_REMAINING_SHARE = 0.02
 """Of the doubled or falling times so many may be left within one machine, as of a recorder's hiccup."""
+_LONGEST_STEP_S = 900.0
+"""s of a step beside which an hour more is told from a pause."""
 _OWNER_GAP_S = 1e12
 """s between machines or sessions whose times are looked at together: no recording lasts so long."""
 _MIN_STEPS = 3
@@ -97,6 +99,13 @@ def describe_rows(
                 f"its clock goes back by an hour at {_moment(times, inside)}, as summer time of {timezone} "
                 f"ends: it is read "
                 "in that zone; --timezone names another"
+            )
+    if not timezone and local.any():
+        timezone, jump = _zone_of_spring(times, local, inside)
+        if timezone:
+            said.append(
+                f"its clock goes forward by an hour at {jump}, as summer time of {timezone} begins: it is read in that "
+                "zone; --timezone names another"
             )
     if timezone and local.any():
         times = to_utc(times, local, timezone)
@@ -235,6 +244,23 @@ def _zone(times: Array, local: Mask, inside: Array) -> str:
         if np.isfinite(utc).all() and _falls(utc, inside) == 0:
             return zone
     return ""
+
+
+def _zone_of_spring(times: Array, local: Mask, inside: Array) -> tuple[str, str]:
+    """The zone in whose spring the clock goes forward, and when: by an hour more than its step, which that zone leaves
+    out. "" where nothing does."""
+    steps = np.where(np.diff(inside) == 0, np.diff(times), np.nan)
+    rising = steps[steps > 0]
+    usual = float(np.median(rising)) if rising.size else np.inf
+    places = np.flatnonzero(np.abs(steps - 3600.0 - usual) <= 0.5 * usual)
+    if not places.size or usual > _LONGEST_STEP_S:
+        return "", ""
+    for zone in _ZONES:
+        utc = to_utc(times, local, zone)
+        joined = places[np.abs(np.diff(utc)[places] - usual) <= 0.5 * usual]
+        if np.isfinite(utc).all() and joined.size:
+            return zone, f"{datetime.fromtimestamp(float(times[joined[0]]), UTC):%Y-%m-%d %H:%M}"
+    return "", ""
 
 
 def _backward_text(table: FoundTable, times: Array, inside: Array, answers: Answers) -> str:

@@ -50,6 +50,8 @@ class FoundTable:
     rows: tuple[tuple[str, ...], ...]
     parts: str = ""
     """The pattern of the files that make the table together, one a tag or one after another; "" for a single file."""
+    files: tuple[str, ...] = ()
+    """Of such a table the name of the file that has the column; "" where several have it."""
 
     def column(self, place: int) -> list[str]:
         """The sample cells of a column."""

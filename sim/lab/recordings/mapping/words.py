@@ -1,6 +1,7 @@
 """What columns are called in plants' exports, in five languages of Europe and in Chinese: parts, times, units."""
 
 import re
+from collections.abc import Callable, Mapping
 
 from sim.lab.recordings import CONVERTED_UNITS, known_unit
 
@@ -16,7 +17,7 @@ _TEMPERATURE = re.compile(
 _DEGREES = re.compile(r"temp(?!o\b|s\b)|tempér|thermo|温度", re.IGNORECASE)
 _BEARING = re.compile(r"bearing|brg|cuscinett|lager|palier|roulement|rodamiento|cojinete|轴承", re.IGNORECASE)
 _SURROUNDINGS = re.compile(
-    r"amb|outside|outdoor|aussen|außen|esterna|extérieur|exterior|intake|room|raum|setpoint|sollwert|\bsp\b|limit|"
+    r"amb|outside|outdoor|aussen|außen|umgebung|hallen|esterna|extérieur|exterior|intake|room|raum|setpoint|sollwert|\bsp\b|limit|"
     r"alarm|soglia|grenz|consigne|室外|环境|设定",
     re.IGNORECASE,
 )
@@ -81,6 +82,8 @@ _TOTAL = re.compile(
     re.IGNORECASE,
 )
 _SETPOINT = re.compile(r"set.?point|sollwert|\bsp\b|consigne|soglia|limit|target|alarm|ref\b|设定", re.IGNORECASE)
+_FEED = re.compile(r"feed|inlet|zulauf|ingresso|alimentazion|fango|alimentation|entrada", re.IGNORECASE)
+_VIBRATION = re.compile(r"vibra|schwing", re.IGNORECASE)
 LOAD_UNITS = frozenset({"W", "kW", "MW", "rpm", "Nm", "Hz"})
 """Units of what loads a machine, besides those of a current."""
 _STANDSTILL = re.compile(
@@ -155,6 +158,32 @@ def named_bearing(name: str) -> bool:
 def named_surroundings(name: str) -> bool:
     """Whether a temperature's name speaks of what stands around the machine, or of one that is not measured."""
     return _SURROUNDINGS.search(name) is not None
+
+
+def _measured_aside(name: str, unit: str) -> bool:
+    """Whether it is a temperature that is measured, and no bearing's."""
+    of_degrees = unit in ("degC", "degF", "K") or (not unit and _TEMPERATURE.search(name) is not None)
+    return of_degrees and not (named_bearing(name) or _SETPOINT.search(name) or _ALARM.search(name))
+
+
+def _plays_ambient(name: str, unit: str) -> bool:
+    return _measured_aside(name, unit) and named_surroundings(name)
+
+
+def _plays_feed(name: str, unit: str) -> bool:
+    return _measured_aside(name, unit) and _FEED.search(name) is not None
+
+
+def _plays_vibration(name: str, unit: str) -> bool:
+    return unit in ("", "mm/s") and _VIBRATION.search(name) is not None and not _SETPOINT.search(name)
+
+
+ROLE_WORDS: Mapping[str, Callable[[str, str], bool]] = {
+    "ambient": _plays_ambient,
+    "feed": _plays_feed,
+    "vibration": _plays_vibration,
+}
+"""Roles besides the load's that a column's name and unit may say (`decanter diagnose`)."""
 
 
 def current_score(name: str, unit: str) -> int:

@@ -1,4 +1,8 @@
-"""Runs whose events are known: one plan of exact steps for all of them, cut where a query looks at them."""
+"""Runs whose events are known: one plan of exact steps for all of them, cut where a query looks at them.
+
+The steps are made alike with and without effects; how runs take them is written here for the flows' closed forms, and
+in `effects` for all that effects add to a run's state.
+"""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -7,10 +11,13 @@ from math import ceil, inf, isfinite, log1p, nextafter, sqrt
 
 import numpy as np
 
-from sim.engine import Schedule, schedule, step_coefficients
+from sim.effects import ABSOLUTE_SECONDS, Structural, dead_time, effect_kind, offset_times
+from sim.engine import Schedule, compile_plant, fastest, schedule, step_coefficients
 from sim.lab.checking.smc.paths import long_steps
+from sim.lab.checking.smc.paths.effects import KnownUnderEffects, effects_engine
 from sim.lab.checking.smc.paths.long_steps import NestedStep
 from sim.lab.checking.smc.paths.plan import (
+    MAX_PIECE_S,
     MAX_PIECE_TAUS,
     MIN_DECAY,
     Indices,
@@ -25,6 +32,7 @@ from sim.lab.checking.smc.paths.plan import (
 )
 from sim.lab.checking.smc.paths.tilting import Tilts, choose_stays, mode_value, tiltable
 from sim.sha import (
+    SHA,
     UNKNOWN,
     Array,
     Distribution,
@@ -186,34 +194,49 @@ def _count(counts: Indices, outside: Mask | None) -> None:
         counts += outside
 
 
-def known_engine(world: World, cuts: Cuts) -> Known:
+def known_engine(world: World, cuts: Cuts) -> "Known | KnownUnderEffects":
     """The engine along the events and inputs of `world.trace`. Raises ValueError as `schedule` does.
 
     An event without an edge leads where most edges with its symbol lead (`resync`), as the gateway does; it is noted.
     """
     trace = world.trace
     if trace is None:
-        raise ValueError("known events need a trace")
-    # Events in s since the start. Those up to a belief's own time only settle where and how old it is: they have acted
-    # already, and lie just before 0 so that the schedule begins with what they led to.
-    events = [Event(event.time - world.begin, event.symbol) for event in trace.events]
+        raise ValueError(
+            f"model {world.sha.name!r} has effects, whose signals the semi-Markov law does not give: let a trace drive "
+            f"the runs (--events FILE, from its first reading or --from trace:SECONDS, --future recorded)"
+        )
+    # Events in s since the start. What a belief knows of only settles where and how old it is: it has acted already,
+    # and lies just before 0 so that the schedule begins with what it led to.
+    shift, sha = dead_time(world.sha) - world.begin, _since_start(world.sha, world.begin)
+    inputs = replace(trace, times=trace.times + shift, events=())
+    events = [Event(event.time + shift, event.symbol) for event in trace.events]
     if world.belief is not None:
         settled = nextafter(0.0, -1.0)
-        begun = [event for event in trace.events if event.time <= world.begin]
-        before = [Event(min(event.time - world.begin, settled), event.symbol) for event in begun]
-        if not before and world.age > 0.0:  # still in the first stay, which is older than the runs
-            before = [Event(-world.age, UNKNOWN)]
-        events = before + events[len(begun) :]
-    inputs = replace(trace, times=trace.times - world.begin, events=())
+        events = [Event(settled, event.symbol) if event.time == 0.0 else event for event in events]
+        if world.age > 0.0 and not any(event.time < 0.0 for event in events):
+            events = [Event(-world.age, UNKNOWN), *events]  # still in the first stay, which is older than the runs
     # Twice: the coarse steps say which flow runs when, which says how fine the second ones must be.
-    coarse = schedule(world.sha, events, [cuts.bound], start=0.0, inputs=inputs, policy="resync")
-    steps = schedule(world.sha, events, _outputs(coarse, cuts), start=0.0, inputs=inputs, policy="resync")
+    coarse = schedule(sha, events, [cuts.bound], start=0.0, inputs=inputs, policy="resync")
+    steps = schedule(sha, events, _outputs(coarse, cuts), start=0.0, inputs=inputs, policy="resync")
     if world.belief is not None and steps.location[0] != world.location:
         raise ValueError(f"trace {trace.name!r}: its events do not lead to the location that the belief is in")
-    if steps.dt.size > MAX_ROWS:
-        raise ValueError(
-            f"the query needs {steps.dt.size} steps a run, above {MAX_ROWS}: ask for a shorter bound or interval"
-        )
+    _refuse_long_runs(steps.dt.size)
+    notes = _trace_notes(trace, world, cuts.bound, len(steps.unmatched))
+    return _plain_engine(world, cuts, steps, notes) if steps.segments is None else effects_engine(world, steps, notes)
+
+
+def _since_start(sha: SHA, begin: float) -> SHA:
+    """The automaton on a clock that is 0 at `begin` (absolute s), its dead time being in the events already."""
+    effects = []
+    for effect in sha.effects:
+        kind = effect_kind(effect)
+        absolute = {name for name, each in kind.parameters.items() if each.unit == ABSOLUTE_SECONDS}
+        params = {name: value - begin if name in absolute else value for name, value in effect.params.items()}
+        effects.append(replace(effect, params={"delay": 0.0} if kind.law == Structural("dead time") else params))
+    return replace(sha, effects=tuple(effects))
+
+
+def _plain_engine(world: World, cuts: Cuts, steps: Schedule, notes: tuple[str, ...]) -> Known:
     clock = np.concatenate([[0.0], np.cumsum(steps.dt)])
     rows, columns = _with_columns(world, _rows(world, steps, clock))
     most = 1 if cuts.lines is None or isfinite(world.sha.max_rate) else long_steps.MAX_PIECES
@@ -230,12 +253,12 @@ def known_engine(world: World, cuts: Cuts) -> Known:
         firsts=tuple(firsts),
         whole=tuple(_whole(rows[first:last]) for first, last in pairwise(firsts)),
         lines=cuts.lines or (),
-        notes=trace_notes(trace, world, cuts.bound, len(steps.unmatched)),
+        notes=notes,
         columns=columns,
     )
 
 
-def trace_notes(trace: Trace, world: World, bound: float, unmatched: int) -> tuple[str, ...]:
+def _trace_notes(trace: Trace, world: World, bound: float, unmatched: int) -> tuple[str, ...]:
     """What limits runs along a trace, one sentence each."""
     notes = []
     last = float(trace.times[-1]) - world.begin if trace.times.size else 0.0
@@ -248,18 +271,25 @@ def trace_notes(trace: Trace, world: World, bound: float, unmatched: int) -> tup
 
 def _outputs(coarse: Schedule, cuts: Cuts) -> Array:
     """Where steps must end: fine points where the temperature is looked at, and twice where an instant counts."""
+    sha, longest = coarse.sha, _longest_steps(coarse.sha)
     begins = np.concatenate([[0.0], np.cumsum(coarse.dt)])[:-1]
     instants = {time for time in cuts.instants if 0.0 <= time <= cuts.bound}
+    instants |= {at for at in offset_times(sha) if 0.0 < at < cuts.bound}  # the sensor steps
     points: list[Array] = [np.array([cuts.bound])]
     for begin, dt, age, place in zip(
         begins.tolist(), coarse.dt.tolist(), coarse.age.tolist(), coarse.location.tolist(), strict=True
     ):
-        flow = coarse.sha.locations[place].flow
         for low, high in cuts.looked:
             first, last = max(begin, low), min(begin + dt, high)
-            if last > first:
-                points.append(_fine(flow, age + first - begin, last - first, longest=cuts.longest) + first)
-        instants |= set(crossings(cuts.clocks, begin, dt, age))
+            if last <= first:
+                continue
+            if longest is not None:
+                fine = _even_points(last - first, min(float(longest[place]), cuts.longest))
+            else:
+                flow = sha.locations[place].flow
+                fine = _fine(flow, age + first - begin, last - first, longest=cuts.longest)
+            points.append(fine[fine > 0.0] + first)
+        instants |= set(_crossings(cuts.clocks, begin, dt, age))
     # An instant twice is a step of length 0, on which the query looks at the clocks alone.
     doubled = np.repeat(np.array(sorted(instants)), 2)
     singles = np.unique(np.concatenate(points))
@@ -270,8 +300,36 @@ def _outputs(coarse: Schedule, cuts: Cuts) -> Array:
     return np.sort(np.concatenate([singles, doubled]))
 
 
+def _longest_steps(sha: SHA) -> Array | None:
+    """(L,) s of a step in each location under effects; None without effects, where the flow alone says it (`_fine`)."""
+    if not sha.effects:
+        return None
+    # The fastest of all that moves what the sensor reads: X, the lag behind it, the housing that it exchanges with.
+    plant = compile_plant(sha)
+    speed = np.maximum(fastest(plant), 1e-12)
+    if plant.lags:
+        speed = np.maximum(speed, plant.lag_rate)
+    if isfinite(plant.housing_tau):
+        speed = np.maximum(speed, 1.0 / plant.housing_tau)
+    if plant.disturbance is not None:
+        speed = np.maximum(speed, 1.0 / plant.disturbance.params["memory"])
+    return np.asarray(np.minimum(MAX_PIECE_S, MAX_PIECE_TAUS / speed))
+
+
+def _refuse_long_runs(steps: int) -> None:
+    if steps > MAX_ROWS:
+        raise ValueError(f"the query needs {steps} steps a run, above {MAX_ROWS}: ask for a shorter bound or interval")
+
+
+def _even_points(length: float, longest: float) -> Array:
+    """From 0 to the end of a stretch of `length` s, at most `longest` s apart."""
+    count = ceil(length / longest)
+    _refuse_long_runs(count)
+    return np.linspace(0.0, length, count + 1)
+
+
 def _fine(flow: Flow, age: float, length: float, *, longest: float) -> Array:
-    """The points inside and at the end of a stretch of `length` s that begins `age` s after entry."""
+    """The points from 0 to the end of a stretch of `length` s that begins `age` s after entry."""
     own = float(limit(flow, age))
     if flow.kind == "logarithmic":  # equal steps of the logarithm: they grow with the age
         begin = flow.params["t0"] + age
@@ -284,13 +342,13 @@ def _fine(flow: Flow, age: float, length: float, *, longest: float) -> Array:
         inner = np.linspace(first, last, ceil((first - last) / (0.5 * MAX_PIECE_TAUS)) + 1)[1:-1]
         points = np.array([0.0, *(-twice * np.log(inner) - age), length])
     else:
-        points = np.linspace(0.0, length, ceil(length / own) + 1 if isfinite(own) else 2)
+        points = _even_points(length, own) if isfinite(own) else np.array([0.0, length])
     if np.diff(points).max() > longest:
-        points = np.union1d(points, np.linspace(0.0, length, ceil(length / longest) + 1))
-    return np.asarray(points[points > 0.0])
+        points = np.union1d(points, _even_points(length, longest))
+    return np.asarray(points)
 
 
-def crossings(clocks: Sequence[Affine], begin: float, dt: float, age: float) -> Iterator[float]:
+def _crossings(clocks: Sequence[Affine], begin: float, dt: float, age: float) -> Iterator[float]:
     """The moments (s) of a stretch at which one of the affine functions of the clocks is 0."""
     for c, t, g in clocks:
         if t + g != 0.0:
