@@ -26,6 +26,7 @@ from benchmarks.figures import Figure, give
 from sim.lab.discrepancy import diagnose
 from sim.lab.formats import find_model, write_model_directory
 from sim.lab.learning.bins import learn_bins
+from sim.lab.tree_regressor import tree_regressor
 from sim.plant import CooledPlant, cooled_days
 from sim.sha import DECANTER
 
@@ -50,9 +51,7 @@ def learned_model(folder: Path, seed: int) -> Path:
 
 def diagnosed(model: Path, days: int, seed: int, *, profile: bool) -> dict[str, Any]:
     """The cost of one diagnosis in this process."""
-    # Loaded before the clock starts: what an import costs hangs on the installation.
-    import sklearn.ensemble  # noqa: F401
-
+    tree_regressor()  # loaded before the clock starts: what an import costs hangs on the installation
     traces = cooled_days(days, seed=seed, first_day=LATER, period=PERIOD, plant=CooledPlant(cooling=COOLING))
     said = [process_time()]
     found = find_model(model).runnable()

@@ -104,7 +104,7 @@ def remembered() -> dict[Any, tuple[str, ...]]:
             "ceiling", "let_run", "compare_fits", "stated_errors", "sensor_noise", "noise_floor", "excess", "beginning",
             "given_model_fit", "fit", "find_onset",
         ),
-        naming: ("fit", "screen", "confirm", "_cosines", "slow_heat", "with_heats"),
+        naming: ("fit", "screen", "confirm", "_cosines", "gain_at_once", "slow_heat", "with_heats"),
         path: ("fit",),
         judging: ("smooth_course", "sensor_noise", "foreseen_better", "greatest_heat", "fastest_movement"),
         gap: ("let_run", "predict_errors"),

@@ -162,6 +162,9 @@ def test_what_all_equal_cycles_err_by_alike_is_no_noise() -> None:
     missing = replace(trial, residual=trial.residual + 3.0 * running)
     assert scatter_of_equal_cycles(missing.record, missing.residual, RULES) == pytest.approx(before, rel=0.05)
     assert np.sqrt(np.mean(missing.residual**2)) > 5.0 * before
+    draws = np.column_stack([trial.residual, missing.residual, 2.0 * trial.residual])
+    each = [scatter_of_equal_cycles(trial.record, one, RULES) for one in draws.T]
+    assert scatter_of_equal_cycles(trial.record, draws, RULES) == pytest.approx(np.sqrt(np.mean(np.square(each))))
 
 
 def test_neither_another_column_nor_its_digits_nor_names_move_floor_or_verdict() -> None:

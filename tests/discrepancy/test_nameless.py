@@ -9,11 +9,12 @@ import pytest
 from sim.engine.schedules import schedule
 from sim.lab.discrepancy.advice import advice_lines
 from sim.lab.discrepancy.fitting import build_frame, build_record, heat_and_loss, move_frame, rivals, with_priors
-from sim.lab.discrepancy.fitting.free_run_fit import fit
+from sim.lab.discrepancy.fitting.free_run_fit import fit, with_heats
 from sim.lab.discrepancy.fitting.named import Named, main_effect
 from sim.lab.discrepancy.judging import NamingResult, description, dubious
 from sim.lab.discrepancy.naming import entries_besides, step
 from sim.lab.discrepancy.rules import RULES
+from sim.lab.discrepancy.unmeasured import TRIED_FACTORS, gain_at_once, knot_columns, knot_spacings
 from sim.lab.discrepancy.workflow import diagnose
 from sim.sha.automaton import SHA
 from sim.sha.trace import Array
@@ -121,6 +122,16 @@ def test_what_has_no_name_is_held_beside_the_names_and_described(more: Plant, wo
     refusal = dubious(found)
     assert "has no name" in refusal
     assert re.fullmatch(words, description(NamingResult(base, base, ((found, refusal),))))
+
+
+def test_what_an_unmeasured_neighbour_adds_at_once_is_told_without_a_fit() -> None:
+    """Under the noise of the fit without it, as if it were put into that noise."""
+    record = build_record(model(), [plant(2, days=2, more=neighbour)], ())
+    base = fit(with_priors(move_frame(build_frame(record), record)))
+    columns = [knot_columns(base, spacing) for spacing in knot_spacings(base)]
+    sizes = base.noise.rough * TRIED_FACTORS
+    put = max(with_heats(base, size * each, iterations=0).likelihood for each in columns for size in sizes)
+    assert gain_at_once(base) == pytest.approx(put - base.likelihood, abs=0.1) and gain_at_once(base) > 1.0
 
 
 @pytest.mark.parametrize("pump", [0.0, 8e-5])

@@ -1,8 +1,11 @@
-"""A fit is the likeliest of its rounds, however the later ones run off."""
+"""A fit is the likeliest of its rounds, however the later ones run off; none is made that could change nothing."""
 
 import numpy as np
 
+from sim.effects import ROLES
 from sim.lab.discrepancy.fitting import build_frame, build_record, fit, move_frame, with_priors
+from sim.lab.discrepancy.naming import entries_besides, step
+from sim.lab.discrepancy.rules import RULES
 from sim.sha.trace import Array
 from tests.discrepancy.plants import TARGETS, model, plant
 
@@ -24,3 +27,23 @@ def test_a_refit_does_not_run_off_from_what_was_likelier_by_far() -> None:
     first, whole = fit(frame, rounds=1), fit(frame)
     assert whole.likelihood > first.likelihood - 10.0
     assert np.sqrt(np.mean(whole.residual**2)) < 5.0
+
+
+def test_a_fit_that_begins_where_another_one_ended_moves_nothing() -> None:
+    record = build_record(model(), [plant(1, days=2)], ())
+    frame = with_priors(move_frame(build_frame(record), record))
+    ended = fit(frame, rounds=8)
+    again = fit(frame, begin=ended, rounds=1, iterations=0)
+    assert np.array_equal(again.state.parameters, ended.state.parameters)
+
+
+def test_beside_an_effect_beyond_doubt_only_what_could_come_near_it_is_fitted() -> None:
+    """The catalogue's screen gives several others some nats each; a refit of them would be a hundred short."""
+    record = build_record(model(), [plant(2, days=4, pump=2e-4)], tuple(ROLES.values()))
+    told: list[str] = []
+    found = step(
+        fit(with_priors(move_frame(build_frame(record), record))), entries_besides(()), ROLES, told.append, rules=RULES
+    )
+    assert found.best is not None and found.best.entry.name == "pump-cooling"
+    others = [each for each in found.evidence[1:] if not each.is_joint]
+    assert told[0] == "pump-cooling" and others

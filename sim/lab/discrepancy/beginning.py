@@ -5,7 +5,7 @@ machine that runs on there are too few cycles for that, and the figures are thos
 that grows steadily begins nowhere, and one that wanders has no beginning that could be dated.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,8 +17,8 @@ from sim.lab.discrepancy.rules import DecisionRules
 from sim.lab.learning import Indices
 from sim.sha import Array
 
-DRAWS = 10_000
-"""Draws of normal errors that a beginning is held against."""
+DRAWS, DRAWN_AT_ONCE = 10_000, 500
+"""Draws of normal errors that a beginning is held against, and how many are in memory at a time."""
 CHI_SQUARE_95 = 3.84
 """The 95 % quantile of chi-square with one degree of freedom: 2 nats of the profile likelihood about the date."""
 
@@ -68,8 +68,7 @@ def _step(phase: _PhaseErrors, running: bool, least: float, rules: DecisionRules
     if abs(moves) < least or size >= float(np.sum(of_line**2)) or wanders:
         return None
     # Under "nothing begins" the share of the squares that the best cut takes depends on the number of cycles alone.
-    drawn = np.random.default_rng(0).standard_normal((DRAWS, n))
-    shares = _split_gain(drawn, side).max(axis=-1) / np.sum((drawn - drawn.mean(axis=-1, keepdims=True)) ** 2, axis=-1)
+    shares = _draw(lambda drawn: _split_gain(drawn, side).max(axis=-1) / (n * drawn.var(axis=-1)), n)
     total = float(np.sum((errors - errors.mean()) ** 2))
     p = (1.0 + float(np.count_nonzero(shares >= float(gain[number]) / total))) / (1.0 + DRAWS)
     if p > rules.beginning_most_p:
@@ -98,8 +97,7 @@ def _jump(phase: _PhaseErrors, running: bool, least: float, rules: DecisionRules
     # A free run over held-out cycles begins anew: what changes there is not the machine.
     apart = np.abs(phase.of_trial[2 * side - 1 :] - phase.of_trial[: n - 2 * side + 1]) > 0
     changes = _local_changes(errors, side)
-    walks = np.abs(_local_changes(np.cumsum(np.random.default_rng(0).standard_normal((DRAWS, n)), axis=-1), side))
-    chance = walks.max(axis=-1) / np.median(walks, axis=-1)
+    chance = _draw(lambda drawn: _greatest_share(_local_changes(np.cumsum(drawn, axis=-1), side)), n)
     sizes = np.abs(changes) / max(float(np.median(np.abs(changes))), 1e-300)
     sizes = np.where(apart, 0.0, sizes)
     greatest = scipy.ndimage.maximum_filter1d(sizes, 2 * side + 1) == sizes
@@ -122,6 +120,18 @@ def _jump(phase: _PhaseErrors, running: bool, least: float, rules: DecisionRules
         stretch=phase.stretch,
         then=then,
     )
+
+
+def _draw(statistic: Callable[[Array], Array], n: int) -> Array:
+    """(DRAWS,) a statistic of each row of n normal errors."""
+    rng = np.random.default_rng(0)
+    return np.concatenate([statistic(rng.standard_normal((DRAWN_AT_ONCE, n))) for _ in range(DRAWS // DRAWN_AT_ONCE)])
+
+
+def _greatest_share(changes: Array) -> Array:
+    """(d,) the size of the greatest of the changes (d, c), over the usual one."""
+    sizes = np.abs(changes)
+    return np.asarray(sizes.max(axis=-1) / np.median(sizes, axis=-1))
 
 
 def _local_changes(errors: Array, side: int) -> Array:

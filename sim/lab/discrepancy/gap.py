@@ -178,7 +178,7 @@ def size_by_equal_cycles(trial: HeldOutRun, explained: Fitted, rng: np.random.Ge
     noise = trial.whitener.draw(rng, EQUAL_DRAWS)
     precision = trial.whitener.gram(columns) + np.diag(np.maximum(explained.prior, 1e-12))
     left = trial.restart_residual(noise - columns @ np.linalg.solve(precision, trial.whitener.weigh(columns).T @ noise))
-    return scatter / _rms(np.array([scatter_of_equal_cycles(trial.record, one, rules) for one in left.T]))
+    return scatter / scatter_of_equal_cycles(trial.record, left, rules)
 
 
 def limit_parameter_errors(trial: HeldOutRun, taken: Array, alone: Array, most: float) -> Array:
@@ -242,8 +242,7 @@ def predict_errors(trial: HeldOutRun, cycles: Indices, drawn: Array) -> tuple[Ar
     residual, number = trial.restart_residual(drawn), trial.record.window_whole
     kept = np.isin(number, cycles)
     place = np.searchsorted(cycles, number[kept])
-    sums = np.zeros((cycles.size, drawn.shape[1]))
-    np.add.at(sums, place, residual[kept] ** 2)
+    sums = _sums(residual[kept] ** 2, place)
     counts = np.bincount(place)
     return np.sqrt(sums.mean(axis=1) / counts), np.sqrt(sums.sum(axis=0) / counts.sum())
 
@@ -259,7 +258,7 @@ def sensor_alone(fitted: Fitted) -> NoiseModel:
 def scatter_of_equal_cycles(record: Record, residual: Array, rules: DecisionRules) -> float:
     """degC rms by which free runs over equal cycles err differently; infinite where too few cycles can be compared.
 
-    `residual` (m,) degC are their windows' errors.
+    `residual` (m,) or (m, d) degC are their windows' errors, in each of d draws.
 
     Cells are a location and a time since the last switch. What errs alike in all cycles of a cell is taken out: a
     cause that is missing does the same in equal cycles, and noise does not.
@@ -273,10 +272,17 @@ def scatter_of_equal_cycles(record: Record, residual: Array, rules: DecisionRule
     comparable = shared[cell] >= rules.equal_least_cycles
     if comparable.mean() < rules.comparable_least_share:
         return float("inf")
-    of_cycle = np.bincount(member.ravel(), residual) / np.bincount(member.ravel())
-    mean = np.bincount(pairs[:, 0], of_cycle) / shared
-    left = residual - mean[cell]
-    return float(np.sqrt(np.mean((left**2 * shared[cell] / np.maximum(shared[cell] - 1, 1))[comparable])))
+    columns, member = residual.reshape(residual.shape[0], -1), member.ravel()
+    of_cycle = _sums(columns, member) / np.bincount(member)[:, None]
+    left = columns - (_sums(of_cycle, pairs[:, 0]) / shared[:, None])[cell]
+    weight = shared[cell] / np.maximum(shared[cell] - 1, 1)
+    return _rms((left * np.sqrt(weight)[:, None])[comparable])
+
+
+def _sums(columns: Array, group: Indices) -> Array:
+    """(g, d) the sums of the rows of columns (m, d) that are of one group; no group is without a row."""
+    order = np.argsort(group, kind="stable")
+    return np.asarray(np.add.reduceat(columns[order], np.flatnonzero(np.diff(group[order], prepend=-1))))
 
 
 def sensor_noise(record: Record) -> float:

@@ -74,7 +74,6 @@ def find_onset(
     projector = Projector(fitted)
     every = candidate_shapes(projector, (*entries, *rivals()), roles)
     lasting = tuple(shape for shape in every if DATE not in shape.params or _by_the_clock(shape))
-    all_along = screen_shapes(projector, lasting, shape_columns(projector, lasting)).gain.max() if lasting else 0.0
     shapes = [shape for shape in lasting if _stateless(shape)]
     begins = _best_of_each(projector, shapes, starts[_evenly(borders, FIRST)])
     gains = np.array([_gains(projector, begins, start) for start in starts[_evenly(borders, BORDERS)]])
@@ -85,7 +84,10 @@ def find_onset(
     # A likelihood ratio of one parameter, at each place that was looked at (Bonferroni).
     looks = borders.size * (len(shapes) + len(begins))
     p = min(float(scipy.stats.chi2.sf(2.0 * gain, 1)) * looks, 1.0)
-    if p > rules.beginning_most_p or gain < rules.least_gain_nats or gain - float(all_along) < rules.margin_nats:
+    if p > rules.beginning_most_p or gain < rules.least_gain_nats:
+        return None
+    all_along = screen_shapes(projector, lasting, shape_columns(projector, lasting)).gain.max() if lasting else 0.0
+    if gain - float(all_along) < rules.margin_nats:
         return None
     column = _onset_columns(projector, [best], starts[before])
     strength, carried = _agreement(projector, column)

@@ -7,7 +7,7 @@ shapes. The screen is conservative: the noise was fitted without the effect and 
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
 import numpy as np
@@ -32,6 +32,8 @@ from sim.sha import Array
 
 MIN_VISIBLE_SHARE = 0.05**2
 """Of a column's square that the fit's own parameters must leave where it is weighed by itself: 1/20 of its size."""
+SHOWN_NATS = 1.0
+"""From which a rival shows in a screen."""
 CHUNK_COLUMNS = 16
 """Columns that are weighed at a time: the states behind them take several times their memory."""
 MAX_EVALUATIONS = 60
@@ -171,6 +173,13 @@ class Screen:
         burden = np.array([shape.entry.burden for shape in self.shapes])
         return np.where(allowed, np.maximum(0.5 * z**2 - burden, 0.0), 0.0)
 
+    def concatenate(self, more: "Screen") -> "Screen":
+        """These shapes and more of the same problem."""
+        pairs = {each.name: (getattr(self, each.name), getattr(more, each.name)) for each in fields(self)}
+        shapes = self.shapes + more.shapes
+        columns = {name: np.concatenate(pair, axis=-1) for name, pair in pairs.items() if name != "shapes"}
+        return Screen(shapes=shapes, **columns)
+
     def best(self) -> dict[str, int]:
         """entry name -> its best shape's number, in the order of their gains."""
         gain = self.gain
@@ -215,7 +224,7 @@ def shape_columns(projector: Projector, shapes: Sequence[Shape]) -> Array:
         # A heat that depends on the temperature is taken along the smoothed reading, not along the free run: where
         # something is missing the free run is wrong, and a thermostat would open in it at the wrong times.
         out.append(added(net_heat(record, effects, smooth)))
-    return np.column_stack(out)
+    return np.column_stack(out) if out else np.empty((fitted.residual.size, 0))
 
 
 def candidate_shapes(
@@ -248,11 +257,25 @@ def shortest_visible(record: Record) -> float:
 
 
 def screen(fitted: Fitted, entries: Sequence[CatalogueEntry], roles: Mapping[str, str]) -> tuple[Screen, Screen]:
-    """Every shape of every entry against what the fit leaves: under its noise, and under that of `quieter`."""
-    projector = Projector(fitted)
-    shapes = tuple(candidate_shapes(projector, entries, roles))
-    columns = shape_columns(projector, shapes)
-    return screen_shapes(projector, shapes, columns), screen_shapes(Projector(quieter(fitted)), shapes, columns)
+    """The shapes of the entries against what the fit leaves: under its noise, and under that of `quieter`.
+
+    What came twice is looked at where what came once shows, and so is each rival that is wider than another: of such
+    pairs there are hundreds, and of two that say nothing alone the sum says as little.
+    """
+    projectors = Projector(fitted), Projector(quieter(fitted))
+    wider = [entry for entry in entries if entry.rival and entry.candidate.special]
+
+    def screen_entries(some: Sequence[CatalogueEntry]) -> list[Screen]:
+        shapes = tuple(candidate_shapes(projectors[0], some, roles))
+        columns = shape_columns(projectors[0], shapes)
+        return [screen_shapes(projector, shapes, columns) for projector in projectors]
+
+    usual, quiet = screen_entries([entry for entry in entries if entry not in wider])
+    shown = {shape.entry.name for each in (usual, quiet) for shape, gain in zip(each.shapes, each.gain, strict=True)
+             if gain >= SHOWN_NATS}  # fmt: skip
+    further = [entry for entry in wider if shown & {*entry.candidate.special}]
+    more = screen_entries(further) if further else ()
+    return (usual, quiet) if not more else (usual.concatenate(more[0]), quiet.concatenate(more[1]))
 
 
 def quieter(fitted: Fitted) -> Fitted:

@@ -11,6 +11,7 @@ import numpy as np
 
 from sim.lab.discrepancy.fitting import Fitted, Whitener, heat_response, with_heats
 from sim.lab.discrepancy.heat import HOUR_S
+from sim.lab.discrepancy.screen import Projector
 from sim.sha import Array
 
 KNOT_SPACINGS_H = (1.0, 2.0, 4.0)
@@ -20,6 +21,8 @@ MAX_KNOTS = 200
 ROUGH_HEAT_FACTORS = (0.5, 0.2, 1.2)
 """Times the plant's own rough heat that it may be before it is fitted, together with the scatter of the cycles: the
 first at each distance of the knots, the others at the best."""
+TRIED_FACTORS = np.geomspace(0.01, 10.0, 31)
+"""The same where its gain is looked at without a fit."""
 NEGLIGIBLE_SHARE = 1e-4
 """The share of a column's greatest value below which it is over."""
 
@@ -43,8 +46,8 @@ class SlowHeat:
 def slow_heat(before: Fitted) -> SlowHeat:
     """The likeliest heat that comes and goes over hours."""
     sizes = [share * before.noise.rough for share in ROUGH_HEAT_FACTORS]
-    spacings = dict.fromkeys(_spacing(before, hours * HOUR_S) for hours in KNOT_SPACINGS_H)
-    columns = {spacing: _knot_columns(before, spacing) for spacing in spacings}
+    spacings = knot_spacings(before)
+    columns = {spacing: knot_columns(before, spacing) for spacing in spacings}
     tried = [(with_heats(before, sizes[0] * columns[spacing]), spacing, sizes[0]) for spacing in spacings]
     _, spacing, _ = max(tried, key=lambda each: each[0].likelihood)
     tried += [(with_heats(before, sigma * columns[spacing]), spacing, sigma) for sigma in sizes[1:]]
@@ -65,12 +68,31 @@ def slow_heat(before: Fitted) -> SlowHeat:
     )
 
 
-def _spacing(before: Fitted, spacing: float) -> float:
+def gain_at_once(before: Fitted) -> float:
+    """nats of the likeliest such heat beside the noise of a fit that is without it."""
+    # With the columns Z of the knots and what the fit's parameters leave of V^-1, P, the restricted likelihood changes
+    # by -1/2 ln |I + s^2 Z' P Z| + 1/2 r' P Z s^2 (I + s^2 Z' P Z)^-1 Z' P r (Woodbury): a sum over eigenvectors.
+    projector, best = Projector(before), 0.0
+    for spacing in knot_spacings(before):
+        columns = knot_columns(before, spacing)
+        _, weighed, _ = projector.clean(columns)
+        sizes, turned = np.linalg.eigh(columns.T @ weighed)
+        score = turned.T @ (columns.T @ projector.weighed_residual)
+        variance = (before.noise.rough * TRIED_FACTORS) ** 2
+        grown = np.maximum(sizes, 0.0)[:, None] * variance
+        gains = 0.5 * np.sum(score[:, None] ** 2 * variance / (1.0 + grown) - np.log1p(grown), axis=0)
+        best = max(best, float(gains.max()))
+    return best
+
+
+def knot_spacings(before: Fitted) -> list[float]:
+    """s between knots, each tried."""
     times = before.frame.record.runs.time
-    return max(spacing, float(times[-1] - times[0]) / MAX_KNOTS)
+    least = float(times[-1] - times[0]) / MAX_KNOTS
+    return list(dict.fromkeys(max(hours * HOUR_S, least) for hours in KNOT_SPACINGS_H))
 
 
-def _knot_columns(before: Fitted, spacing: float) -> Array:
+def knot_columns(before: Fitted, spacing: float) -> Array:
     """(m, c) degC what 1 degC/s at each knot, fading to none at its neighbours, does to the windows."""
     record = before.frame.record
     middle = record.runs.time - record.runs.dt / 2.0

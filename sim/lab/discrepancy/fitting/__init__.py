@@ -15,6 +15,7 @@ from sim.lab.discrepancy.fitting.course import (
     window_sensitivity,
 )
 from sim.lab.discrepancy.fitting.effects import (
+    follows_course,
     heat_and_loss,
     hold_signal,
     lagged_signal,

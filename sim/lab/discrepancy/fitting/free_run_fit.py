@@ -37,6 +37,8 @@ LARGEST_TARGET, LARGEST_SHARE = 15.0, 0.7
 share of itself by which a strength may change."""
 MAX_THRESHOLD_STEP_DEGC = 2.0
 """degC by which such a step may move a threshold."""
+ENOUGH_SQUARES = 0.02
+"""By which a step must make the penalised squares less: a hundredth of a nat, and no decision is that fine."""
 RUNAWAY, SOFTENED = 20.0, 12
 """Times the range of the readings (and 1 degC) from which a free run has run away, and how often the strengths that it
 begins with are halved then."""
@@ -449,7 +451,11 @@ def _newton_steps(
         root = lower_root(normal)
         if root is None:
             break
-        step = scipy.linalg.cho_solve((root, True), gram[1:, 0] - prior * point.off)
+        score = gram[1:, 0] - prior * point.off
+        step = scipy.linalg.cho_solve((root, True), score)
+        # Newton's decrement (Boyd & Vandenberghe 2004, section 9.5.1): by so much the squares would go down.
+        if float(score @ step) < ENOUGH_SQUARES:
+            break
         # The whole step is shortened, not single parts of it: it must stay a descent direction.
         strengths = [size for named in state.named for size in _longest(named)]
         longest = np.concatenate([LARGEST_TARGET / TARGET_SPREAD / np.sqrt(frame.prior), strengths])
@@ -473,7 +479,7 @@ def _newton_steps(
         if lost or after > before:
             break
         point = _tangent(frame, moved, start, reading, point.grid)
-        if before - after < 0.02:  # a hundredth of a nat: no decision is that fine
+        if before - after < ENOUGH_SQUARES:
             break
     return point if point.state is first else replace(point, grid=window_grid(frame, point.state))
 
