@@ -67,7 +67,7 @@ def test_a_list_and_an_address_become_a_folder_that_runs(here: Path) -> None:
 
 
 def test_a_tags_name_spells_the_umlauts_that_a_column_has(here: Path) -> None:
-    listed = "Name;Adresse;Typ;Einheit\nLager;40101;REAL;°C\nStrom;40103;REAL;A\nMaschine_laeuft;1;BOOL;\n"
+    listed = "Name;Adresse;Typ;Einheit\nLager;40101;REAL;°C\nMotorstrom;40103;REAL;A\nMaschine_laeuft;1;BOOL;\n"
     (here / "list.csv").write_text(listed, encoding="utf-8")
     rows = [f"2026-03-01 08:{row:02d}:00;{row % 9 + 40};{30 * (row // 9 % 2)};{row // 9 % 2}" for row in range(60)]
     header = "Zeit;Lagertemperatur °C;Motorstrom A;Maschine läuft"
