@@ -4,7 +4,7 @@ import json
 import os
 import shutil
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -16,10 +16,11 @@ from gateway.outside.status import read_status
 from gateway.outside.texts import LANGUAGES, all_words
 from gateway.outside.web import machine_view
 from gateway.outside.web.access import AccountRole
+from gateway.settings import ALARM_KINDS
 from sim.artefacts import promote
 from sim.lab.formats import save
 from tests.discrepancy_report.made_diagnoses import of
-from tests.gateway.status_picture import alarm, picture
+from tests.gateway.status_picture import alarm, picture, tag
 from tests.gateway.support import EPOCH, MAP, TEMPERATURE, two_modes
 from tests.page.served import PAGE, PASSWORD, Served, eventually, page_views, served
 
@@ -149,6 +150,7 @@ def show(page: Page, **changes: Any) -> None:
     plant = page.request.get("/api/plant").json()
     plant["machines"] = {name: machine | changes for name, machine in plant["machines"].items()}
     event = f"retry: 500\ndata: {json.dumps(plant)}\n\n"
+    page.unroute("**/api/live*")
     page.route("**/api/live*", lambda route: route.fulfill(content_type="text/event-stream", body=event))
     page.reload()
 
@@ -179,6 +181,159 @@ def test_what_tells_of_one_bearings_heat_is_one_row_with_its_parts_below(page: P
     both = sorted(2 * [f"acknowledge {each['name']}" for each in told])
     eventually(lambda: len(asked) == len(both) or page.wait_for_timeout(20))
     assert sorted(asked) == both
+
+
+def hot(kind: str, **changes: Any) -> dict[str, Any]:
+    """An alarm that holds, of which the page is told."""
+    name = f"{kind} {TEMPERATURE}" if kind in ("over limit", "rising") else kind
+    at = {"tag": TEMPERATURE, "standing": True, "beyond": True, "limit": 80.0, "own_response": False, "kind": kind}
+    return alarm(name) | at | {"raised": EPOCH - 60.0, "consequence": str(ALARM_KINDS[kind].consequence)} | changes
+
+
+def as_shown(language: str, **changes: Any) -> dict[str, Any]:
+    """A machine as the page is told of it, with some keys of its status other."""
+    status = read_status(picture(**changes))
+    shown = machine_view(all_words()[language], {TEMPERATURE: "gearbox bearing", "decanter": "Decanter 2"}, status)
+    return {**shown, "status": asdict(status)}
+
+
+def test_a_row_is_three_figures_and_one_sentence_and_its_picture_fills_what_was_empty(page: Page) -> None:
+    show(page, **as_shown("en"))
+    row = page.locator(".row").first
+    expect(row.locator(".figure")).to_have_count(3)
+    expect(row.locator(".now")).to_contain_text("45.7 °C")
+    expect(row.locator(".when")).to_contain_text("11\u00a0min")
+    expect(row.locator(".when")).to_contain_text("5 – beyond 15\u00a0min")
+    expect(row.locator(".action")).to_contain_text("look at load and lubrication while there is time")
+    picture_size = row.locator(".picture svg").evaluate("node => [node.clientWidth, node.clientHeight]")
+    assert picture_size[0] > 300 and picture_size[1] > 150, "the room beside the figures is left empty"
+    calm = {"block": {**picture()["forecast"]["block"], "minutes_low": None, "minutes_median": None}}
+    show(page, **as_shown("de", forecast={**picture()["forecast"], **calm, "p_limit": [0.0, 0.0, 0.0]}))
+    expect(row.locator(".when .amount")).to_have_text("> 15\u00a0min")
+    expect(row.locator(".action .doing")).to_have_text("nichts")
+    show(page, **as_shown("it", **{"values__" + TEMPERATURE: tag(45.0, "TIMEOUT")}))
+    expect(row.locator(".when")).to_contain_text("–")
+    expect(row.locator(".action .doing")).to_have_text("scoprire perché non si misura")
+
+
+def test_no_word_is_broken_on_a_phone_in_any_language(page: Page) -> None:
+    page.set_viewport_size({"width": 390, "height": 844})
+    for language in LANGUAGES:
+        page.goto(f"/?lang={language}")
+        show(page, **as_shown(language, alarm_summary=[hot("over limit", first_up=True), hot("records")]))
+        for view in ("plant", "wall", "alarms", "machine/decanter"):
+            page.goto(f"/#/{view}")
+            expect(page.locator("main h2, main .row").first).to_be_visible()
+            assert page.evaluate(BROKEN_WORDS) == [], (language, view)
+            assert page.evaluate("document.documentElement.scrollWidth") <= 390, (language, view)
+        # Each view can be had without a stroke to the side.
+        assert page.locator("#nav").evaluate("nav => nav.scrollWidth <= nav.clientWidth")
+
+
+BROKEN_WORDS = """() => {
+  const found = [], walk = document.createTreeWalker(document.querySelector("main"), NodeFilter.SHOW_TEXT);
+  for (let node = walk.nextNode(); node; node = walk.nextNode()) {
+    if (!node.parentElement.checkVisibility() || node.parentElement.closest(".hidden, svg, code")) continue;
+    for (const { 0: word, index } of node.data.matchAll(/[\\p{L}\\p{N}]+/gu)) {
+      const range = document.createRange();
+      range.setStart(node, index), range.setEnd(node, index + word.length);
+      if (new Set([...range.getClientRects()].map((line) => Math.round(line.top))).size > 1) found.push(word);
+    }
+  }
+  return found;
+}"""
+"""Words of which the end stands in another line than their beginning."""
+
+
+def test_the_wall_is_read_from_across_the_room(page: Page) -> None:
+    page.set_viewport_size({"width": 1920, "height": 1080})
+    page.goto("/#/wall")
+    plant = page.request.get("/api/plant").json()
+    machine = next(iter(plant["machines"].values())) | as_shown("en")
+    names = ["a", "b", "c", "d"]
+    plant |= {"order": names, "machines": {name: machine | {"label": f"Machine {name}"} for name in names}}
+    event = f"retry: 500\ndata: {json.dumps(plant)}\n\n"
+    page.route("**/api/live*", lambda route: route.fulfill(content_type="text/event-stream", body=event))
+    page.reload()
+    tiles = page.locator(".tile")
+    expect(tiles).to_have_count(4)
+    sizes = "nodes => nodes.map((node) => parseFloat(getComputedStyle(node).fontSize))"
+    # 25 mm at 5 m on a screen of 42 inches, of which a pixel is 0.48 mm.
+    assert min(tiles.locator(".big").evaluate_all(sizes)) >= 100 and min(tiles.locator("p").evaluate_all(sizes)) >= 50
+    assert page.evaluate("document.documentElement.scrollHeight <= innerHeight"), "something is below the screen's edge"
+    # One more: it has its turn, and which ones are shown is said; in alarm it is shown at once.
+    plant |= {"order": [*names, "e"]}
+    plant["machines"]["e"] = machine | as_shown("en", alarm_summary=[hot("over limit")]) | {"label": "Machine e"}
+    event = f"retry: 500\ndata: {json.dumps(plant)}\n\n"
+    page.reload()
+    expect(page.locator(".tile.alarm h2")).to_contain_text("Machine e")
+    expect(tiles).to_have_count(4)
+    expect(page.locator(".turns")).to_have_text("4 of 5, in turn")
+
+
+def test_an_alarm_says_what_comes_if_nobody_acts_and_which_was_first(page: Page) -> None:
+    words = {
+        "en": ("Otherwise: the bearing is damaged within minutes to hours", "first"),
+        "it": ("Altrimenti: il cuscinetto si danneggia in minuti o ore", "primo"),
+        "de": ("Sonst: das Lager nimmt binnen Minuten bis Stunden Schaden", "zuerst"),
+    }
+    for language, (otherwise, first) in words.items():
+        page.goto(f"/?lang={language}#/alarms")
+        show(page, **as_shown(language, alarm_summary=[hot("over limit", first_up=True), hot("rising", priority=2)]))
+        expect(page.locator("li.entry > .alarmtext > .otherwise")).to_have_text(otherwise)
+        expect(page.locator(".first")).to_have_text(first)
+    own = hot("over limit", consequence="the seal melts")
+    show(page, **as_shown("de", alarm_summary=[own]))
+    expect(page.locator(".otherwise")).to_have_text("Sonst: the seal melts")
+    show(page, **as_shown("de", alarm_summary=[own | {"beyond": False}]))
+    expect(page.locator("li.entry")).to_have_count(1)
+    expect(page.locator(".otherwise")).to_have_count(0)
+
+
+def test_a_flood_shows_what_came_first_and_what_is_most_urgent_and_folds_the_rest(page: Page) -> None:
+    many = [hot("device", name=f"device {number}", priority=2, tag="decanter") for number in range(11)]
+    log_in(page, "olga")
+    page.goto("/#/alarms")
+    first = hot("over limit", first_up=True)
+    show(page, **as_shown("en", alarm_summary=[first, *many]))
+    expect(page.locator(".flood")).to_contain_text("Alarm flood: 12 within ten minutes")
+    expect(page.locator("main > .view > ul.alarms > li.entry")).to_have_count(1)
+    expect(page.locator("details.folded summary")).to_have_text("Decanter 2: 11 more")
+    # What nobody sees is acknowledged by nobody.
+    expect(page.get_by_role("button", name="Acknowledge all that is shown")).to_have_count(0)
+    page.locator("details.folded summary").click()
+    expect(page.locator("details.folded li.entry").first).to_be_visible()
+    # It stays open while pictures go on arriving.
+    for _ in range(3):
+        with page.expect_request("**/api/live*"):
+            pass
+    expect(page.locator("details.folded li.entry").first).to_be_visible()
+    show(page, **as_shown("en", alarm_summary=[first, *many[:9]]))
+    expect(page.locator(".flood")).to_have_count(0)
+
+
+def test_rows_are_updated_and_not_built_anew(page: Page, gateway: Served) -> None:
+    gateway.put(TEMPERATURE, 45.0)
+    expect(page.locator(".row .big")).to_have_text("45.0 °C")
+    for view in ("plant", "machine/decanter", "alarms"):
+        page.goto(f"/#/{view}")
+        page.evaluate(COUNT_NODES)
+        # Twenty readings are drawn, each another one.
+        page.wait_for_function("window.drawn > 20")
+        made = page.evaluate("window.made")
+        assert made < 200, f"{made} nodes were made for twenty readings of {view}"
+
+
+COUNT_NODES = """() => {
+  [window.made, window.drawn] = [0, 0];
+  for (const name of ["createElement", "createElementNS", "createTextNode"]) {
+    const own = Document.prototype[name];
+    document[name] = (...given) => (window.made++, own.apply(document, given));
+  }
+  const again = window.requestAnimationFrame;
+  window.requestAnimationFrame = (work) => again.call(window, (time) => (window.drawn++, work(time)));
+}"""
+"""Count the nodes that are made from now on, and how often the page is drawn."""
 
 
 def test_each_view_says_whether_something_is_written_and_an_arming_says_what_would_be(page: Page) -> None:

@@ -137,6 +137,8 @@ export const faint = (name, colour) => ({ label: name, stroke: colour, width: 0.
 const fans = new WeakMap();
 export function fanChart(place, machine, row, forecast) {
   const rows = recent(machine, row.tag), points = fan(forecast, row.value);
+  const key = [rows.times.length, rows.times[0], rows.times.at(-1), row.value, row.limit, points[0]?.time].join();
+  if (fans.get(place)?.key === key) return;
   const ahead = points.slice(1);
   const times = [...rows.times, ...ahead.map((p) => p.time)];
   const line = [...rows.values, ...ahead.map(() => null)];
@@ -145,7 +147,7 @@ export function fanChart(place, machine, row, forecast) {
   const quantile = (which) => [...blank, ...ahead.map((p) => p.q[which])];
   const limit = times.map(() => row.limit);
   const data = [times, line, quantile(0), quantile(1), quantile(2), quantile(3), quantile(4), limit];
-  let made = fans.get(place);
+  let made = fans.get(place)?.made;
   if (!made) {
     made = chart(place, {
       height: 280,
@@ -158,8 +160,8 @@ export function fanChart(place, machine, row, forecast) {
       ],
       bands: [{ series: [6, 2], fill: `${FAN}29` }, { series: [5, 3], fill: `${FAN}3d` }],
     }, data);
-    fans.set(place, made);
   } else made.setData(data);
+  fans.set(place, { made, key });
 }
 
 // The link over the last hour: what was lost is dark.

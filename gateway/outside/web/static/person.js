@@ -1,5 +1,5 @@
 // Who is logged in, and what a person may change.
-import { ask, bytes, h, parse, person, say, setPerson, start } from "./dom.js";
+import { ask, bytes, h, make, parse, person, say, setPerson, start } from "./dom.js";
 import { state } from "./live.js";
 
 export const personBox = () => h("div", { id: "person" }, person.name
@@ -11,10 +11,10 @@ const box = document.getElementById("dialog");
 
 // A dialog with fields; `work` gets their values, and its error is said in the dialog.
 function dialog(title, fields, confirm, work, more = []) {
-  const said = h("p", { class: "error", role: "alert" });
+  const said = make(h("p", { class: "error", role: "alert" }));
   const inputs = fields.map(([name, label, attributes]) => h("label", {}, h("span", {}, label), h("input", { name, required: true, ...attributes })));
-  const form = h("form", { method: "dialog" }, h("h2", { id: "dialog-title" }, title), more, inputs, said,
-    h("div", { class: "buttons" }, h("button", { type: "button", value: "cancel" }, say("person.cancel")), h("button", { type: "submit", class: "main" }, confirm)));
+  const form = make(h("form", { method: "dialog" }, h("h2", { id: "dialog-title" }, title), more, inputs, said,
+    h("div", { class: "buttons" }, h("button", { type: "button", value: "cancel" }, say("person.cancel")), h("button", { type: "submit", class: "main" }, confirm))));
   form.querySelector("[value=cancel]").onclick = () => box.close();
   form.onsubmit = async (event) => {
     event.preventDefault();
