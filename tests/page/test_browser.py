@@ -2,8 +2,10 @@
 
 import json
 import os
+import re
 import shutil
-from collections.abc import Iterator
+import time
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -145,13 +147,23 @@ def test_what_is_over_stands_apart_in_the_past(page: Page, gateway: Served) -> N
     expect(over).to_have_count(0)
 
 
-def show(page: Page, **changes: Any) -> None:
-    """Have the page shown what the gateway says, with some keys of each machine other, again and again."""
-    plant = page.request.get("/api/plant").json()
-    plant["machines"] = {name: machine | changes for name, machine in plant["machines"].items()}
-    event = f"retry: 500\ndata: {json.dumps(plant)}\n\n"
+def show(page: Page, *, also: Mapping[str, Mapping[str, Any]] | None = None, **changes: Any) -> None:
+    """Have the page shown what the gateway says, with some keys of each machine other, again and again as of now.
+
+    `also` are further machines by their names, with their keys that are other.
+    """
+    told = page.request.get("/api/plant").json()["machines"]
+    first = next(iter(told.values()))
+    machines = {name: machine | changes for name, machine in told.items()}
+    machines |= {name: first | machine for name, machine in (also or {}).items()}
+
+    def answer(route: Route) -> None:
+        present = {name: machine | {"taken": time.time()} for name, machine in machines.items()}
+        event = json.dumps({"order": list(present), "machines": present})
+        route.fulfill(content_type="text/event-stream", body=f"retry: 500\ndata: {event}\n\n")
+
     page.unroute("**/api/live*")
-    page.route("**/api/live*", lambda route: route.fulfill(content_type="text/event-stream", body=event))
+    page.route("**/api/live*", answer)
     page.reload()
 
 
@@ -201,18 +213,18 @@ def test_a_row_is_three_figures_and_one_sentence_and_its_picture_fills_what_was_
     show(page, **as_shown("en"))
     row = page.locator(".row").first
     expect(row.locator(".figure")).to_have_count(3)
-    expect(row.locator(".now")).to_contain_text("45.7 °C")
-    expect(row.locator(".when")).to_contain_text("11\u00a0min")
-    expect(row.locator(".when")).to_contain_text("5 – beyond 15\u00a0min")
-    expect(row.locator(".action")).to_contain_text("look at load and lubrication while there is time")
+    expect(row.locator(".figure.now")).to_contain_text("45.7 °C")
+    expect(row.locator(".figure.when")).to_contain_text("11\u00a0min")
+    expect(row.locator(".figure.when")).to_contain_text("5 – beyond 15\u00a0min")
+    expect(row.locator(".figure.action")).to_contain_text("look at load and lubrication while there is time")
     picture_size = row.locator(".picture svg").evaluate("node => [node.clientWidth, node.clientHeight]")
     assert picture_size[0] > 300 and picture_size[1] > 150, "the room beside the figures is left empty"
     calm = {"block": {**picture()["forecast"]["block"], "minutes_low": None, "minutes_median": None}}
     show(page, **as_shown("de", forecast={**picture()["forecast"], **calm, "p_limit": [0.0, 0.0, 0.0]}))
-    expect(row.locator(".when .amount")).to_have_text("> 15\u00a0min")
+    expect(row.locator(".figure.when .amount")).to_have_text("> 15\u00a0min")
     expect(row.locator(".action .doing")).to_have_text("nichts")
     show(page, **as_shown("it", **{"values__" + TEMPERATURE: tag(45.0, "TIMEOUT")}))
-    expect(row.locator(".when")).to_contain_text("–")
+    expect(row.locator(".figure.when")).to_contain_text("–")
     expect(row.locator(".action .doing")).to_have_text("scoprire perché non si misura")
 
 
@@ -248,13 +260,8 @@ BROKEN_WORDS = """() => {
 def test_the_wall_is_read_from_across_the_room(page: Page) -> None:
     page.set_viewport_size({"width": 1920, "height": 1080})
     page.goto("/#/wall")
-    plant = page.request.get("/api/plant").json()
-    machine = next(iter(plant["machines"].values())) | as_shown("en")
-    names = ["a", "b", "c", "d"]
-    plant |= {"order": names, "machines": {name: machine | {"label": f"Machine {name}"} for name in names}}
-    event = f"retry: 500\ndata: {json.dumps(plant)}\n\n"
-    page.route("**/api/live*", lambda route: route.fulfill(content_type="text/event-stream", body=event))
-    page.reload()
+    four = {name: as_shown("en") | {"label": f"Machine {name}"} for name in ("b", "c", "d")}
+    show(page, also=four, **as_shown("en"))
     tiles = page.locator(".tile")
     expect(tiles).to_have_count(4)
     sizes = "nodes => nodes.map((node) => parseFloat(getComputedStyle(node).fontSize))"
@@ -262,10 +269,8 @@ def test_the_wall_is_read_from_across_the_room(page: Page) -> None:
     assert min(tiles.locator(".big").evaluate_all(sizes)) >= 100 and min(tiles.locator("p").evaluate_all(sizes)) >= 50
     assert page.evaluate("document.documentElement.scrollHeight <= innerHeight"), "something is below the screen's edge"
     # One more: it has its turn, and which ones are shown is said; in alarm it is shown at once.
-    plant |= {"order": [*names, "e"]}
-    plant["machines"]["e"] = machine | as_shown("en", alarm_summary=[hot("over limit")]) | {"label": "Machine e"}
-    event = f"retry: 500\ndata: {json.dumps(plant)}\n\n"
-    page.reload()
+    fifth = as_shown("en", alarm_summary=[hot("over limit")]) | {"label": "Machine e"}
+    show(page, also={**four, "e": fifth}, **as_shown("en"))
     expect(page.locator(".tile.alarm h2")).to_contain_text("Machine e")
     expect(tiles).to_have_count(4)
     expect(page.locator(".turns")).to_have_text("4 of 5, in turn")
@@ -312,6 +317,64 @@ def test_a_flood_shows_what_came_first_and_what_is_most_urgent_and_folds_the_res
     expect(page.locator(".flood")).to_have_count(0)
 
 
+def test_a_shift_is_reported_and_printed_and_says_who_is_there(page: Page, gateway: Served) -> None:
+    gateway.put(TEMPERATURE, 45.0)
+    expect(page.locator(".row .big")).to_have_text("45.0 °C")
+    page.goto("/#/shift")
+    expect(page.locator(".shift h2")).to_contain_text("Shift report")
+    expect(page.locator(".shift .facts").first).to_contain_text("gearbox bearing: hottest")
+    # Who is not logged in can read and print it, and say nothing.
+    expect(page.get_by_role("button", name="Print")).to_be_visible()
+    expect(page.get_by_role("button", name="Who is on shift")).to_have_count(0)
+    log_in(page, "olga")
+    page.get_by_role("button", name="Who is on shift").click()
+    page.get_by_label("Names").fill("Anna, Luca")
+    page.get_by_role("dialog").get_by_role("button", name="Keep").click()
+    expect(page.locator(".shift")).to_contain_text("On shift: Anna, Luca (said by olga at 127.0.0.1")
+    page.get_by_role("button", name="Write a note").click()
+    page.get_by_role("textbox", name="Note").fill("new grease in the gearbox")
+    page.get_by_role("dialog").get_by_role("button", name="Keep").click()
+    expect(page.locator(".shift")).to_contain_text("new grease in the gearbox")
+    page.get_by_role("button", name="24 h").click()
+    expect(page.get_by_role("button", name="24 h")).to_have_attribute("aria-pressed", "true")
+    expect(page.locator(".shift")).to_contain_text("new grease in the gearbox")
+    for language, said in (("de", "Schichtbericht"), ("it", "Rapporto di turno")):
+        page.locator("#language").select_option(language)
+        expect(page.locator(".shift h2")).to_contain_text(said)
+        expect(page.locator("main")).not_to_contain_text("shift.")
+    # On paper there is nothing to press, no dark ground, and nothing is cut off at the right.
+    page.emulate_media(media="print", color_scheme="dark")
+    page.set_viewport_size({"width": 718, "height": 1000})
+    expect(page.locator("header")).to_be_hidden()
+    expect(page.locator(".shift .controls")).to_be_hidden()
+    assert page.evaluate("getComputedStyle(document.body).backgroundColor") == "rgb(255, 255, 255)"
+    wide = "nodes => nodes.filter((node) => node.scrollWidth > node.clientWidth + 1).map((node) => node.innerText)"
+    assert page.locator(".shift .scroll").evaluate_all(wide) == []
+    assert page.pdf(format="A4")[:5] == b"%PDF-"
+
+
+def test_a_note_stands_on_the_time_axis_of_the_trends(page: Page, gateway: Served) -> None:
+    gateway.put(TEMPERATURE, 45.0)
+    log_in(page, "olga")
+    page.goto("/#/trends")
+    over = page.locator("#trend .u-over")
+    expect(over).to_be_visible()
+    # What is pointed at is the moment that the note is about.
+    box = over.bounding_box()
+    assert box is not None
+    page.mouse.click(box["x"] + 0.5 * box["width"], box["y"] + 40)
+    button = page.locator(".notes [data-act=note]")
+    expect(button).to_have_attribute("data-at", re.compile(r"\d+"))
+    button.click()
+    page.get_by_role("textbox", name="Note").fill("belt was tightened")
+    page.get_by_role("dialog").get_by_role("button", name="Keep").click()
+    expect(page.locator(".notes li")).to_contain_text(["belt was tightened"])
+    expect(page.locator(".notes li small").first).to_have_text("olga at 127.0.0.1")
+    # Of another stretch it is none.
+    page.get_by_role("button", name="1 min", exact=True).click()
+    expect(page.locator(".notes li")).to_have_count(0)
+
+
 def test_rows_are_updated_and_not_built_anew(page: Page, gateway: Served) -> None:
     gateway.put(TEMPERATURE, 45.0)
     expect(page.locator(".row .big")).to_have_text("45.0 °C")
@@ -319,7 +382,7 @@ def test_rows_are_updated_and_not_built_anew(page: Page, gateway: Served) -> Non
         page.goto(f"/#/{view}")
         page.evaluate(COUNT_NODES)
         # Twenty readings are drawn, each another one.
-        page.wait_for_function("window.drawn > 20")
+        eventually(lambda: page.evaluate("window.drawn") > 20 or page.wait_for_timeout(50))
         made = page.evaluate("window.made")
         assert made < 200, f"{made} nodes were made for twenty readings of {view}"
 

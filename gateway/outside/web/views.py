@@ -72,7 +72,7 @@ def _belongs(alarm: Mapping[str, Any], tag: str, temperatures: Sequence[Mapping[
 
 
 def _action(words: Words, row: Mapping[str, Any], alarms: Sequence[Mapping[str, Any]]) -> str:
-    """What a person has to do about a temperature now: by its most urgent alarm that holds, else by what is foreseen."""
+    """What a person has to do about a temperature: by its most urgent alarm that holds, else by what is foreseen."""
     if holding := next((alarm for alarm in alarms if alarm["holds"] and alarm["sentence"]), None):
         return str(holding["sentence"])
     if row["level"] in ("alarm", "attention") and row["value"] is not None:

@@ -93,7 +93,7 @@ export function sparkline(machine, row, forecast, speed) {
 
 // A canvas takes no variables of the style sheet: the page's own are looked up once, light or dark.
 const styled = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
-const [INK, GRID, LIMIT] = ["--axis", "--grid", "--limit"].map(styled);
+export const [INK, GRID, LIMIT] = ["--axis", "--grid", "--limit"].map(styled);
 export const FAN = styled("--fan");
 export const COLOURS = matchMedia("(prefers-color-scheme: dark)").matches
   ? ["#8ec1e0", "#d8b46c", "#a5c98f", "#c9a6dd", "#86c4c4", "#dba093", "#b9c3ca", "#d9c24a"]

@@ -5,12 +5,14 @@ import { acts, personBox } from "./person.js";
 import { alarmsView, scorecardView, waits } from "./records.js";
 import { boxView, communicationView, modelView } from "./inside.js";
 import { machineView, modeBadge, plantView, wallView } from "./plant.js";
+import { shiftView } from "./shift.js";
 import { trendsView } from "./trends.js";
 
 const VIEWS = {
   plant: plantView,
   wall: wallView,
   alarms: alarmsView,
+  shift: shiftView,
   trends: trendsView,
   scorecard: scorecardView,
   model: modelView,

@@ -8,7 +8,7 @@ const ROLES = ["operator", "engineer", "administrator"];
 export const can = (role) => ROLES.indexOf(person.role) >= ROLES.indexOf(role);
 
 // What was, in the reader's language, with what it watched in the plant's words; its own name where nobody knows its kind.
-function pastTitle({ kind, condition, tag, of_plant }, labels) {
+export function pastTitle({ kind, condition, tag, of_plant }, labels) {
   if (!kind) return condition;
   const what = condition === kind || of_plant ? "" : (labels[tag] ?? tag);
   return what ? `${what}: ${say(`past.${stateKey(kind)}`)}` : say(`past.${stateKey(kind)}`);
@@ -30,11 +30,11 @@ export function alarmTable(names, ofPlant = true) {
   const folded = flood ? rows.filter((row) => row.section === "standing" && !row.under && row.priority > 1 && !row.first_up) : [];
   const waiting = rows.filter((row) => waits(row) && !folded.some((head) => head.machine === row.machine && [row.name, row.under].includes(head.name)));
   return [
-    flood && h("div", { class: "flood", role: "status" }, h("b", {}, say("alarm.flood", { count: fresh })), h("span", {}, say("alarm.flood_shown"))),
-    waiting.length > 1 && can("operator") && h("p", { class: "buttons" }, acknowledging(waiting, say("alarm.acknowledge_all", { count: waiting.length }))),
+    flood && h("div", { class: "flood", role: "status", "data-key": "flood" }, h("b", {}, say("alarm.flood", { count: fresh })), h("span", {}, say("alarm.flood_shown"))),
+    waiting.length > 1 && can("operator") && h("p", { class: "buttons", "data-key": "all" }, acknowledging(waiting, say("alarm.acknowledge_all", { count: waiting.length }))),
     SECTIONS.map((section) => {
       const heads = rows.filter((row) => row.section === section && !row.under && !folded.includes(row));
-      return heads.length > 0 && [h("h3", {}, say(`alarm.${section}`)), h("ul", { class: "alarms" }, heads.map(entryOf))];
+      return heads.length > 0 && [h("h3", { "data-key": `${section} head` }, say(`alarm.${section}`)), h("ul", { class: "alarms", "data-key": section }, heads.map(entryOf))];
     }),
     [...new Set(folded.map((row) => row.of))].map((of) => {
       const heads = folded.filter((row) => row.of === of);
