@@ -368,11 +368,78 @@ def test_a_note_stands_on_the_time_axis_of_the_trends(page: Page, gateway: Serve
     button.click()
     page.get_by_role("textbox", name="Note").fill("belt was tightened")
     page.get_by_role("dialog").get_by_role("button", name="Keep").click()
-    expect(page.locator(".notes li")).to_contain_text(["belt was tightened"])
-    expect(page.locator(".notes li small").first).to_have_text("olga at 127.0.0.1")
+    note = page.locator(".notes li").filter(has_text="belt was tightened")
+    expect(note.locator("small")).to_have_text("olga at 127.0.0.1")
     # Of another stretch it is none.
     page.get_by_role("button", name="1 min", exact=True).click()
-    expect(page.locator(".notes li")).to_have_count(0)
+    expect(note).to_have_count(0)
+
+
+def test_two_days_are_laid_over_one_another(page: Page) -> None:
+    asked = list[tuple[float, float]]()
+
+    def trend(route: Route) -> None:
+        start, end = (float(re.findall(rf"[?&]{key}=([0-9.]+)", route.request.url)[0]) for key in ("start", "end"))
+        asked.append((start, end))
+        values = [20.0, 30.0] if len(asked) % 2 else [40.0, 50.0]
+        route.fulfill(json={"width": 0, "times": [start, end], "low": values, "mean": values, "high": values})
+
+    page.goto("/#/trends")
+    expect(page.locator("#trend .u-over")).to_be_visible()
+    page.route("**/api/trend*", trend)
+    page.locator("#trend-earlier").select_option(label="1 d earlier")
+    expect(page.locator("#trend .u-legend")).to_contain_text(f"gearbox bearing ({TEMPERATURE}), 1 d earlier")
+    (start, end), (before, until) = asked[:2]
+    assert (start - before, end - until) == (86_400.0, 86_400.0)
+    # Both are drawn over the hour that is shown, each with its own numbers.
+    box = page.locator("#trend .u-over").bounding_box()
+    assert box is not None
+    page.mouse.move(box["x"] + box["width"] - 2, box["y"] + 20)
+    expect(page.locator("#trend .u-legend")).to_contain_text("30.00")
+    expect(page.locator("#trend .u-legend")).to_contain_text("50.00")
+
+
+def test_a_log_in_says_whom_to_ask_for_an_account(page: Page) -> None:
+    for language, said in (
+        ("en", "whoever looks after it"),
+        ("it", "da chi se ne occupa"),
+        ("de", "wer das Gateway betreut"),
+    ):
+        page.goto(f"/?lang={language}")
+        page.locator("[data-act=login]").click()
+        expect(page.get_by_role("dialog")).to_contain_text(said)
+        expect(page.get_by_role("dialog").locator("code")).to_have_text("decanter user add NAME --role operator")
+
+
+def test_an_automaton_of_many_moves_is_drawn_by_those_that_are_taken_often(page: Page) -> None:
+    found = page.request.get("/api/model?machine=decanter").json()
+    model = found["temperatures"][TEMPERATURE]
+    # The model of this gateway knows where it goes, and how fast.
+    on = next(place for place in model["locations"] if place["name"] == "on")
+    assert (on["target"], on["time_constant"], on["stay"]) == (50.0, 100.0, 600.0)
+    names = [f"ON/{load}-{load + 100}" for load in range(0, 1200, 100)]
+    places = [on | {"name": name, "target": 40.0 + number} for number, name in enumerate(names)]
+    moves = [
+        {
+            "source": a,
+            "target": b,
+            "symbols": ["x"],
+            "share": 0.9 if names.index(b) == (names.index(a) + 1) % 12 else 0.01,
+        }
+        for a in names
+        for b in names
+        if a != b
+    ]
+    found["temperatures"][TEMPERATURE] = model | {"locations": places, "edges": moves}
+    page.route("**/api/model*", lambda route: route.fulfill(json=found))
+    page.goto("/#/model")
+    expect(page.locator(".automaton .move")).to_have_count(12)
+    expect(page.locator("main")).to_contain_text("12 of 132 moves are drawn")
+    row = page.locator("tbody tr").nth(2)
+    expect(row).to_contain_text("ON/200-300")
+    expect(row.locator("td")).to_have_text(["42.0 °C", "100 s", "10 min", "ON/300-400 90 %"])
+    page.locator("[data-share]").select_option(label="all")
+    expect(page.locator(".automaton .move")).to_have_count(132)
 
 
 def test_rows_are_updated_and_not_built_anew(page: Page, gateway: Served) -> None:
@@ -380,6 +447,10 @@ def test_rows_are_updated_and_not_built_anew(page: Page, gateway: Served) -> Non
     expect(page.locator(".row .big")).to_have_text("45.0 °C")
     for view in ("plant", "machine/decanter", "alarms"):
         page.goto(f"/#/{view}")
+        if view == "alarms":
+            # What is asked for once is there.
+            expect(page.locator("main .facts").first).to_be_visible()
+            expect(page.locator("main tbody tr").first).to_be_visible()
         page.evaluate(COUNT_NODES)
         # Twenty readings are drawn, each another one.
         eventually(lambda: page.evaluate("window.drawn") > 20 or page.wait_for_timeout(50))

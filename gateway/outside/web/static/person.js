@@ -39,7 +39,7 @@ export const acts = {
         setPerson(await ask("POST", "/api/session", given));
         if (!start.may_read) location.reload();
         changed();
-      });
+      }, [h("p", { class: "quiet" }, say("person.whom"), " ", h("code", {}, "decanter user add NAME --role operator"))]);
   },
   async logout(_, changed) {
     await ask("DELETE", "/api/session").catch(() => {});

@@ -89,9 +89,8 @@ export function wallView() {
   return h("section", { class: `wall of${shown.length}` }, shown.map((each) => {
     const { name, machine, row, level, cut } = each;
     return h("section", { class: `tile ${level}`, "data-key": `${name} ${row.tag}` },
-      h("h2", {}, sign(level), machine.label, h("small", {}, row.label), modeBadge(machine.mode, cut)),
-      h("p", { class: "big" }, value(row, name)),
-      h("p", { class: `when ${row.valid}` }, `${say("when.title")}: `, h("b", {}, cut ? "–" : row.when[0])),
+      h("h2", {}, sign(level), h("span", {}, machine.label), modeBadge(machine.mode, cut)),
+      h("div", { class: "pair" }, h("p", {}, h("small", {}, row.label), h("b", { class: "big" }, value(row, name))), h("p", { class: `when ${row.valid}` }, h("small", {}, say("when.title")), h("b", { class: "amount" }, cut ? "–" : row.when[0]))),
       h("p", {}, `${say("action.title")}: `, h("b", {}, cut ? say("word.unknown") : row.action)));
   }), rows.length > shown.length && h("p", { class: "turns" }, say("word.of", { shown: shown.length, count: rows.length })));
 }

@@ -5,10 +5,12 @@ import { chart, COLOURS, FAN, faint, INK, measuredSeries } from "./draw.js";
 import { can } from "./records.js";
 
 const SPANS = [["90 d", 7776000], ["7 d", 604800], ["1 d", 86400], ["6 h", 21600], ["1 h", 3600], ["10 min", 600], ["1 min", 60]];
+// What went before is laid over what is shown: so many seconds before it.
+const EARLIER = [["1 h", 3600], ["1 d", 86400], ["7 d", 604800]];
 const now = (machine) => state.machines[machine].status.time;
 
 // What is looked at: `past` are the stretches that were zoomed out of, `at` the moment that was pointed at.
-const look = { machine: null, tags: [], span: 3600, range: null, past: [], horizon: "", at: null, asked: "", data: null, error: "" };
+const look = { machine: null, tags: [], span: 3600, range: null, past: [], horizon: "", earlier: "", at: null, asked: "", data: null, error: "" };
 
 export function trendsView([wanted]) {
   const machine = look.machine && state.machines[look.machine] ? look.machine : (look.machine = wanted && state.machines[wanted] ? wanted : state.order[0]);
@@ -22,6 +24,8 @@ export function trendsView([wanted]) {
       h("label", {}, h("span", {}, say("word.machine")), h("select", { id: "trend-machine" }, state.order.map((name) => h("option", { value: name, selected: name === machine }, state.machines[name].label)))),
       h("div", { class: "spans", role: "group", "aria-label": say("trend.span") }, SPANS.map(([label, seconds]) => h("button", { "data-act": "span", "data-span": seconds, "aria-pressed": String(!look.range && look.span === seconds) }, label)),
         h("button", { "data-act": "back", disabled: !look.past.length }, say("trend.back"))),
+      h("label", {}, h("span", {}, say("trend.compare")), h("select", { id: "trend-earlier" }, h("option", { value: "" }, "–"),
+        EARLIER.map(([label, seconds]) => h("option", { value: seconds, selected: String(seconds) === look.earlier }, say("trend.earlier", { age: label }))))),
       horizons.length > 0 && h("label", {}, h("span", {}, say("trend.forecasts")), h("select", { id: "trend-horizon" }, h("option", { value: "" }, "–"),
         horizons.map((each) => h("option", { value: each, selected: String(each) === look.horizon }, say("trend.said_before", { minutes: number(each / 60, 0) })))))),
     h("details", { class: "tags", open: innerWidth > 700 }, h("summary", {}, say("trend.signals")), names.map((name) =>
@@ -46,6 +50,7 @@ addEventListener("change", (event) => {
   const { target } = event;
   if (target.id === "trend-machine") Object.assign(look, { machine: target.value, tags: [], past: [], range: null });
   else if (target.id === "trend-horizon") look.horizon = target.value;
+  else if (target.id === "trend-earlier") look.earlier = target.value;
   else if (target.dataset?.tag) look.tags = target.checked ? [...new Set([...look.tags, target.value])].slice(-8) : look.tags.filter((tag) => tag !== target.value);
   else return;
   dispatchEvent(new HashChangeEvent("hashchange"));
@@ -63,7 +68,7 @@ function fetchOnce(machine, status) {
   const step = Math.max(look.span / 100, 2);
   const end = look.range ? look.range[1] : Math.ceil(now(machine) / step) * step;
   const start = look.range ? look.range[0] : end - look.span;
-  const key = JSON.stringify([machine, look.tags, start, end, look.horizon]);
+  const key = JSON.stringify([machine, look.tags, start, end, look.horizon, look.earlier]);
   const place = document.getElementById("trend");
   if (!place || !window.uPlot) return;
   if (look.asked === key) {
@@ -72,22 +77,28 @@ function fetchOnce(machine, status) {
   }
   look.asked = key;
   const followed = [status.temperature, ...status.further.map((one) => one.temperature)];
+  const shift = Number(look.earlier), shown = look.tags.length;
   const asks = look.tags.map((tag) => ask("GET", "/api/trend", { machine, tag, start, end }));
+  if (shift) asks.push(...look.tags.map((tag) => ask("GET", "/api/trend", { machine, tag, start: start - shift, end: end - shift })));
   const said = look.horizon && look.tags.find((tag) => followed.includes(tag));
   if (said) asks.push(ask("GET", "/api/forecasts", { machine, temperature: said, horizon: look.horizon, start, end }));
-  // Without its notes a trend is shown all the same.
-  const noted = ask("GET", "/api/notes", { start, end }).then(({ notes }) => notes.filter((note) => note.machine === machine), () => []);
-  Promise.all([noted, ...asks]).then(([notes, ...all]) => {
+  Promise.all(asks).then((all) => {
     if (look.asked !== key) return;
     look.error = "";
     const { labels } = state.machines[machine];
-    look.data = { width: all[0].width, start, end, notes, tags: look.tags.map((tag) => (labels[tag] ? `${labels[tag]} (${tag})` : tag)), trends: all.slice(0, look.tags.length), said: said ? all.at(-1) : null };
+    look.data = { width: all[0].width, start, end, notes: [], tags: look.tags.map((tag) => (labels[tag] ? `${labels[tag]} (${tag})` : tag)), trends: all.slice(0, shown), shift, earlier: shift ? all.slice(shown, 2 * shown) : [], said: said ? all.at(-1) : null };
     draw(document.getElementById("trend") ?? place);
+    // After what nobody waits longer for because of them.
+    ask("GET", "/api/notes", { start, end }).then(({ notes }) => {
+      if (look.asked !== key || !notes.length) return;
+      look.data.notes = notes.filter((note) => note.machine === machine);
+      draw(document.getElementById("trend") ?? place);
+    }, () => {});
   }, (error) => (look.error = error.message));
 }
 
 function draw(place) {
-  const { trends, tags, said, start, end, notes } = look.data;
+  const { trends, tags, said, start, end, notes, shift, earlier } = look.data;
   const tables = [], series = [], bands = [];
   trends.forEach((seen, place) => {
     const colour = COLOURS[place % COLOURS.length];
@@ -97,6 +108,11 @@ function draw(place) {
       bands.push({ series: [series.length, series.length - 1], fill: `${colour}30` });
     } else tables.push([seen.times, seen.mean]);
     series.push(measuredSeries(tags[place], colour));
+  });
+  earlier.forEach((seen, place) => {
+    tables.push([seen.times.map((time) => time + shift), seen.mean]);
+    const label = EARLIER.find(([, seconds]) => seconds === shift)[0];
+    series.push({ ...measuredSeries(`${tags[place]}, ${say("trend.earlier", { age: label })}`, COLOURS[place % COLOURS.length]), width: 1, dash: [3, 3] });
   });
   if (said) {
     const colour = FAN;
