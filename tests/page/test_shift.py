@@ -1,6 +1,7 @@
 """The report of a shift: from a historian and an audit log alone, to the last minute of what they have."""
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -8,10 +9,19 @@ import pytest
 
 from drivers.supervision import Supervisor
 from drivers.tag import Quality, Tag
-from gateway.machine.alarms import JournalRow
+from gateway.machine.alarms import BY_PERSONS, JournalRow
 from gateway.outside.texts import LANGUAGES, all_words
 from gateway.outside.web.access import AccountRole
-from gateway.outside.web.shift import NOBODY, NOTE, ON_SHIFT, alarm_episodes, nearest_limit, read_people, read_shift
+from gateway.outside.web.shift import (
+    DEEDS,
+    NOBODY,
+    NOTE,
+    ON_SHIFT,
+    alarm_episodes,
+    nearest_limit,
+    read_people,
+    read_shift,
+)
 from gateway.outside.web.shift_text import shift_text
 from gateway.store import AuditEntry, open_audit
 from tests.gateway.support import EPOCH, one_machine
@@ -128,6 +138,7 @@ def test_what_people_did_is_that_of_the_audit_log_and_a_name_holds_for_a_day(tmp
     assert found["on_shift"] == {"names": "Anna, Luca", "by": "olga", "time": EPOCH - 9 * HOUR}
     assert [note["text"] for note in read_people(path, start=EPOCH - 2 * HOUR, end=EPOCH)["notes"]] == ["belt smells"]
     assert read_people(path, start=EPOCH + 15 * HOUR, end=EPOCH + 16 * HOUR)["on_shift"] is None, "it is a day old"
+    assert found["left_out"] == {"notes": 0, "deeds": 0}
     again = open_audit(path, Supervisor())
     again.put(AuditEntry(EPOCH + 5.0, ON_SHIFT, "olga", NOBODY))
     again.close()
@@ -157,6 +168,7 @@ def report() -> dict[str, Any]:
         "on_shift": {"names": "Anna", "by": "olga", "time": EPOCH},
         "notes": [{"time": EPOCH + 5.0, "machine": "decanter", "by": "olga", "text": "new grease"}],
         "deeds": [deed],
+        "left_out": {"notes": 3, "deeds": 0},
     }
 
 
@@ -172,7 +184,8 @@ def test_its_mail_is_said_in_each_language_with_all_that_is_in_it() -> None:
         "  Blocks by verdict: computed, not written 12",
         "    2023-11-14 22:14:20  gearbox bearing: rose towards its limit: limit not passed; over after 5 min; "
         "Acknowledged by olga, 30 s",
-        "    2023-11-14 22:28:20  gearbox bearing: was over its limit: stands; Acknowledged by nobody",
+        "    2023-11-14 22:28:20  gearbox bearing: over its limit: stands; Acknowledged by nobody",
+        "  3 older ones are not listed.",
         "  2023-11-14 22:13:25  Decanter 2: new grease (olga)",
         "  2023-11-14 22:14:50  olga: alarm acknowledged, decanter, rising T",
     ):
@@ -202,3 +215,9 @@ def test_it_goes_by_the_mail_server_of_the_alarms(mail_server: MailServer, tmp_p
         eventually(lambda: client.log_in("olga") == 200)
         status, answered = client.ask("POST", "/api/shift/mail", {"hours": 8.0})
         assert status == 409 and "nobody is told anything by mail" in answered["reason"]
+
+
+def test_every_deed_has_its_words() -> None:
+    kinds = {*DEEDS, *(f"alarm {word}" for word in BY_PERSONS.values())}
+    keys = {f"deed.{re.sub('[ -]', '_', kind.replace(':', ''))}" for kind in kinds}
+    assert keys == {key for key in all_words()["en"].texts if key.startswith("deed.")}

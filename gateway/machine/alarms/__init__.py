@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from gateway.machine.alarms.rates import FLOOD_BEGIN_COUNT, PRIORITIES, TEN_MINUTES, alarm_rates
     from gateway.machine.alarms.sensors import SensorWatch, without_faulty
     from gateway.machine.alarms.states import (
+        ACTIVE,
         BY_PERSONS,
         HIDDEN,
         LETTERS,

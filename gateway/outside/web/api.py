@@ -18,9 +18,9 @@ from pydantic import Field, ValidationError
 from starlette.requests import ClientDisconnect, Request
 from starlette.responses import Response
 
+from drivers.errors import OneLineError
 from drivers.json_lines import NoObject, parse_object
 from drivers.settings import ConfigError, Line, Section, first_sentence
-from gateway.outside.notify import RefusedError, UndeliveredError, mail_text
 from gateway.outside.status import ControlError, GatewayStatus
 from gateway.outside.texts import LANGUAGES, preferred_language
 from gateway.outside.web.access import AccountRole, AccountsError, Session
@@ -31,7 +31,6 @@ from gateway.outside.web.promotion import PromotionRefused, promote_version
 from gateway.outside.web.shift import NOBODY, NOTE, ON_SHIFT
 from gateway.outside.web.shift_text import shift_text, shift_title
 from gateway.outside.web.state import PageState, Unaccountable
-from gateway.settings import load_secrets
 from sim.strict_json import json_text
 
 MOST_BODY = 8 * 1024
@@ -333,9 +332,8 @@ async def _mail_shift(call: Call) -> Any:
     text = shift_text(words, call.page.config.page.labels, units, report)
     await call.page.record("page: shift mailed", call.who, hours=call.given.hours)
     try:
-        secrets = await asyncio.to_thread(load_secrets, notify)
-        told = await asyncio.to_thread(mail_text, notify, secrets, shift_title(words, report), text, time.time())
-    except (ConfigError, UndeliveredError, RefusedError) as error:
+        told = await asyncio.to_thread(call.page.mail, shift_title(words, report), text, time.time())
+    except (ConfigError, OneLineError) as error:
         raise Refused(HTTPStatus.BAD_GATEWAY, " ".join(str(error).split())) from None
     return {"told": told}
 

@@ -11,8 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from drivers.tag import Quality
-from gateway.machine.alarms import HIDDEN, UNSEEN, AlarmState, JournalRow, read_journal
-from gateway.machine.alarms.states import ACTIVE
+from gateway.machine.alarms import ACTIVE, HIDDEN, UNSEEN, AlarmState, JournalRow, read_journal
 from gateway.settings import parse_kind
 from gateway.store import ARMED, DISARMED, EXPIRED, AuditError, machines, read_since, reading, samples, stored_rows
 
@@ -23,7 +22,7 @@ WARNINGS = ("predicted over limit", "rising")
 LIMIT = "over limit"
 LONGEST_SHIFT_S = 86_400.0
 """Who is on shift is asked anew each day: a name that was set before that is nobody's present."""
-_DEEDS = (
+DEEDS = (
     ARMED,
     DISARMED,
     EXPIRED,
@@ -33,7 +32,9 @@ _DEEDS = (
     "page: shift mailed",
     "page: log-in locked",
 )
+"""Kinds of rows in which somebody did something, beside those of alarms."""
 MOST_LISTED = 200
+"""How many notes and deeds are listed, the newest; how many were before them is said."""
 
 
 def read_shift(
@@ -55,12 +56,13 @@ def read_shift(
 
 
 def read_people(audit: Path, *, start: float, end: float) -> dict[str, Any]:
-    """Who was on shift, the notes on moments from `start` to `end` (s UTC), and what people did, in their order.
+    """Who was on shift, the notes on moments from `start` to `end` (s UTC), and what people did, in their order; how
+    many older ones of them were `left_out`.
 
     Without an audit log nobody did anything that had to be put on it.
     """
     if not audit.is_file():
-        return {"on_shift": None, "notes": [], "deeds": []}
+        return {"on_shift": None, "notes": [], "deeds": [], "left_out": {"notes": 0, "deeds": 0}}
     try:
         rows = [row.entry for row in read_since(audit, min(start, end - LONGEST_SHIFT_S), _is_of_people)]
     except AuditError as error:
@@ -85,6 +87,7 @@ def read_people(audit: Path, *, start: float, end: float) -> dict[str, Any]:
         "on_shift": names[-1] if names and names[-1]["names"] != NOBODY else None,
         "notes": sorted(notes, key=lambda note: note["time"])[-MOST_LISTED:],
         "deeds": deeds[-MOST_LISTED:],
+        "left_out": {"notes": max(len(notes) - MOST_LISTED, 0), "deeds": max(len(deeds) - MOST_LISTED, 0)},
     }
 
 
@@ -93,7 +96,7 @@ NOBODY = "-"
 
 
 def _is_of_people(kind: str) -> bool:
-    return kind in (ON_SHIFT, NOTE, *_DEEDS) or kind.startswith("alarm ")
+    return kind in (ON_SHIFT, NOTE, *DEEDS) or kind.startswith("alarm ")
 
 
 def _about(detail: Mapping[str, Any]) -> str:

@@ -25,15 +25,15 @@ def shift_text(words: Words, labels: Mapping[str, str], units: Mapping[str, str]
     )
     for name, machine in report["machines"].items():
         lines += ["", labels.get(name, name), *(f"  {line}" for line in _machine(words, labels, units, machine))]
-    lines += ["", words.say("note.notes")]
-    lines += [
-        f"  {_moment(note['time'])}  {labels.get(note['machine'], note['machine'])}: {note['text']} ({note['by']})"
+    notes = [
+        f"{_moment(note['time'])}  {labels.get(note['machine'], note['machine'])}: {note['text']} ({note['by']})"
         for note in report["notes"]
-    ] or [f"  {words.say('word.none')}"]
-    lines += ["", words.say("shift.deeds")]
-    lines += [f"  {_moment(deed['time'])}  {_deed(words, deed)}" for deed in report["deeds"]] or [
-        f"  {words.say('word.none')}"
     ]
+    deeds = [f"{_moment(deed['time'])}  {_deed(words, deed)}" for deed in report["deeds"]]
+    for title, key, found in (("note.notes", "notes", notes), ("shift.deeds", "deeds", deeds)):
+        before = report["left_out"][key]
+        more = [words.say("shift.left_out", count=before)] if before else []
+        lines += ["", words.say(title), *(f"  {line}" for line in more + found or [words.say("word.none")])]
     return "\n".join(lines) + "\n"
 
 
@@ -66,10 +66,10 @@ def _machine(
 
 
 def _title(words: Words, labels: Mapping[str, str], one: Mapping[str, Any]) -> str:
-    """What was, of what in the plant's words; its own name where nobody knows its kind."""
+    """What is or was, of what in the plant's words; its own name where nobody knows its kind."""
     if not one["kind"]:
         return str(one["alarm"])
-    said = words.of_code(f"past.{one['kind']}")
+    said = words.of_code(f"{'kind' if one['ended'] is None else 'past'}.{one['kind']}")
     return said if one["alarm"] == one["kind"] or one["of_plant"] else f"{labels.get(one['tag'], one['tag'])}: {said}"
 
 

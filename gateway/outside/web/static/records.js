@@ -8,10 +8,11 @@ const ROLES = ["operator", "engineer", "administrator"];
 export const can = (role) => ROLES.indexOf(person.role) >= ROLES.indexOf(role);
 
 // What was, in the reader's language, with what it watched in the plant's words; its own name where nobody knows its kind.
-export function pastTitle({ kind, condition, tag, of_plant }, labels) {
+export function pastTitle({ kind, condition, tag, of_plant }, labels, tense = "past") {
   if (!kind) return condition;
   const what = condition === kind || of_plant ? "" : (labels[tag] ?? tag);
-  return what ? `${what}: ${say(`past.${stateKey(kind)}`)}` : say(`past.${stateKey(kind)}`);
+  const said = say(`${tense}.${stateKey(kind)}`);
+  return what ? `${what}: ${said}` : said;
 }
 
 export const waits = (alarm) => alarm.state === "unacknowledged" || alarm.state.endsWith(" unacknowledged");
