@@ -313,7 +313,11 @@ async def _shift(call: Call) -> Any:
 
 async def _report(call: Call, statuses: Mapping[str, GatewayStatus]) -> bytes:
     limits = {
-        name: {one.temperature: one.limit for one in (status, *status.further)} | dict(status.watched)
+        name: {
+            status.temperature: status.limit,
+            **{one.temperature: one.limit for one in status.further},
+            **status.watched,
+        }
         for name, status in statuses.items()
     }
     end = max((status.time for status in statuses.values()), default=call.page.now())

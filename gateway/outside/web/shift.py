@@ -72,7 +72,7 @@ def read_people(audit: Path, *, start: float, end: float) -> dict[str, Any]:
         for row in rows
         if row.kind == ON_SHIFT and end - LONGEST_SHIFT_S <= row.time <= end
     ]
-    notes = [
+    notes: list[dict[str, Any]] = [
         {"time": float(at), "machine": row.detail.get("machine"), "by": row.who, "text": row.reason}
         for row in rows
         if row.kind == NOTE and isinstance(at := row.detail.get("at"), int | float) and start <= at <= end
