@@ -137,8 +137,11 @@ export const faint = (name, colour) => ({ label: name, stroke: colour, width: 0.
 const fans = new WeakMap();
 export function fanChart(place, machine, row, forecast) {
   const rows = recent(machine, row.tag), points = fan(forecast, row.value);
-  const key = [rows.times.length, rows.times[0], rows.times.at(-1), row.value, row.limit, points[0]?.time].join();
-  if (fans.get(place)?.key === key) return;
+  // A newer reading is drawn once it lies a pixel beside the last one: what is new within it nobody sees.
+  const last = fans.get(place), first = rows.times[0], newest = rows.times.at(-1);
+  const pixel = last && ((points.at(-1)?.time ?? newest) - first) / last.made.width;
+  const key = [rows.values.at(-1) === null, row.limit, points[0]?.time].join();
+  if (last?.key === key && newest - last.newest < pixel && first >= last.first) return;
   const ahead = points.slice(1);
   const times = [...rows.times, ...ahead.map((p) => p.time)];
   const line = [...rows.values, ...ahead.map(() => null)];
@@ -147,7 +150,7 @@ export function fanChart(place, machine, row, forecast) {
   const quantile = (which) => [...blank, ...ahead.map((p) => p.q[which])];
   const limit = times.map(() => row.limit);
   const data = [times, line, quantile(0), quantile(1), quantile(2), quantile(3), quantile(4), limit];
-  let made = fans.get(place)?.made;
+  let made = last?.made;
   if (!made) {
     made = chart(place, {
       height: 280,
@@ -161,7 +164,7 @@ export function fanChart(place, machine, row, forecast) {
       bands: [{ series: [6, 2], fill: `${FAN}29` }, { series: [5, 3], fill: `${FAN}3d` }],
     }, data);
   } else made.setData(data);
-  fans.set(place, { made, key });
+  fans.set(place, { made, key, first, newest });
 }
 
 // The link over the last hour: what was lost is dark.
