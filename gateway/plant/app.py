@@ -29,7 +29,7 @@ from gateway.plant.log_file import LogFile
 from gateway.plant.service import ServiceManager, service_manager
 from gateway.plant.shortfalls import MESSAGES, NORTHBOUND, PAGE, load_sink_secrets, of_plant
 from gateway.plant.status import write_status
-from gateway.settings import Config, NorthboundSecrets
+from gateway.settings import Config, NorthboundSecrets, load_secrets
 from gateway.store import FileRule
 
 if TYPE_CHECKING:
@@ -150,6 +150,13 @@ def _report_absences(fleet: Fleet, without: Mapping[str, str]) -> None:
         fleet.log.error("a part of the gateway could not be begun, and it goes on without", part=part, reason=reason)
 
 
+def _mail(config: Config, subject: str, text: str, now: float) -> list[str]:
+    """Mail a text of the page's by the way of the alarms; see `gateway.outside.notify.mail_text`."""
+    from gateway.outside.notify import mail_text
+
+    return mail_text(config.notify, load_secrets(config.notify), subject, text, now)
+
+
 @asynccontextmanager
 async def _page(configs: Sequence[Config], fleet: Fleet) -> AsyncIterator[None]:
     """Serve the page meanwhile, in a thread of its own."""
@@ -160,7 +167,14 @@ async def _page(configs: Sequence[Config], fleet: Fleet) -> AsyncIterator[None]:
     if trail is None:
         raise RuntimeError("the page is enabled, and the audit log was not opened")
     fleet.records.files.watch("accounts", {configs[0].users: FileRule(late=True, accepts=accounts_problem)})
-    page = PageServer(configs, answer=fleet.answer, audit=trail.audit, now=fleet.clock.now, log=fleet.log)
+    page = PageServer(
+        configs,
+        answer=fleet.answer,
+        audit=trail.audit,
+        now=fleet.clock.now,
+        mail=partial(_mail, configs[0]),
+        log=fleet.log,
+    )
 
     async def witness() -> None:
         # A gateway that writes no blocks signs no heads, and what people do is to be witnessed all the same.

@@ -75,8 +75,9 @@ class AlarmKind:
     else of its condition is not as usual. `finding` gives that number by what a machine shows at a scan, None where it
     is not known; of temperatures the stages of a scan find it (`SensorWatch`, `ModelUnit`) under the kind's name.
 
-    `title` and `response` are said in the reader's language while it is so, `past` where it was; `{tag}`, `{twin}`,
-    `{limit}` and `{unit}` stand for the alarm's. Of one `cause` ("": none) are the kinds that tell of the same thing.
+    `title`, `response` and `consequence` are said in the reader's language while it is so, `past` where it was; in the
+    first two `{tag}`, `{twin}`, `{limit}` and `{unit}` stand for the alarm's. Of one `cause` ("": none) are the kinds
+    that tell of the same thing.
     `bit` is that in the block's alarm word (None: none); it, `priority` and the delay (plant s) are defaults, which a
     plant file may change. `namur` is the category of NAMUR NE 107 for what is wrong with a sensor: failure, out of
     specification or maintenance required.
@@ -87,7 +88,7 @@ class AlarmKind:
     past: Phrase
     watches: str
     response: Phrase
-    consequence: str
+    consequence: Phrase
     applies: Callable[[AlarmPlace], bool]
     limit: Callable[[AlarmPlace], float]
     finding: Callable[[MachineSigns], float | None] | None = None
@@ -99,8 +100,8 @@ class AlarmKind:
     cause: str = ""
 
     def __post_init__(self) -> None:
-        texts = (self.title, self.past, self.response)
-        if not (all(text.whole for text in texts) and self.watches and self.consequence):
+        texts = (self.title, self.past, self.response, self.consequence)
+        if not (all(text.whole for text in texts) and self.watches):
             raise ValueError(f"the kind of alarm {self.title!r} lacks a text, or a text in one of the languages")
         if (self.finding is None) != (self.subject in ("watched", "predicted")):
             raise ValueError(
@@ -213,7 +214,11 @@ ALARM_KINDS: Mapping[str, AlarmKind] = {
             it="{tag} supera {limit} {unit}: ridurre il carico e controllare la lubrificazione",
             de="{tag} liegt über {limit} {unit}: Last verringern und Schmierung prüfen",
         ),
-        consequence="the bearing is damaged within minutes to hours",
+        consequence=Phrase(
+            "the bearing is damaged within minutes to hours",
+            it="il cuscinetto si danneggia in minuti o ore",
+            de="das Lager nimmt binnen Minuten bis Stunden Schaden",
+        ),
     ),
     "predicted over limit": AlarmKind(
         subject="predicted", bit=1,
@@ -233,7 +238,11 @@ ALARM_KINDS: Mapping[str, AlarmKind] = {
             it="{tag} supererà il suo limite: controllare carico e lubrificazione finché c'è tempo",
             de="{tag} wird seine Grenze überschreiten: Last und Schmierung prüfen, solange Zeit ist",
         ),
-        consequence="the limit is reached, and the load has to be thrown off",
+        consequence=Phrase(
+            "the limit is reached, and the load has to be thrown off",
+            it="si raggiunge il limite e bisogna togliere il carico",
+            de="die Grenze wird erreicht, und die Last muss abgeworfen werden",
+        ),
     ),
     "anomaly": AlarmKind(
         subject="predicted", bit=2, priority=3,
@@ -250,7 +259,11 @@ ALARM_KINDS: Mapping[str, AlarmKind] = {
             it="le letture di {tag} non seguono il modello: controllare la macchina e i suoi sensori",
             de="die Messwerte von {tag} passen nicht zum Modell: Maschine und Sensoren prüfen",
         ),
-        consequence="what is predicted is not to be relied on, and what the machine does is not what it used to do",
+        consequence=Phrase(
+            "what is predicted is not to be relied on, and what the machine does is not what it used to do",
+            it="la previsione non è affidabile, e la macchina non si comporta più come prima",
+            de="auf die Vorhersage ist kein Verlass, und die Maschine verhält sich nicht wie bisher",
+        ),
     ),
     "unfamiliar": AlarmKind(
         subject="predicted", bit=2, priority=3,
@@ -269,7 +282,11 @@ ALARM_KINDS: Mapping[str, AlarmKind] = {
             de="der gegenwärtige Zyklus von {tag} ist anders als im Training des Modells: siehe Vertrautheit, was "
             "daran fremd ist, und sich nicht auf die Vorhersage allein verlassen",
         ),
-        consequence="the forecast is made for what nobody has seen, and its band may be too narrow",
+        consequence=Phrase(
+            "the forecast is made for what nobody has seen, and its band may be too narrow",
+            it="la previsione riguarda ciò che nessuno ha mai visto, e la sua banda può essere troppo stretta",
+            de="die Vorhersage gilt für etwas, das noch niemand gesehen hat, und ihr Band kann zu schmal sein",
+        ),
     ),
     "review": AlarmKind(
         subject="predicted", bit=5, priority=3,
@@ -286,7 +303,11 @@ ALARM_KINDS: Mapping[str, AlarmKind] = {
             de="das Modell ist unbrauchbar, oder die Messwerte liegen zu oft außerhalb seiner 3 Sigma: sein Urteil und "
             "den Sensor prüfen, dann das Modell neu lernen oder korrigieren",
         ),
-        consequence="the bands of the forecast are too narrow",
+        consequence=Phrase(
+            "the bands of the forecast are too narrow",
+            it="le bande della previsione sono troppo strette",
+            de="die Bänder der Vorhersage sind zu schmal",
+        ),
     ),
     "drift": AlarmKind(
         subject="predicted", bit=3, priority=3,
@@ -302,7 +323,11 @@ ALARM_KINDS: Mapping[str, AlarmKind] = {
             de="der freie Lauf des Modells liegt mehrere Zyklen in Folge über seiner Grenze: herausfinden, was sich "
             "geändert hat",
         ),
-        consequence="the forecast is wrong by more than it says, in one direction",
+        consequence=Phrase(
+            "the forecast is wrong by more than it says, in one direction",
+            it="la previsione sbaglia più di quanto dice, in una direzione",
+            de="die Vorhersage irrt in eine Richtung um mehr, als sie sagt",
+        ),
     ),
     "no forecast": AlarmKind(
         subject="predicted",
@@ -321,7 +346,11 @@ ALARM_KINDS: Mapping[str, AlarmKind] = {
             de="es kommt keine brauchbare Vorhersage von {tag}, obwohl die Messwerte gut sind: siehe Modell und Teile "
             "im Status, und solange {tag} selbst beobachten",
         ),
-        consequence="the limit comes without a warning; only the alarm at the limit is left",
+        consequence=Phrase(
+            "the limit comes without a warning; only the alarm at the limit is left",
+            it="il limite arriva senza avviso; resta solo l'allarme al limite",
+            de="die Grenze kommt ohne Warnung; es bleibt nur der Alarm an der Grenze",
+        ),
     ),
     "rising": AlarmKind(
         subject="watched",
@@ -338,7 +367,11 @@ ALARM_KINDS: Mapping[str, AlarmKind] = {
             it="{tag} sale verso {limit} {unit}: controllare carico e lubrificazione finché c'è tempo",
             de="{tag} steigt auf {limit} {unit} zu: Last und Schmierung prüfen, solange Zeit ist",
         ),
-        consequence="the limit is reached, and the load has to be thrown off",
+        consequence=Phrase(
+            "the limit is reached, and the load has to be thrown off",
+            it="si raggiunge il limite e bisogna togliere il carico",
+            de="die Grenze wird erreicht, und die Last muss abgeworfen werden",
+        ),
     ),
     "sensor out of range": AlarmKind(
         subject="watched", on_delay=5.0, namur="failure",
@@ -352,7 +385,11 @@ ALARM_KINDS: Mapping[str, AlarmKind] = {
         limit=yes_or_no,
         watches="readings beyond the tag's `low` and `high`, or that the device calls a failed sensor",
         response=_LOOK_AT_SENSOR,
-        consequence="the temperature is not known, and neither is whether it is over its limit",
+        consequence=Phrase(
+            "the temperature is not known, and neither is whether it is over its limit",
+            it="non si conosce la temperatura, né se ha superato il limite",
+            de="die Temperatur ist nicht bekannt, und auch nicht, ob sie über der Grenze liegt",
+        ),
     ),
     "sensor frozen": AlarmKind(
         subject="watched", namur="failure",
@@ -362,7 +399,11 @@ ALARM_KINDS: Mapping[str, AlarmKind] = {
         limit=yes_or_no,
         watches="a reading that does not move a bit while its twin, or the machine, does",
         response=_LOOK_AT_SENSOR,
-        consequence="a bearing that heats is not seen",
+        consequence=Phrase(
+            "a bearing that heats is not seen",
+            it="un cuscinetto che si scalda non si vede",
+            de="ein Lager, das heiß wird, bleibt unbemerkt",
+        ),
     ),
     "sensor jumping": AlarmKind(
         subject="watched", priority=3, namur="out of specification",
@@ -372,7 +413,12 @@ ALARM_KINDS: Mapping[str, AlarmKind] = {
         limit=yes_or_no,
         watches="steps between readings that no bearing can take",
         response=_LOOK_AT_SENSOR,
-        consequence="single readings are wrong, as by a loose contact; the alarm at the limit may come in vain",
+        consequence=Phrase(
+            "single readings are wrong, as by a loose contact; the alarm at the limit may come in vain",
+            it="singole letture sono errate, come per un contatto allentato; l'allarme al limite può scattare a vuoto",
+            de="einzelne Messwerte sind falsch, wie bei einem Wackelkontakt; der Alarm an der Grenze kann "
+            "grundlos kommen",
+        ),
     ),
     "sensor noisy": AlarmKind(
         subject="watched", priority=3, namur="out of specification",
@@ -382,7 +428,11 @@ ALARM_KINDS: Mapping[str, AlarmKind] = {
         limit=yes_or_no,
         watches="the spread of the readings about a straight line through each three of them",
         response=_LOOK_AT_SENSOR,
-        consequence="alarms come in vain, and the forecast begins from a wrong temperature",
+        consequence=Phrase(
+            "alarms come in vain, and the forecast begins from a wrong temperature",
+            it="gli allarmi scattano a vuoto, e la previsione parte da una temperatura errata",
+            de="Alarme kommen grundlos, und die Vorhersage beginnt bei einer falschen Temperatur",
+        ),
     ),
     "sensor drifting": AlarmKind(
         subject="watched", priority=3, namur="maintenance required",
@@ -399,7 +449,11 @@ ALARM_KINDS: Mapping[str, AlarmKind] = {
             de="{tag} und {twin} mit einem Handthermometer vergleichen, dann Sensor, Kabel und Eingang dessen prüfen, "
             "der falsch anzeigt",
         ),
-        consequence="the limit is reached later, or earlier, than it is seen",
+        consequence=Phrase(
+            "the limit is reached later, or earlier, than it is seen",
+            it="il limite si raggiunge prima o dopo di quanto si veda",
+            de="die Grenze wird später oder früher erreicht, als man es sieht",
+        ),
     ),
     "records": AlarmKind(
         subject="machine", bit=7,
@@ -420,7 +474,11 @@ ALARM_KINDS: Mapping[str, AlarmKind] = {
             de="was geschieht, wird vielleicht nicht aufgezeichnet: siehe Historian und Teile im Status, und Platz "
             "schaffen oder die Platte instand setzen",
         ),
-        consequence="what happens is lost, and an armed gateway disarms itself",
+        consequence=Phrase(
+            "what happens is lost, and an armed gateway disarms itself",
+            it="ciò che accade va perso, e un gateway armato si disarma da solo",
+            de="was geschieht, geht verloren, und ein scharfes Gateway entschärft sich selbst",
+        ),
     ),
     "parts": AlarmKind(
         subject="machine", bit=7,
@@ -446,7 +504,11 @@ ALARM_KINDS: Mapping[str, AlarmKind] = {
             de="ein Teil des Gateways ist ausgefallen oder konnte nicht beginnen: siehe Teile im Status und das Log, "
             "und es melden",
         ),
-        consequence="what that part does is late or missing",
+        consequence=Phrase(
+            "what that part does is late or missing",
+            it="ciò che fa quella parte tarda o manca",
+            de="was dieser Teil tut, kommt zu spät oder fehlt",
+        ),
     ),
     "clock": AlarmKind(
         subject="machine", bit=8, priority=3,
@@ -462,7 +524,11 @@ ALARM_KINDS: Mapping[str, AlarmKind] = {
             de="die Uhr ist gesprungen: sie stellen und das Gateway neu starten; bis dahin wird nichts nach Alter "
             "gelöscht",
         ),
-        consequence="times in the records are wrong",
+        consequence=Phrase(
+            "times in the records are wrong",
+            it="gli orari nelle registrazioni sono errati",
+            de="die Zeiten in den Aufzeichnungen sind falsch",
+        ),
     ),
     "clock not steered": AlarmKind(
         subject="plant", priority=4, on_delay=3600.0,
@@ -484,7 +550,12 @@ ALARM_KINDS: Mapping[str, AlarmKind] = {
             de="kein Zeitserver stellt die Uhr: siehe timedatectl und NTP einrichten; wo es keinen geben soll, diesen "
             "Alarm abschalten",
         ),
-        consequence="the clock drifts by seconds a day, and times of this gateway and of others cannot be compared",
+        consequence=Phrase(
+            "the clock drifts by seconds a day, and times of this gateway and of others cannot be compared",
+            it="l'orologio sbaglia di secondi al giorno, e gli orari di questo gateway e di altri non si "
+            "possono confrontare",
+            de="die Uhr geht um Sekunden am Tag falsch, und Zeiten dieses und anderer Gateways sind nicht vergleichbar",
+        ),
     ),
     "link": AlarmKind(
         subject="machine", priority=1, on_delay=10.0,
@@ -507,7 +578,11 @@ ALARM_KINDS: Mapping[str, AlarmKind] = {
             it="non arriva nessuna lettura valida: vedere il collegamento, poi controllare rete, cavo e PLC",
             de="es kommt kein guter Messwert an: siehe Verbindung, dann Netz, Kabel und SPS prüfen",
         ),
-        consequence="the machine is not watched",
+        consequence=Phrase(
+            "the machine is not watched",
+            it="la macchina non è sorvegliata",
+            de="die Maschine wird nicht überwacht",
+        ),
     ),
     "disk": AlarmKind(
         subject="plant",
@@ -522,7 +597,11 @@ ALARM_KINDS: Mapping[str, AlarmKind] = {
             it="il disco è quasi pieno: fare spazio, o ridurre historian.max_mb",
             de="die Platte ist fast voll: Platz schaffen oder historian.max_mb verringern",
         ),
-        consequence="the oldest measurements go, and in the end nothing is on record",
+        consequence=Phrase(
+            "the oldest measurements go, and in the end nothing is on record",
+            it="le misure più vecchie spariscono, e alla fine non si registra più nulla",
+            de="die ältesten Messwerte gehen verloren, und am Ende wird nichts mehr aufgezeichnet",
+        ),
     ),
     "certificate": AlarmKind(
         subject="machine", priority=3,
@@ -540,8 +619,14 @@ ALARM_KINDS: Mapping[str, AlarmKind] = {
             de="ein Zertifikat der Verbindung oder des OPC-UA-Servers läuft ab: ein neues machen lassen und an seine "
             "Stelle legen",
         ),
-        consequence="from that day on the PLC refuses the gateway and the machine is not watched, or the clients of "
-        "the OPC UA server refuse it and see nothing",
+        consequence=Phrase(
+            "from that day on the PLC refuses the gateway and the machine is not watched, or the clients of "
+            "the OPC UA server refuse it and see nothing",
+            it="da quel giorno il PLC rifiuta il gateway e la macchina non è sorvegliata, oppure i client del "
+            "server OPC UA lo rifiutano e non vedono nulla",
+            de="von dem Tag an weist die SPS das Gateway ab und die Maschine wird nicht überwacht, oder die "
+            "Clients des OPC-UA-Servers weisen es ab und sehen nichts",
+        ),
     ),
     "notification": AlarmKind(
         subject="plant", priority=3,
@@ -562,7 +647,11 @@ ALARM_KINDS: Mapping[str, AlarmKind] = {
             de="Meldungen über Alarme werden nicht zugestellt: siehe im Log den Empfänger, dann Mailserver oder "
             "Web-Hook",
         ),
-        consequence="nobody who is away from the page hears of an alarm",
+        consequence=Phrase(
+            "nobody who is away from the page hears of an alarm",
+            it="chi è lontano dalla pagina non sa degli allarmi",
+            de="wer nicht vor der Seite sitzt, erfährt von keinem Alarm",
+        ),
     ),
     "northbound": AlarmKind(
         subject="plant", priority=3, on_delay=300.0,
@@ -586,7 +675,12 @@ ALARM_KINDS: Mapping[str, AlarmKind] = {
             de="ein Broker oder eine Datenbank ist nicht erreichbar: siehe im Log welche und warum, dann Netz "
             "und Server",
         ),
-        consequence="other systems show old values, and what is older than northbound.backlog_hours never comes there",
+        consequence=Phrase(
+            "other systems show old values, and what is older than northbound.backlog_hours never comes there",
+            it="altri sistemi mostrano valori vecchi, e ciò che è più vecchio di northbound.backlog_hours non "
+            "vi arriva mai",
+            de="andere Systeme zeigen alte Werte, und was älter ist als northbound.backlog_hours, kommt dort nie an",
+        ),
     ),
     "another writer": AlarmKind(
         subject="machine", bit=6, priority=1,
@@ -604,7 +698,11 @@ ALARM_KINDS: Mapping[str, AlarmKind] = {
             de="ein anderes Gateway schreibt in diese SPS: other_writer im Status ist seine Nummer, writer die von "
             "diesem; es finden und eines der beiden entschärfen",
         ),
-        consequence="the PLC takes the other one's blocks, or nobody's",
+        consequence=Phrase(
+            "the PLC takes the other one's blocks, or nobody's",
+            it="il PLC accetta i blocchi dell'altro, o di nessuno",
+            de="die SPS nimmt die Blöcke des anderen an, oder keine",
+        ),
     ),
     "device": AlarmKind(
         subject="machine", bit=6,
@@ -627,7 +725,11 @@ ALARM_KINDS: Mapping[str, AlarmKind] = {
             it="il dispositivo o il suo bus segnala un guasto: vedere le segnalazioni nello stato",
             de="das Gerät oder sein Bus meldet eine Störung: siehe die Meldungen im Status",
         ),
-        consequence="readings may fail or be wrong",
+        consequence=Phrase(
+            "readings may fail or be wrong",
+            it="le letture possono mancare o essere errate",
+            de="Messwerte können ausfallen oder falsch sein",
+        ),
     ),
     "inputs bad": AlarmKind(
         subject="machine", bit=4,
@@ -643,7 +745,11 @@ ALARM_KINDS: Mapping[str, AlarmKind] = {
             it="le letture sono vecchie o non valide: vedere valori e collegamento, poi controllare PLC e cavo",
             de="Messwerte sind alt oder schlecht: siehe Werte und Verbindung, dann SPS und Kabel prüfen",
         ),
-        consequence="nothing is predicted, and a temperature over its limit may not be seen",
+        consequence=Phrase(
+            "nothing is predicted, and a temperature over its limit may not be seen",
+            it="non si prevede nulla, e una temperatura oltre il limite può passare inosservata",
+            de="es wird nichts vorhergesagt, und eine Temperatur über der Grenze kann unbemerkt bleiben",
+        ),
     ),
 }  # fmt: skip
 """Every kind by its name, in the order in which they are shown."""

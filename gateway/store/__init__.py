@@ -27,6 +27,7 @@ if TYPE_CHECKING:
         head,
         open_audit,
         read,
+        read_since,
         subject_detail,
         verify,
     )

@@ -567,6 +567,23 @@ def read(path: Path, kinds: Sequence[str] = ()) -> list[AuditRow]:
         return [_row(row) for row in _rows(connection, kinds)]
 
 
+def read_since(path: Path, time: float, wanted: Callable[[str], bool]) -> list[AuditRow]:
+    """The rows of `wanted` kinds from the first one on that is not older than `time` (s UTC). Raises AuditError.
+
+    The first is found by halving: of a clock that was set back some older rows may follow it.
+    """
+    with _reading(path) as connection:
+        first, end = 1, int(connection.execute("SELECT coalesce(max(id), 0) + 1 FROM audit").fetchone()[0])
+        while first < end:
+            middle = (first + end) // 2
+            row = connection.execute("SELECT time FROM audit WHERE id = ?", (middle,)).fetchone()
+            first, end = (middle + 1, end) if row is not None and row[0] < time else (first, middle)
+        kinds = [str(kind) for (kind,) in connection.execute("SELECT DISTINCT kind FROM audit WHERE id >= ?", (first,))]
+        marks = [kind for kind in kinds if wanted(kind)]
+        chosen = f"SELECT {_COLUMNS} FROM audit WHERE id >= ? AND kind IN ({', '.join('?' * len(marks))}) ORDER BY id"  # noqa: S608
+        return [_row(row) for row in connection.execute(chosen, (first, *marks))]
+
+
 def arming_rows(path: Path) -> list[AuditRow]:
     """The rows that say who may write, in their order, as far as they are well formed; none without a log.
 

@@ -66,6 +66,8 @@ def test_all_that_the_page_shows_can_be_asked_for(gateway: Served) -> None:
         "/api/rates": "days=1",
         "/api/scorecard": f"machine=decanter&temperature={TEMPERATURE}",
         "/api/model": "machine=decanter",
+        "/api/shift": "hours=1",
+        "/api/notes": f"start={now - 60}&end={now}",
         "/api/box": "",
         "/api/session": "",
     }
@@ -104,6 +106,33 @@ def test_a_trend_is_the_readings_themselves_when_near_and_tiers_when_far(gateway
 def test_what_cannot_be_answered_is_refused_in_one_sentence(gateway: Served, path: str, said: str) -> None:
     status, answered = Client(gateway.port).ask("GET", path)
     assert status in (404, 422) and said in answered["reason"] and "\n" not in answered["reason"]
+
+
+def test_who_is_on_shift_and_what_was_noted_are_said_by_persons_and_kept(gateway: Served) -> None:
+    olga, nobody = as_(gateway, "olga"), Client(gateway.port)
+    now = olga.ask("GET", "/api/plant")[1]["machines"]["decanter"]["status"]["time"]
+    note = {"machine": "decanter", "text": "new grease", "at": now - 30.0}
+    assert nobody.ask("POST", "/api/notes", note)[0] == nobody.ask("POST", "/api/shift", {"names": "Anna"})[0] == 401
+    assert olga.ask("POST", "/api/notes", note) == (200, {"at": now - 30.0})
+    assert olga.ask("POST", "/api/shift", {"names": "Anna, Luca"}) == (200, {"names": "Anna, Luca"})
+    for wrong, said in (
+        ({"at": now + 3600.0}, "yet to come"),
+        ({"machine": "pump"}, "no machine"),
+        ({"text": "a\nb"}, ""),
+    ):
+        status, answered = olga.ask("POST", "/api/notes", note | wrong)
+        assert status in (404, 422) and said in answered["reason"]
+    report = olga.ask("GET", "/api/shift?hours=8")[1]
+    assert (report["on_shift"]["names"], report["on_shift"]["by"]) == ("Anna, Luca", "olga at 127.0.0.1")
+    assert [(each["text"], each["time"], each["by"]) for each in report["notes"]] == [
+        ("new grease", now - 30.0, "olga at 127.0.0.1")
+    ]
+    assert report["end"] - report["start"] == 8 * 3600.0
+    row = report["machines"]["decanter"]["temperatures"][0]
+    assert (row["tag"], row["limit"], row["hottest"]["value"]) == (TEMPERATURE, 47.0, 45.0)
+    seen = olga.ask("GET", f"/api/notes?start={now - 40}&end={now}")[1]["notes"]
+    assert [each["text"] for each in seen] == ["new grease"]
+    assert olga.ask("GET", f"/api/notes?start={now - 20}&end={now}")[1] == {"notes": []}
 
 
 def test_an_alarm_is_acknowledged_by_a_person_and_on_record_with_name_and_address(gateway: Served) -> None:

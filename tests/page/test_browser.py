@@ -2,9 +2,11 @@
 
 import json
 import os
+import re
 import shutil
-from collections.abc import Iterator
-from dataclasses import replace
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -16,10 +18,11 @@ from gateway.outside.status import read_status
 from gateway.outside.texts import LANGUAGES, all_words
 from gateway.outside.web import machine_view
 from gateway.outside.web.access import AccountRole
+from gateway.settings import ALARM_KINDS
 from sim.artefacts import promote
 from sim.lab.formats import save
 from tests.discrepancy_report.made_diagnoses import of
-from tests.gateway.status_picture import alarm, picture
+from tests.gateway.status_picture import alarm, picture, tag
 from tests.gateway.support import EPOCH, MAP, TEMPERATURE, two_modes
 from tests.page.served import PAGE, PASSWORD, Served, eventually, page_views, served
 
@@ -144,12 +147,23 @@ def test_what_is_over_stands_apart_in_the_past(page: Page, gateway: Served) -> N
     expect(over).to_have_count(0)
 
 
-def show(page: Page, **changes: Any) -> None:
-    """Have the page shown what the gateway says, with some keys of each machine other, again and again."""
-    plant = page.request.get("/api/plant").json()
-    plant["machines"] = {name: machine | changes for name, machine in plant["machines"].items()}
-    event = f"retry: 500\ndata: {json.dumps(plant)}\n\n"
-    page.route("**/api/live*", lambda route: route.fulfill(content_type="text/event-stream", body=event))
+def show(page: Page, *, also: Mapping[str, Mapping[str, Any]] | None = None, **changes: Any) -> None:
+    """Have the page shown what the gateway says, with some keys of each machine other, again and again as of now.
+
+    `also` are further machines by their names, with their keys that are other.
+    """
+    told = page.request.get("/api/plant").json()["machines"]
+    first = next(iter(told.values()))
+    machines = {name: machine | changes for name, machine in told.items()}
+    machines |= {name: first | machine for name, machine in (also or {}).items()}
+
+    def answer(route: Route) -> None:
+        present = {name: machine | {"taken": time.time()} for name, machine in machines.items()}
+        event = json.dumps({"order": list(present), "machines": present})
+        route.fulfill(content_type="text/event-stream", body=f"retry: 500\ndata: {event}\n\n")
+
+    page.unroute("**/api/live*")
+    page.route("**/api/live*", answer)
     page.reload()
 
 
@@ -179,6 +193,284 @@ def test_what_tells_of_one_bearings_heat_is_one_row_with_its_parts_below(page: P
     both = sorted(2 * [f"acknowledge {each['name']}" for each in told])
     eventually(lambda: len(asked) == len(both) or page.wait_for_timeout(20))
     assert sorted(asked) == both
+
+
+def hot(kind: str, **changes: Any) -> dict[str, Any]:
+    """An alarm that holds, of which the page is told."""
+    name = f"{kind} {TEMPERATURE}" if kind in ("over limit", "rising") else kind
+    at = {"tag": TEMPERATURE, "standing": True, "beyond": True, "limit": 80.0, "own_response": False, "kind": kind}
+    return alarm(name) | at | {"raised": EPOCH - 60.0, "consequence": str(ALARM_KINDS[kind].consequence)} | changes
+
+
+def as_shown(language: str, **changes: Any) -> dict[str, Any]:
+    """A machine as the page is told of it, with some keys of its status other."""
+    status = read_status(picture(**changes))
+    shown = machine_view(all_words()[language], {TEMPERATURE: "gearbox bearing", "decanter": "Decanter 2"}, status)
+    return {**shown, "status": asdict(status)}
+
+
+def test_a_row_is_three_figures_and_one_sentence_and_its_picture_fills_what_was_empty(page: Page) -> None:
+    show(page, **as_shown("en"))
+    row = page.locator(".row").first
+    expect(row.locator(".figure")).to_have_count(3)
+    expect(row.locator(".figure.now")).to_contain_text("45.7 °C")
+    expect(row.locator(".figure.when")).to_contain_text("11\u00a0min")
+    expect(row.locator(".figure.when")).to_contain_text("5 – beyond 15\u00a0min")
+    expect(row.locator(".figure.action")).to_contain_text("look at load and lubrication while there is time")
+    picture_size = row.locator(".picture svg").evaluate("node => [node.clientWidth, node.clientHeight]")
+    assert picture_size[0] > 300 and picture_size[1] > 150, "the room beside the figures is left empty"
+    calm = {"block": {**picture()["forecast"]["block"], "minutes_low": None, "minutes_median": None}}
+    show(page, **as_shown("de", forecast={**picture()["forecast"], **calm, "p_limit": [0.0, 0.0, 0.0]}))
+    expect(row.locator(".figure.when .amount")).to_have_text("> 15\u00a0min")
+    expect(row.locator(".action .doing")).to_have_text("nichts")
+    show(page, **as_shown("it", **{"values__" + TEMPERATURE: tag(45.0, "TIMEOUT")}))
+    expect(row.locator(".figure.when")).to_contain_text("–")
+    expect(row.locator(".action .doing")).to_have_text("scoprire perché non si misura")
+
+
+def test_no_word_is_broken_on_a_phone_in_any_language(page: Page) -> None:
+    page.set_viewport_size({"width": 390, "height": 844})
+    for language in LANGUAGES:
+        page.goto(f"/?lang={language}")
+        show(page, **as_shown(language, alarm_summary=[hot("over limit", first_up=True), hot("records")]))
+        for view in ("plant", "wall", "alarms", "machine/decanter"):
+            page.goto(f"/#/{view}")
+            expect(page.locator("main h2, main .row").first).to_be_visible()
+            assert page.evaluate(BROKEN_WORDS) == [], (language, view)
+            assert page.evaluate("document.documentElement.scrollWidth") <= 390, (language, view)
+        # Each view can be had without a stroke to the side.
+        assert page.locator("#nav").evaluate("nav => nav.scrollWidth <= nav.clientWidth")
+
+
+BROKEN_WORDS = """() => {
+  const found = [], walk = document.createTreeWalker(document.querySelector("main"), NodeFilter.SHOW_TEXT);
+  for (let node = walk.nextNode(); node; node = walk.nextNode()) {
+    if (!node.parentElement.checkVisibility() || node.parentElement.closest(".hidden, svg, code")) continue;
+    for (const { 0: word, index } of node.data.matchAll(/[\\p{L}\\p{N}]+/gu)) {
+      const range = document.createRange();
+      range.setStart(node, index), range.setEnd(node, index + word.length);
+      if (new Set([...range.getClientRects()].map((line) => Math.round(line.top))).size > 1) found.push(word);
+    }
+  }
+  return found;
+}"""
+"""Words of which the end stands in another line than their beginning."""
+
+
+def test_the_wall_is_read_from_across_the_room(page: Page) -> None:
+    page.set_viewport_size({"width": 1920, "height": 1080})
+    page.goto("/#/wall")
+    four = {name: as_shown("en") | {"label": f"Machine {name}"} for name in ("b", "c", "d")}
+    show(page, also=four, **as_shown("en"))
+    tiles = page.locator(".tile")
+    expect(tiles).to_have_count(4)
+    sizes = "nodes => nodes.map((node) => parseFloat(getComputedStyle(node).fontSize))"
+    # 25 mm at 5 m on a screen of 42 inches, of which a pixel is 0.48 mm.
+    assert min(tiles.locator(".big").evaluate_all(sizes)) >= 100 and min(tiles.locator("p").evaluate_all(sizes)) >= 50
+    below = "tiles => tiles.map((tile) => Math.round(tile.getBoundingClientRect().bottom))"
+    assert max(tiles.evaluate_all(below)) <= 1080, "something is below the screen's edge"
+    # One more: it has its turn, and which ones are shown is said; in alarm it is shown at once.
+    fifth = as_shown("en", alarm_summary=[hot("over limit")]) | {"label": "Machine e"}
+    show(page, also={**four, "e": fifth}, **as_shown("en"))
+    expect(page.locator(".tile.alarm h2")).to_contain_text("Machine e")
+    expect(tiles).to_have_count(4)
+    expect(page.locator(".turns")).to_have_text("4 of 5, in turn")
+
+
+def test_an_alarm_says_what_comes_if_nobody_acts_and_which_was_first(page: Page) -> None:
+    words = {
+        "en": ("Otherwise: the bearing is damaged within minutes to hours", "first"),
+        "it": ("Altrimenti: il cuscinetto si danneggia in minuti o ore", "primo"),
+        "de": ("Sonst: das Lager nimmt binnen Minuten bis Stunden Schaden", "zuerst"),
+    }
+    for language, (otherwise, first) in words.items():
+        page.goto(f"/?lang={language}#/alarms")
+        show(page, **as_shown(language, alarm_summary=[hot("over limit", first_up=True), hot("rising", priority=2)]))
+        expect(page.locator("li.entry > .alarmtext > .otherwise")).to_have_text(otherwise)
+        expect(page.locator(".first")).to_have_text(first)
+    own = hot("over limit", consequence="the seal melts")
+    show(page, **as_shown("de", alarm_summary=[own]))
+    expect(page.locator(".otherwise")).to_have_text("Sonst: the seal melts")
+    show(page, **as_shown("de", alarm_summary=[own | {"beyond": False}]))
+    expect(page.locator("li.entry")).to_have_count(1)
+    expect(page.locator(".otherwise")).to_have_count(0)
+
+
+def test_a_flood_shows_what_came_first_and_what_is_most_urgent_and_folds_the_rest(page: Page) -> None:
+    many = [hot("device", name=f"device {number}", priority=2, tag="decanter") for number in range(11)]
+    log_in(page, "olga")
+    page.goto("/#/alarms")
+    first = hot("over limit", first_up=True)
+    show(page, **as_shown("en", alarm_summary=[first, *many]))
+    expect(page.locator(".flood")).to_contain_text("Alarm flood: 12 of these came within ten minutes")
+    expect(page.locator("main > .view > ul.alarms > li.entry")).to_have_count(1)
+    expect(page.locator("details.folded summary")).to_have_text("Decanter 2: 11 more")
+    # What nobody sees is acknowledged by nobody.
+    expect(page.get_by_role("button", name="Acknowledge all that is shown")).to_have_count(0)
+    page.locator("details.folded summary").click()
+    expect(page.locator("details.folded li.entry").first).to_be_visible()
+    # It stays open while pictures go on arriving.
+    for _ in range(3):
+        with page.expect_request("**/api/live*"):
+            pass
+    expect(page.locator("details.folded li.entry").first).to_be_visible()
+    show(page, **as_shown("en", alarm_summary=[first, *many[:9]]))
+    expect(page.locator(".flood")).to_have_count(0)
+
+
+def test_a_shift_is_reported_and_printed_and_says_who_is_there(page: Page, gateway: Served) -> None:
+    gateway.put(TEMPERATURE, 45.0)
+    expect(page.locator(".row .big")).to_have_text("45.0 °C")
+    page.goto("/#/shift")
+    expect(page.locator(".shift h2")).to_contain_text("Shift report")
+    expect(page.locator(".shift .facts").first).to_contain_text("gearbox bearing: hottest")
+    # Who is not logged in can read and print it, and say nothing.
+    expect(page.get_by_role("button", name="Print")).to_be_visible()
+    expect(page.get_by_role("button", name="Who is on shift")).to_have_count(0)
+    log_in(page, "olga")
+    page.get_by_role("button", name="Who is on shift").click()
+    page.get_by_label("Names").fill("Anna, Luca")
+    page.get_by_role("dialog").get_by_role("button", name="Keep").click()
+    expect(page.locator(".shift")).to_contain_text("On shift: Anna, Luca (said by olga at 127.0.0.1")
+    page.get_by_role("button", name="Write a note").click()
+    page.get_by_role("textbox", name="Note").fill("new grease in the gearbox")
+    page.get_by_role("dialog").get_by_role("button", name="Keep").click()
+    expect(page.locator(".shift")).to_contain_text("new grease in the gearbox")
+    page.get_by_role("button", name="24 h").click()
+    expect(page.get_by_role("button", name="24 h")).to_have_attribute("aria-pressed", "true")
+    expect(page.locator(".shift")).to_contain_text("new grease in the gearbox")
+    for language, said in (("de", "Schichtbericht"), ("it", "Rapporto di turno")):
+        page.locator("#language").select_option(language)
+        expect(page.locator(".shift h2")).to_contain_text(said)
+        expect(page.locator("main")).not_to_contain_text("shift.")
+    # On paper there is nothing to press, no dark ground, and nothing is cut off at the right.
+    page.emulate_media(media="print", color_scheme="dark")
+    page.set_viewport_size({"width": 718, "height": 1000})
+    expect(page.locator("header")).to_be_hidden()
+    expect(page.locator(".shift .controls")).to_be_hidden()
+    assert page.evaluate("getComputedStyle(document.body).backgroundColor") == "rgb(255, 255, 255)"
+    wide = "nodes => nodes.filter((node) => node.scrollWidth > node.clientWidth + 1).map((node) => node.innerText)"
+    assert page.locator(".shift .scroll").evaluate_all(wide) == []
+    assert page.pdf(format="A4")[:5] == b"%PDF-"
+
+
+def test_a_note_stands_on_the_time_axis_of_the_trends(page: Page, gateway: Served) -> None:
+    gateway.put(TEMPERATURE, 45.0)
+    log_in(page, "olga")
+    page.goto("/#/trends")
+    over = page.locator("#trend .u-over")
+    expect(over).to_be_visible()
+    # What is pointed at is the moment that the note is about.
+    box = over.bounding_box()
+    assert box is not None
+    page.mouse.click(box["x"] + 0.5 * box["width"], box["y"] + 40)
+    button = page.locator(".notes [data-act=note]")
+    expect(button).to_have_attribute("data-at", re.compile(r"\d+"))
+    button.click()
+    page.get_by_role("textbox", name="Note").fill("belt was tightened")
+    page.get_by_role("dialog").get_by_role("button", name="Keep").click()
+    note = page.locator(".notes li").filter(has_text="belt was tightened")
+    expect(note.locator("small")).to_have_text("olga at 127.0.0.1")
+    # Of another stretch it is none.
+    page.get_by_role("button", name="1 min", exact=True).click()
+    expect(note).to_have_count(0)
+
+
+def test_two_days_are_laid_over_one_another(page: Page) -> None:
+    asked = list[tuple[float, float]]()
+
+    def trend(route: Route) -> None:
+        start, end = (float(re.findall(rf"[?&]{key}=([0-9.]+)", route.request.url)[0]) for key in ("start", "end"))
+        asked.append((start, end))
+        values = [20.0, 30.0] if len(asked) % 2 else [40.0, 50.0]
+        route.fulfill(json={"width": 0, "times": [start, end], "low": values, "mean": values, "high": values})
+
+    page.goto("/#/trends")
+    expect(page.locator("#trend .u-over")).to_be_visible()
+    page.route("**/api/trend*", trend)
+    page.locator("#trend-earlier").select_option(label="1 d earlier")
+    expect(page.locator("#trend .u-legend")).to_contain_text(f"gearbox bearing ({TEMPERATURE}), 1 d earlier")
+    (start, end), (before, until) = asked[:2]
+    assert (start - before, end - until) == (86_400.0, 86_400.0)
+    # Both are drawn over the hour that is shown, each with its own numbers.
+    legend = page.locator("#trend .u-legend")
+
+    def pointed_at() -> bool:
+        page.locator("#trend .u-over").hover(position={"x": 900, "y": 40})
+        return {"30.00", "50.00"} <= set(legend.inner_text().split())
+
+    eventually(lambda: pointed_at() or page.wait_for_timeout(50))
+
+
+def test_a_log_in_says_whom_to_ask_for_an_account(page: Page) -> None:
+    for language, said in (
+        ("en", "whoever looks after it"),
+        ("it", "da chi se ne occupa"),
+        ("de", "wer das Gateway betreut"),
+    ):
+        page.goto(f"/?lang={language}")
+        page.locator("[data-act=login]").click()
+        expect(page.get_by_role("dialog")).to_contain_text(said)
+        expect(page.get_by_role("dialog").locator("code")).to_have_text("decanter user add NAME --role operator")
+
+
+def test_an_automaton_of_many_moves_is_drawn_by_those_that_are_taken_often(page: Page) -> None:
+    found = page.request.get("/api/model?machine=decanter").json()
+    model = found["temperatures"][TEMPERATURE]
+    # The model of this gateway knows where it goes, and how fast.
+    on = next(place for place in model["locations"] if place["name"] == "on")
+    assert (on["target"], on["time_constant"], on["stay"]) == (50.0, 100.0, 600.0)
+    names = [f"ON/{load}-{load + 100}" for load in range(0, 1200, 100)]
+    places = [on | {"name": name, "target": 40.0 + number} for number, name in enumerate(names)]
+    moves = [
+        {
+            "source": a,
+            "target": b,
+            "symbols": ["x"],
+            "share": 0.9 if names.index(b) == (names.index(a) + 1) % 12 else 0.01,
+        }
+        for a in names
+        for b in names
+        if a != b
+    ]
+    found["temperatures"][TEMPERATURE] = model | {"locations": places, "edges": moves}
+    page.route("**/api/model*", lambda route: route.fulfill(json=found))
+    page.goto("/#/model")
+    expect(page.locator(".automaton .move")).to_have_count(12)
+    expect(page.locator("main")).to_contain_text("12 of 132 moves are drawn")
+    row = page.locator("tbody tr").nth(2)
+    expect(row).to_contain_text("ON/200-300")
+    expect(row.locator("td")).to_have_text(["42.0 °C", "100 s", "10 min", "ON/300-400 90 %"])
+    page.locator("[data-share]").select_option(label="all")
+    expect(page.locator(".automaton .move")).to_have_count(132)
+
+
+def test_rows_are_updated_and_not_built_anew(page: Page, gateway: Served) -> None:
+    gateway.put(TEMPERATURE, 45.0)
+    expect(page.locator(".row .big")).to_have_text("45.0 °C")
+    for view in ("plant", "machine/decanter", "alarms"):
+        page.goto(f"/#/{view}")
+        if view == "alarms":
+            # What is asked for once is there.
+            expect(page.locator("main .facts").first).to_be_visible()
+            expect(page.locator("main tbody tr").first).to_be_visible()
+        page.evaluate(COUNT_NODES)
+        # Twenty readings are drawn, each another one.
+        eventually(lambda: page.evaluate("window.drawn") > 20 or page.wait_for_timeout(50))
+        made = page.evaluate("window.made")
+        assert made < 200, f"{made} nodes were made for twenty readings of {view}"
+
+
+COUNT_NODES = """() => {
+  [window.made, window.drawn] = [0, 0];
+  for (const name of ["createElement", "createElementNS", "createTextNode"]) {
+    const own = Document.prototype[name];
+    document[name] = (...given) => (window.made++, own.apply(document, given));
+  }
+  const again = window.requestAnimationFrame;
+  window.requestAnimationFrame = (work) => again.call(window, (time) => (window.drawn++, work(time)));
+}"""
+"""Count the nodes that are made from now on, and how often the page is drawn."""
 
 
 def test_each_view_says_whether_something_is_written_and_an_arming_says_what_would_be(page: Page) -> None:

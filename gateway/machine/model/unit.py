@@ -25,6 +25,7 @@ from gateway.store import HistorianView, saved_state
 from sim.artefacts import is_store, read_finding, read_verdict, version_directory, versions
 from sim.files import ArtefactError
 from sim.forecast import Z90, Forecast
+from sim.sha import Location, Model, mean
 
 if TYPE_CHECKING:
     from structlog.typing import FilteringBoundLogger
@@ -298,7 +299,9 @@ class ModelUnit:
         """The automaton, the present location (None where it is not known), and where the model comes from.
 
         `store` is that which it is promoted in, with its `versions`, oldest first; None and none for a model by itself.
-        By version `findings` has what a diagnosis that proposed it found, `verdicts` whether it may be used.
+        By version `findings` has what a diagnosis that proposed it found, `verdicts` whether it may be used. A location
+        has a `target` and a `time_constant` (s) where its flow goes to one, its mean `stay` (s); an edge the `share`
+        of the moves from its source that take it. What the model does not know is None.
         """
         model, sha, now = self.loaded.model, self.loaded.model.sha, self.prediction
         path = self.config.model.path
@@ -325,11 +328,11 @@ class ModelUnit:
             "versions": list(known),
             "findings": findings,
             "verdicts": verdicts,
-            "locations": [
-                {"name": place.name, "flow": place.flow.kind, "borrowed": place.name in model.borrowed}
-                for place in sha.locations
+            "locations": [_describe_location(model, place) for place in sha.locations],
+            "edges": [
+                {"source": a, "target": b, "symbols": symbols, "share": _move_share(model, a, b)}
+                for (a, b), symbols in edges.items()
             ],
-            "edges": [{"source": a, "target": b, "symbols": symbols} for (a, b), symbols in edges.items()],
             "initial": sha.initial,
             "present": now.location if now is not None and now.known else None,
             "provenance": asdict(model.provenance),
@@ -398,3 +401,23 @@ class ModelUnit:
     def _warn(self, model: LoadedModel) -> None:
         if model.warning:
             self._log.warning("a model runs that does not verify", reason=model.warning)
+
+
+def _describe_location(model: Model, place: Location) -> dict[str, Any]:
+    relaxes = place.flow.kind == "exponential" and place.distribution is not None
+    stay, shown = model.semi_markov.get(place.name), model.correction
+    return {
+        "name": place.name,
+        "flow": place.flow.kind,
+        "borrowed": place.name in model.borrowed,
+        "target": shown.gain * mean(place.distribution) + shown.offset
+        if relaxes and place.distribution is not None
+        else None,
+        "time_constant": 1.0 / place.flow.params["k"] if relaxes else None,
+        "stay": None if stay is None else mean(stay.law),
+    }
+
+
+def _move_share(model: Model, source: str, target: str) -> float | None:
+    stay = model.semi_markov.get(source)
+    return None if stay is None or source == target else stay.to.get(target, 0.0)

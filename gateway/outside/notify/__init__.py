@@ -2,4 +2,4 @@
 
 from gateway.outside.notify.messages import AlarmMessage
 from gateway.outside.notify.notifier import Notifier, attach_machine
-from gateway.outside.notify.senders import RefusedError, UndeliveredError, make_senders
+from gateway.outside.notify.senders import RefusedError, UndeliveredError, mail_text, make_senders

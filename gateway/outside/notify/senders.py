@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from email.message import EmailMessage
 from email.utils import formatdate
 from functools import partial
+from hashlib import sha256
 from http.client import HTTPException
 from time import monotonic
 from urllib.parse import urlsplit
@@ -80,6 +81,22 @@ def _own_name(end: float) -> str:
     return name if "." in name else "[127.0.0.1]"
 
 
+def mail_text(section: NotifySection, secrets: NotifySecrets, subject: str, text: str, now: float) -> list[str]:
+    """Mail a text at a time (s UTC) to each recipient that has an address; gives their names.
+
+    Raises UndeliveredError or RefusedError about the first that does not get it, OSError as `make_senders`.
+    """
+    told = []
+    for row in section.to:
+        if row.email is None or section.smtp is None:
+            continue
+        mark = sha256("\n\n".join([row.name, subject, text, repr(now)]).encode()).hexdigest()[:32]
+        trusted = make_tls(section.smtp.ca)
+        _send_mail(row, section.smtp, secrets.smtp_password, trusted, subject=subject, text=text, mark=mark, now=now)
+        told.append(row.name)
+    return told
+
+
 def _mail(
     row: RecipientRow,
     smtp: SmtpSection,
@@ -88,14 +105,30 @@ def _mail(
     messages: Sequence[AlarmMessage],
     now: float,
 ) -> None:
+    text, mark = message_text(messages, escalated_after=row.after), identity(messages, row.name)
+    _send_mail(row, smtp, password, trusted, subject=subject_line(messages), text=text, mark=mark, now=now)
+
+
+def _send_mail(
+    row: RecipientRow,
+    smtp: SmtpSection,
+    password: str,
+    trusted: TimedTls,
+    *,
+    subject: str,
+    text: str,
+    mark: str,
+    now: float,
+) -> None:
+    """A mail whose Message-ID has a `mark`: one that is sent twice can be told by it."""
     end = monotonic() + DELIVERY_SECONDS
     try:
         mail = EmailMessage()
-        mail["From"], mail["To"], mail["Subject"] = smtp.sender, row.email, subject_line(messages)
+        mail["From"], mail["To"], mail["Subject"] = smtp.sender, row.email, subject
         mail["Date"] = formatdate(now)
-        mail["Message-ID"] = f"<{identity(messages, row.name)}@decanter.invalid>"
+        mail["Message-ID"] = f"<{mark}@decanter.invalid>"
         mail["Auto-Submitted"] = "auto-generated"  # RFC 3834: nobody's holiday answers it
-        mail.set_content(message_text(messages, escalated_after=row.after))
+        mail.set_content(text)
         with _TimedSmtp(smtp.host, smtp.port, end=end, tls=trusted if smtp.security == "tls" else None) as server:
             if smtp.security == "starttls":
                 server.starttls(context=trusted)

@@ -59,6 +59,7 @@ def _own_words() -> dict[str, str]:
         **{f"kind.{key}": kind.title for key, kind in kinds.items()},
         **{f"past.{key}": kind.past for key, kind in kinds.items()},
         **{f"response.{key}": kind.response for key, kind in kinds.items()},
+        **{f"consequence.{key}": kind.consequence for key, kind in kinds.items()},
         **{f"effect.{name}": kind.meaning for name, (kind, _) in named.items()},
         **{f"experiment.{name}": candidate.experiment for name, (_, candidate) in named.items()},
     }

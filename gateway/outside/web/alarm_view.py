@@ -19,8 +19,9 @@ def alarm_rows(words: Words, labels: Mapping[str, str], status: GatewayStatus) -
     """The alarms that are not normal, by section, the most urgent first.
 
     Beside the fields of AlarmStatus each has its `section`; `of`, whose it is in the plant's words; `holds`, whether
-    what it tells is so now; a `title` and a `sentence` in the present tense where it is, in the past where it was; its
-    level; and `under`, the name of the row of the same cause above it ("": it is a row of its own).
+    what it tells is so now; a `title` and a `sentence` in the present tense where it is, in the past where it was;
+    `otherwise`, what comes if nobody acts ("" where it is not so now); its level; and `under`, the name of the row of
+    the same cause above it ("": it is a row of its own).
     """
     rows = [_row(words, labels, status, alarm) for alarm in status.alarm_summary]
     rows.sort(key=lambda row: (SECTIONS.index(row["section"]), row["priority"], not row["holds"], row["since"]))
@@ -53,6 +54,7 @@ def _row(words: Words, labels: Mapping[str, str], status: GatewayStatus, alarm: 
         "title": _title(words, labels, alarm, holds=holds, of_temperature=of_temperature),
         "response": response,
         "sentence": response if holds else _current_state(words, status, alarm, known=known),
+        "otherwise": _consequence(words, alarm) if holds else "",
     }
 
 
@@ -89,3 +91,11 @@ def _response(words: Words, labels: Mapping[str, str], status: GatewayStatus, al
     unit = "" if tag is None else display_unit(tag.unit)
     twin = words.say("word.twin")
     return words.say(key, tag=labels.get(alarm.tag, alarm.tag), twin=twin, limit=limit, unit=unit)
+
+
+def _consequence(words: Words, alarm: AlarmStatus) -> str:
+    """What comes of not acting: in this language, unless the plant file has words of its own."""
+    kind = ALARM_KINDS.get(alarm.kind)
+    if kind is None or alarm.consequence != kind.consequence:
+        return alarm.consequence
+    return words.of_code(f"consequence.{alarm.kind}")

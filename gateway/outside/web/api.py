@@ -5,7 +5,9 @@ with the token of our own page (CSRF); reading as the configuration has it.
 """
 
 import asyncio
-from collections.abc import Awaitable, Callable, Sequence
+import json
+import time
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass
 from http import HTTPStatus
 from pathlib import Path
@@ -16,15 +18,18 @@ from pydantic import Field, ValidationError
 from starlette.requests import ClientDisconnect, Request
 from starlette.responses import Response
 
+from drivers.errors import OneLineError
 from drivers.json_lines import NoObject, parse_object
-from drivers.settings import Line, Section, first_sentence
-from gateway.outside.status import ControlError
+from drivers.settings import ConfigError, Line, Section, first_sentence
+from gateway.outside.status import ControlError, GatewayStatus
 from gateway.outside.texts import LANGUAGES, preferred_language
 from gateway.outside.web.access import AccountRole, AccountsError, Session
 from gateway.outside.web.backing_up import BackupRefused
 from gateway.outside.web.box import box_facts
 from gateway.outside.web.openapi import document
 from gateway.outside.web.promotion import PromotionRefused, promote_version
+from gateway.outside.web.shift import NOBODY, NOTE, ON_SHIFT
+from gateway.outside.web.shift_text import shift_text, shift_title
 from gateway.outside.web.state import PageState, Unaccountable
 from sim.strict_json import json_text
 
@@ -247,6 +252,15 @@ class _RatesQuery(Section):
     days: float = Field(7.0, gt=0, le=90, description="over how many days, up to 90")
 
 
+class _NotesQuery(Section):
+    start: Time
+    end: Time
+
+
+class _ShiftQuery(Section):
+    hours: float = Field(8.0, gt=0, le=24, description="over how many hours up to now, up to 24")
+
+
 class _ScoreQuery(_OfMachine):
     temperature: TagName
     weeks: int = Field(4, ge=1, le=13, description="how many weeks, 1 to 13")
@@ -286,6 +300,46 @@ async def _alarms(call: Call) -> Any:
 
 async def _rates(call: Call) -> Any:
     return await call.page.reader.rates(call.given.days)
+
+
+async def _notes(call: Call) -> Any:
+    return await call.page.reader.notes(call.page.config.audit, *_check_order(call.given))
+
+
+async def _shift(call: Call) -> Any:
+    """The limits are those of now: the records have none."""
+    return await _report(call, await call.page.calls.plant())
+
+
+async def _report(call: Call, statuses: Mapping[str, GatewayStatus]) -> bytes:
+    limits = {
+        name: {
+            status.temperature: status.limit,
+            **{one.temperature: one.limit for one in status.further},
+            **status.watched,
+        }
+        for name, status in statuses.items()
+    }
+    end = max((status.time for status in statuses.values()), default=call.page.now())
+    return await call.page.reader.shift(call.page.config.audit, end - 3600.0 * call.given.hours, end, limits)
+
+
+async def _mail_shift(call: Call) -> Any:
+    """To all who are told of alarms by mail, in the language of who sends it."""
+    notify, words = call.page.config.notify, call.page.words[call.language]
+    if not any(row.email for row in notify.to):
+        reason = "nobody is told anything by mail; add a [[notify.to]] table with email to the plant file"
+        raise Refused(HTTPStatus.CONFLICT, reason)
+    statuses = await call.page.calls.plant()
+    report = json.loads(await _report(call, statuses))
+    units = {name: tag.unit for status in statuses.values() for name, tag in status.values.items()}
+    text = shift_text(words, call.page.config.page.labels, units, report)
+    await call.page.record("page: shift mailed", call.who, hours=call.given.hours)
+    try:
+        told = await asyncio.to_thread(call.page.mail, shift_title(words, report), text, time.time())
+    except (ConfigError, OneLineError) as error:
+        raise Refused(HTTPStatus.BAD_GATEWAY, " ".join(str(error).split())) from None
+    return {"told": told}
 
 
 async def _scorecard(call: Call) -> Any:
@@ -382,6 +436,19 @@ class _Promoting(_OfMachine):
     reason: Line = Field(description="why it is to run, as one line of text")
 
 
+class _Noting(_OfMachine):
+    text: Line = Field(description="what is to be known of that moment, as one line of text")
+    at: Time | None = Field(None, description="the moment that it is about, seconds since 1970 UTC; now without it")
+
+
+class _Naming(Section):
+    names: Line = Field(description=f"who is on shift, as one line of text; {NOBODY!r} for nobody")
+
+
+class _Mailing(Section):
+    hours: float = Field(gt=0, le=24, description="over how many hours up to now, as a number up to 24")
+
+
 class _BackingUp(Section):
     pass
 
@@ -439,6 +506,21 @@ async def _promote(call: Call) -> Any:
     return {"version": g.version}
 
 
+async def _note(call: Call) -> Any:
+    now = call.page.now()
+    at = now if call.given.at is None else call.given.at
+    if at > now:
+        raise Refused(HTTPStatus.UNPROCESSABLE_ENTITY, "the request: at: is yet to come; give a moment that has been")
+    await _machine(call)
+    await call.page.record(NOTE, call.who, call.given.text, machine=call.given.machine, at=at)
+    return {"at": at}
+
+
+async def _name_shift(call: Call) -> Any:
+    await call.page.record(ON_SHIFT, call.who, call.given.names)
+    return {"names": call.given.names}
+
+
 async def _make_backup(call: Call) -> Any:
     try:
         folder = call.page.backups.next_folder()
@@ -494,6 +576,20 @@ ENDPOINTS: Sequence[Endpoint] = (
     ),
     Endpoint(
         method="GET",
+        path="/api/notes",
+        summary="What people have noted of moments of a stretch.",
+        answer=_notes,
+        gives=_NotesQuery,
+    ),
+    Endpoint(
+        method="GET",
+        path="/api/shift",
+        summary="What happened in the last hours: alarms and what came of them, the hottest, who did what.",
+        answer=_shift,
+        gives=_ShiftQuery,
+    ),
+    Endpoint(
+        method="GET",
         path="/api/model",
         summary="The models that run: where they come from, locations and edges, the present location.",
         answer=_model,
@@ -509,6 +605,30 @@ ENDPOINTS: Sequence[Endpoint] = (
         summary="Acknowledge an alarm, or whatever else is possible with it.",
         answer=_change_alarm,
         gives=_AlarmChange,
+        role=AccountRole.OPERATOR,
+    ),
+    Endpoint(
+        method="POST",
+        path="/api/notes",
+        summary="Note something about a moment of a machine; it is in the audit log, with the name.",
+        answer=_note,
+        gives=_Noting,
+        role=AccountRole.OPERATOR,
+    ),
+    Endpoint(
+        method="POST",
+        path="/api/shift/mail",
+        summary="Mail the report of the last hours to all who are told of alarms by mail.",
+        answer=_mail_shift,
+        gives=_Mailing,
+        role=AccountRole.OPERATOR,
+    ),
+    Endpoint(
+        method="POST",
+        path="/api/shift",
+        summary="Say who is on shift, for a day at most.",
+        answer=_name_shift,
+        gives=_Naming,
         role=AccountRole.OPERATOR,
     ),
     Endpoint(

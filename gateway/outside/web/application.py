@@ -19,6 +19,7 @@ from starlette.responses import Response
 from starlette.routing import BaseRoute, Route
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from gateway.machine.alarms import FLOOD_BEGIN_COUNT, TEN_MINUTES
 from gateway.outside.status import ControlError
 from gateway.outside.texts import LANGUAGES
 from gateway.outside.web.api import (
@@ -168,6 +169,7 @@ def make_application(page: PageState, failed: Callable[[str, Exception], None]) 
             "texts": page.words[language].texts,
             "open": page.reading_is_open,
             "may_read": page.reading_is_open or session is not None,
+            "flood": {"count": FLOOD_BEGIN_COUNT, "span_s": TEN_MINUTES},
             "state": state,
         }
         # Within a script element only `<` could end it.

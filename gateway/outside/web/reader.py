@@ -3,6 +3,7 @@
 import asyncio
 import json
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -132,6 +133,18 @@ class HistorianReader:
     async def scorecard(self, machine: str, temperature: str, weeks: int) -> bytes:
         """See `gateway.outside.web.readings.scores_by_week`."""
         return await self._slow.ask("scorecard", machine=machine, temperature=temperature, weeks=weeks)
+
+    async def notes(self, audit: Path, start: float, end: float) -> bytes:
+        """See `gateway.outside.web.readings.notes_between`."""
+        return await self._quick.ask("notes", audit=str(audit.absolute()), start=start, end=end)
+
+    async def shift(
+        self, audit: Path, start: float, end: float, temperatures: Mapping[str, Mapping[str, float]]
+    ) -> bytes:
+        """See `gateway.outside.web.shift.read_shift`."""
+        return await self._slow.ask(
+            "shift", audit=str(audit.absolute()), start=start, end=end, gap=self._gap, temperatures=temperatures
+        )
 
     async def close(self) -> None:
         """End the processes."""

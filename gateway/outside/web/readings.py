@@ -13,6 +13,7 @@ import numpy as np
 
 from drivers.tag import Quality
 from gateway.machine.alarms import alarm_rates, read_journal
+from gateway.outside.web.shift import read_people, read_shift
 from gateway.settings import alarm_subject, parse_kind
 from gateway.store import machines, newest_scan, reading, samples, scorecard, stored_rows, trend, warning_score
 from sim.sha import Array
@@ -138,11 +139,24 @@ def scores_by_week(path: Path, *, machine: str, temperature: str, weeks: int) ->
     return plain
 
 
+def notes_between(_: Path, *, audit: str, start: float, end: float) -> dict[str, Any]:
+    """What people have noted of moments from `start` to `end` (s UTC)."""
+    return {"notes": read_people(Path(audit), start=start, end=end)["notes"]}
+
+
+def shift_report(path: Path, **asked: Any) -> dict[str, Any]:
+    """See `gateway.outside.web.shift.read_shift`."""
+    plain: dict[str, Any] = strict(read_shift(path, **asked))
+    return plain
+
+
 QUESTIONS: Mapping[str, Callable[..., Mapping[str, Any]]] = {
     "trend": read_trend,
     "forecasts": read_forecasts,
     "alarms": alarm_rows,
     "rates": rates_of_alarms,
     "scorecard": scores_by_week,
+    "notes": notes_between,
+    "shift": shift_report,
 }
 """All that the reading process is asked."""

@@ -30,7 +30,7 @@ from gateway.outside.web.backing_up import BackupMaker
 from gateway.outside.web.calls import Answer, GatewayCalls
 from gateway.outside.web.live import LiveStream
 from gateway.outside.web.reader import HistorianReader
-from gateway.outside.web.state import PageState
+from gateway.outside.web.state import Mail, PageState
 from gateway.settings import Config
 from gateway.store import Audit
 
@@ -153,10 +153,11 @@ class PageServer:
         answer: Answer,
         audit: Audit,
         now: Callable[[], float],
+        mail: Mail,
         log: FilteringBoundLogger,
     ) -> None:
         self._configs, self._config = configs, configs[0]
-        self._answer, self._audit, self._now, self._log = answer, audit, now, log
+        self._answer, self._audit, self._now, self._mail, self._log = answer, audit, now, mail, log
         self.port = self._config.page.port
         self.stop = threading.Event()
         self._gateway_loop = asyncio.get_running_loop()
@@ -258,6 +259,7 @@ class PageServer:
             sessions=Sessions(accounts, 60.0 * page.session_minutes),
             audit=self._audit,
             now=self._now,
+            mail=self._mail,
             backups=BackupMaker(config),
         )
         context = None if page.certificates is None else _tls(page.certificates, config)

@@ -22,6 +22,13 @@ class Unaccountable(OneLineError, RuntimeError):
     """What a person asked for is not done, as it cannot be put on record."""
 
 
+Mail = Callable[[str, str, float], list[str]]
+"""Mails a subject and a text at a time (s UTC) to all who are told by mail, and gives their names; one blocking call.
+
+Raises OneLineError or ConfigError where somebody does not get it.
+"""
+
+
 @dataclass(frozen=True, kw_only=True)
 class PageState:
     """`config` is any machine's (what the page reads of it is common); `now` gives the plant's time (s UTC)."""
@@ -36,6 +43,7 @@ class PageState:
     sessions: Sessions
     audit: Audit
     now: Callable[[], float]
+    mail: Mail
     backups: BackupMaker
     lockout: Lockout = field(default_factory=Lockout)
 

@@ -46,6 +46,9 @@ def machine_view(words: Words, labels: Mapping[str, str], status: GatewayStatus)
     temperatures = [_temperature(words, labels, status, one) for one in (first, *status.further, *watched)]
     alarms = alarm_rows(words, labels, status)
     own = [alarm for alarm in alarms if not alarm["of_plant"]]
+    for place, row in enumerate(temperatures):
+        row["alarms"] = [each["name"] for each in own if _belongs(each, row["tag"], temperatures, first=place == 0)]
+        row["action"] = _action(words, row, [each for each in own if each["name"] in row["alarms"]])
     return {
         "label": labels.get(status.machine, status.machine),
         "level": max((row["level"] for row in (*temperatures, *own)), key=LEVELS.index),
@@ -61,6 +64,25 @@ def machine_view(words: Words, labels: Mapping[str, str], status: GatewayStatus)
         "arming": arming_view(words, labels, status),
         "status": status,
     }
+
+
+def _belongs(alarm: Mapping[str, Any], tag: str, temperatures: Sequence[Mapping[str, Any]], *, first: bool) -> bool:
+    """Whether an alarm stands in a temperature's row: its own, and in the machine's first row what is of none."""
+    return bool(alarm["tag"] == tag or (first and all(alarm["tag"] != row["tag"] for row in temperatures)))
+
+
+def _action(words: Words, row: Mapping[str, Any], alarms: Sequence[Mapping[str, Any]]) -> str:
+    """What a person has to do about a temperature: by its most urgent alarm that holds, else by what is foreseen."""
+    if holding := next((alarm for alarm in alarms if alarm["holds"] and alarm["sentence"]), None):
+        return str(holding["sentence"])
+    if row["level"] in ("alarm", "attention") and row["value"] is not None:
+        kind = "over_limit" if row["level"] == "alarm" else "predicted_over_limit"
+        limit = words.number(row["limit"], 0 if row["limit"] == int(row["limit"]) else 1)
+        return words.say(f"response.{kind}", tag=row["label"], limit=limit, unit=row["unit"])
+    if row["level"] in ("unknown", "attention"):
+        return words.say("action.look")
+    waiting = any(alarm["state"].endswith("unacknowledged") for alarm in alarms)
+    return words.say("action.acknowledge" if waiting else "action.nothing")
 
 
 def reading_reason(words: Words, tag: TagStatus) -> str:
@@ -136,6 +158,7 @@ def _temperature(
         "familiarity": None if one.prediction is None else _familiarity(words, one.prediction.familiarity),
         "confidence": None if one.prediction is None else _confidence(words, one.prediction.zone, one.forecast),
         "to_limit": None if one.forecast is None else _to_limit(words, one.forecast),
+        "when": ["–", words.say("when.unknown")],
     }
     # What a faulty sensor shows is no measurement; but above the limit nobody leaves it at that.
     if v is not None and (value is None or value <= one.limit):
@@ -171,6 +194,7 @@ def _temperature(
         worth: tuple[str, str] = ("none", words.say("validity.measured"))
     else:
         sentence = _foreseen(words, forecast, what=what, shown=shown, limit=limit)
+        row["when"] = _when(words, forecast)
         zone = one.prediction.zone if one.prediction is not None else "none"
         worth = _worth(words, zone, measured_coverage(forecast))
         if unfamiliar_sentence(one) and row["familiarity"] is not None:
@@ -181,6 +205,7 @@ def _temperature(
     if value > one.limit:
         # This is measured: what the forecast is worth says nothing of it.
         level, sentence = "alarm", words.say("sentence.over", what=what, value=shown, limit=limit)
+        row["when"] = ["0\u00a0min", words.say("when.over_by", value=words.number(value - one.limit, 1), unit=unit)]
         worth = ("good", words.say("validity.measured"))
     elif worth[0] != "none" and forecast is not None and minutes_to_limit(forecast)[1] is not None:
         level = "attention"
@@ -240,6 +265,20 @@ def _to_limit(words: Words, forecast: ForecastStatus) -> dict[str, str]:
     low_said, median_said, high_said = (beyond if m is None else _minutes(words, m) for m in (low, median, high))
     band = "" if low is None and high is None else f"{low_said} – {high_said}"
     return {"median": median_said, "band": band}
+
+
+def _when(words: Words, forecast: ForecastStatus) -> list[str]:
+    """When the limit is reached if it goes on so, as a figure, and the band or the chance beside it."""
+    low, median, _ = minutes_to_limit(forecast)
+    said = _to_limit(words, forecast)
+    chance = forecast.p_limit[-1]
+    horizon = words.number(forecast.horizons[-1] / 60.0, 0)
+    if median is not None:
+        return [f"{said['median']}\u00a0min", f"{said['band']}\u00a0min"]
+    if low is not None and chance is not None:
+        percent = words.number(100.0 * chance, 0)
+        return [f"> {horizon}\u00a0min", words.say("when.chance", percent=percent, minutes=horizon)]
+    return [f"> {horizon}\u00a0min", words.say("when.stays")]
 
 
 def minutes_to_limit(forecast: ForecastStatus) -> tuple[float | None, float | None, float | None]:

@@ -1,4 +1,4 @@
-// Elements from data, and what is on the screen changed to them node by node: focus, scroll and drawings stay.
+// What is to be on the screen, as data, and the screen changed to it node by node: focus, scroll and drawings stay.
 const bare = (_, value) => (value && typeof value === "object" && !Array.isArray(value) ? Object.setPrototypeOf(value, null) : value);
 
 // What the gateway says, as data. Its objects have no prototype: a tag may be called "constructor", and is looked up.
@@ -17,44 +17,82 @@ export function say(key, parts = {}) {
   return text.replace(/\{(\w+)\}/g, (_, name) => parts[name] ?? "");
 }
 
-function build(node, attributes, children) {
-  for (const [name, value] of Object.entries(attributes || {})) {
-    if (value === true) node.setAttribute(name, "");
-    else if (value !== false && value !== null && value !== undefined) node.setAttribute(name, value);
+// What is to be on the screen, as data: a node is made of it only where none like it is there.
+const shape = (svg) => (tag, attributes, ...children) =>
+  ({ tag, svg, attributes: attributes || {}, children: children.flat(Infinity).filter((child) => child !== null && child !== undefined && child !== false) });
+export const h = shape(false);
+export const s = shape(true);
+
+const isShape = (part) => part !== null && typeof part === "object" && !(part instanceof Node);
+// An attribute's text; null for one that is not there.
+const written = (value) => (value === true ? "" : value === false || value === null || value === undefined ? null : String(value));
+
+// The node of a shape, of a text or a number; a node is one already.
+export function make(part) {
+  if (!isShape(part)) return part instanceof Node ? part : document.createTextNode(String(part));
+  const node = part.svg ? document.createElementNS(SVG, part.tag) : document.createElement(part.tag);
+  for (const [name, value] of Object.entries(part.attributes)) {
+    const text = written(value);
+    if (text !== null) node.setAttribute(name, text);
   }
-  for (const child of children.flat(3)) {
-    if (child === null || child === undefined || child === false) continue;
-    node.append(child instanceof Node ? child : String(child));
-  }
+  node.append(...part.children.map(make));
   return node;
 }
-export const h = (tag, attributes, ...children) => build(document.createElement(tag), attributes, children);
-export const s = (tag, attributes, ...children) => build(document.createElementNS(SVG, tag), attributes, children);
 
-// Make `old` like `fresh`. What bears data-keep is drawn by somebody else and stays as long as its key does.
-export function morph(old, fresh) {
-  if (old.nodeType !== fresh.nodeType || old.nodeName !== fresh.nodeName || old.dataset?.key !== fresh.dataset?.key) {
-    old.replaceWith(fresh);
+const keyOf = (part) => (isShape(part) ? written(part.attributes["data-key"]) ?? undefined : undefined);
+const like = (node, part) => (isShape(part) ? node.localName === part.tag && node.dataset.key === keyOf(part) : node.nodeType === Node.TEXT_NODE);
+
+// Make a node like what is `wanted`. What bears data-keep is drawn by somebody else and stays as long as its key does.
+export function morph(node, wanted) {
+  if (!like(node, wanted)) {
+    node.replaceWith(make(wanted));
     return;
   }
-  if (old.nodeType === Node.TEXT_NODE) {
-    if (old.data !== fresh.data) old.data = fresh.data;
+  if (!isShape(wanted)) {
+    if (node.data !== String(wanted)) node.data = wanted;
     return;
   }
-  for (const { name } of [...old.attributes]) {
-    if (!fresh.hasAttribute(name) && name !== "open" && !("keep" in (old.dataset || {}))) old.removeAttribute(name);
+  const { attributes } = wanted, keep = "data-keep" in attributes;
+  for (const { name } of [...node.attributes]) {
+    if (!keep && name !== "open" && written(attributes[name]) === null) node.removeAttribute(name);
   }
-  for (const { name, value } of fresh.attributes) {
+  for (const [name, value] of Object.entries(attributes)) {
+    const text = written(value);
     // What a person has opened or shut stays so.
-    if (name !== "open" && old.getAttribute(name) !== value) old.setAttribute(name, value);
+    if (text !== null && name !== "open" && node.getAttribute(name) !== text) node.setAttribute(name, text);
   }
   // What a person has set since is the element's own, and no attribute of it.
-  if (old instanceof HTMLInputElement && old.type === "checkbox") old.checked = fresh.checked;
-  if (old instanceof HTMLOptionElement) old.selected = fresh.selected;
-  if (old.dataset && "keep" in old.dataset) return;
-  const before = [...old.childNodes], after = [...fresh.childNodes];
-  after.forEach((child, place) => (place < before.length ? morph(before[place], child) : old.append(child)));
-  before.slice(after.length).forEach((child) => child.remove());
+  if (node instanceof HTMLInputElement && node.type === "checkbox") node.checked = Boolean(attributes.checked);
+  if (node instanceof HTMLOptionElement) node.selected = Boolean(attributes.selected);
+  if (keep) return;
+  morphChildren(node, wanted.children);
+}
+
+// A row that has a key is found again wherever it goes: what is typed, opened or scrolled in it stays.
+function morphChildren(node, wanted) {
+  const keys = new Set(wanted.map(keyOf)), keyed = new Map();
+  for (const child of [...node.children]) {
+    const { key } = child.dataset;
+    if (key === undefined) continue;
+    if (keys.has(key)) keyed.set(key, child);
+    else child.remove();
+  }
+  let at = node.firstChild;
+  for (const part of wanted) {
+    const key = keyOf(part), there = key === undefined ? at : keyed.get(key);
+    if (!there || !like(there, part)) node.insertBefore(make(part), at);
+    else {
+      if (there === at) at = at.nextSibling;
+      else node.insertBefore(there, at);
+      keyed.delete(key);
+      morph(there, part);
+    }
+  }
+  while (at) {
+    const over = at;
+    at = at.nextSibling;
+    over.remove();
+  }
 }
 
 // ---------------------------------------------------------------- numbers, times

@@ -93,7 +93,7 @@ export function sparkline(machine, row, forecast, speed) {
 
 // A canvas takes no variables of the style sheet: the page's own are looked up once, light or dark.
 const styled = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
-const [INK, GRID, LIMIT] = ["--axis", "--grid", "--limit"].map(styled);
+export const [INK, GRID, LIMIT] = ["--axis", "--grid", "--limit"].map(styled);
 export const FAN = styled("--fan");
 export const COLOURS = matchMedia("(prefers-color-scheme: dark)").matches
   ? ["#8ec1e0", "#d8b46c", "#a5c98f", "#c9a6dd", "#86c4c4", "#dba093", "#b9c3ca", "#d9c24a"]
@@ -137,6 +137,11 @@ export const faint = (name, colour) => ({ label: name, stroke: colour, width: 0.
 const fans = new WeakMap();
 export function fanChart(place, machine, row, forecast) {
   const rows = recent(machine, row.tag), points = fan(forecast, row.value);
+  // A newer reading is drawn once it lies a pixel beside the last one: what is new within it nobody sees.
+  const last = fans.get(place), first = rows.times[0], newest = rows.times.at(-1);
+  const pixel = last && ((points.at(-1)?.time ?? newest) - first) / last.made.width;
+  const key = [rows.values.at(-1) === null, row.limit, points[0]?.time].join();
+  if (last?.key === key && newest - last.newest < pixel && first >= last.first) return;
   const ahead = points.slice(1);
   const times = [...rows.times, ...ahead.map((p) => p.time)];
   const line = [...rows.values, ...ahead.map(() => null)];
@@ -145,7 +150,7 @@ export function fanChart(place, machine, row, forecast) {
   const quantile = (which) => [...blank, ...ahead.map((p) => p.q[which])];
   const limit = times.map(() => row.limit);
   const data = [times, line, quantile(0), quantile(1), quantile(2), quantile(3), quantile(4), limit];
-  let made = fans.get(place);
+  let made = last?.made;
   if (!made) {
     made = chart(place, {
       height: 280,
@@ -158,8 +163,8 @@ export function fanChart(place, machine, row, forecast) {
       ],
       bands: [{ series: [6, 2], fill: `${FAN}29` }, { series: [5, 3], fill: `${FAN}3d` }],
     }, data);
-    fans.set(place, made);
   } else made.setData(data);
+  fans.set(place, { made, key, first, newest });
 }
 
 // The link over the last hour: what was lost is dark.

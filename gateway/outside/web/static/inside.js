@@ -24,7 +24,7 @@ export function modelView() {
     const known = models.get(name);
     return temperatures.map((row) => h("section", { class: "card", "data-key": `${name} ${row.tag}` }, h("h2", {}, `${label}: ${row.label}`),
       known.error ? h("p", { class: "error" }, known.error) : !known.temperatures ? h("p", { class: "quiet" }, say("word.loading"))
-        : [versionList(known.temperatures[row.tag], name, row.tag), modelCard(known.temperatures[row.tag], [status, ...status.further].find((one) => one.temperature === row.tag)?.prediction)]));
+        : [versionList(known.temperatures[row.tag], name, row.tag), modelCard(known.temperatures[row.tag], row.unit, [status, ...status.further].find((one) => one.temperature === row.tag)?.prediction)]));
   }));
 }
 
@@ -52,7 +52,7 @@ function findingText(finding) {
       h("br"), h("small", {}, `${say("model.confirm")}: ${told(`experiment.${each.name}`, each.experiment)}`)))));
 }
 
-function modelCard(model, prediction) {
+function modelCard(model, unit, prediction) {
   if (!model) return h("p", { class: "quiet" }, say("model.none"));
   const from = model.provenance, present = prediction?.known ? prediction.location : null;
   return h("div", {},
@@ -64,7 +64,32 @@ function modelCard(model, prediction) {
       from.traces.length > 0 && fact(say("model.traces"), from.traces.slice(0, 6).join(", ") + (from.traces.length > 6 ? " …" : ""), from.synthetic && h("small", {}, say("model.synthetic")))),
     h("h3", {}, say("model.automaton")),
     h("p", { class: "quiet" }, say("model.locations", { locations: model.locations.length, edges: model.edges.length }), " · ", h("span", { class: "key present" }, present ?? say("word.unknown")), ` ${say("model.present")}`),
-    automaton(model, present));
+    shareChoice(model), automaton(model, present), stateTable(model, unit, present));
+}
+
+// Of many moves those are drawn that are taken often; where the model does not know how often, all.
+const SHARES = [0, 0.05, 0.1, 0.25];
+let least = 0.1;
+const taken = (model) => model.edges.filter((edge) => edge.source !== edge.target && (edge.share === null || edge.share >= least));
+addEventListener("change", ({ target }) => {
+  if (target.dataset?.share === undefined) return;
+  least = Number(target.value);
+  dispatchEvent(new HashChangeEvent("hashchange"));
+});
+function shareChoice(model) {
+  const moves = model.edges.filter((edge) => edge.source !== edge.target);
+  return moves.some((edge) => edge.share !== null) && h("div", { class: "controls" }, h("label", {}, h("span", {}, say("model.least")),
+    h("select", { "data-share": "" }, SHARES.map((share) => h("option", { value: share, selected: share === least }, share ? `${number(100 * share, 0)} %` : say("model.all"))))),
+  h("span", { class: "quiet" }, say("model.drawn", { count: taken(model).length, all: moves.length })));
+}
+
+// Each state with where it leads to; the same in words as the picture has it.
+function stateTable(model, unit, present) {
+  const next = (place) => taken(model).filter((edge) => edge.source === place.name && edge.share !== null).sort((a, b) => b.share - a.share)
+    .map((edge) => `${edge.target} ${number(100 * edge.share, 0)} %`).join(", ");
+  return grid([say("word.state"), say("model.target"), say("model.time_constant"), say("model.stay"), say("model.next")], model.locations.map((place) => [
+    place.name === present ? h("span", { class: "key present" }, place.name) : place.name,
+    place.target === null ? "–" : `${number(place.target)} ${unit}`, duration(place.time_constant), duration(place.stay), next(place)]));
 }
 
 // The locations on a circle, the moves as arcs that keep to their right, so that there and back are two lines.
@@ -74,7 +99,7 @@ function automaton(model, present) {
     const angle = (2 * Math.PI * index) / count - Math.PI / 2;
     return [place.name, { x: middle + radius * Math.cos(angle), y: middle + radius * Math.sin(angle), angle }];
   }));
-  const moves = model.edges.filter((edge) => edge.source !== edge.target).map((edge) => {
+  const moves = taken(model).map((edge) => {
     const a = at[edge.source], b = at[edge.target], dx = b.x - a.x, dy = b.y - a.y, length = Math.hypot(dx, dy) || 1;
     const bend = 0.16 * length, cx = (a.x + b.x) / 2 + (dy / length) * bend, cy = (a.y + b.y) / 2 - (dx / length) * bend;
     const near = (from, to, by) => { const l = Math.hypot(to.x - from.x, to.y - from.y) || 1; return [from.x + ((to.x - from.x) / l) * by, from.y + ((to.y - from.y) / l) * by]; };

@@ -3,6 +3,7 @@ import { language, parse, start } from "./dom.js";
 
 const CUT_S = 3; // pictures come once a second at least
 const LATE_S = 2;
+const QUIET_MS = 900; // a picture a second has told already
 
 export const state = { order: [], machines: Object.create(null), arrived: null };
 let source = null, told = () => {}, offset = null, retry = 0;
@@ -56,11 +57,11 @@ function connect() {
 }
 let opened = 0;
 
-// Follow; `changed` is called at every picture and once a second, since ages grow.
+// Follow; `changed` is called at every picture, and once a second where none comes, since ages grow.
 export function follow(changed) {
   told = changed;
   if (start.state) take(start.state);
   if (start.may_read) connect();
-  setInterval(() => told(), 1000);
+  setInterval(() => (age() ?? 1) * 1000 >= QUIET_MS && told(), 1000);
   document.addEventListener("visibilitychange", () => told());
 }

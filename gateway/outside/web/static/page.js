@@ -1,15 +1,18 @@
 // The frame of the page: which view is shown, the banner when the stream is cut, who is logged in.
-import { ask, duration, h, morph, say, setPerson, start } from "./dom.js";
+import { ask, duration, h, make, morph, say, setPerson, start } from "./dom.js";
 import { age, follow, isCut, state } from "./live.js";
 import { acts, personBox } from "./person.js";
 import { alarmsView, scorecardView, waits } from "./records.js";
 import { boxView, communicationView, modelView } from "./inside.js";
-import { machineView, modeBadge, plantView } from "./plant.js";
+import { machineView, modeBadge, plantView, wallView } from "./plant.js";
+import { shiftView } from "./shift.js";
 import { trendsView } from "./trends.js";
 
 const VIEWS = {
   plant: plantView,
+  wall: wallView,
   alarms: alarmsView,
+  shift: shiftView,
   trends: trendsView,
   scorecard: scorecardView,
   model: modelView,
@@ -43,7 +46,7 @@ function render() {
   morph(document.getElementById("person"), personBox());
   const fresh = h("main", { id: "view", tabindex: "-1" }, content(name, rest, cut));
   if (place !== location.hash) {
-    view.replaceChildren(...fresh.childNodes);
+    view.replaceChildren(...fresh.children.map(make));
     if (place !== "") view.focus({ preventScroll: true }), scrollTo(0, 0);
     place = location.hash;
   } else morph(view, fresh);

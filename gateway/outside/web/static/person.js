@@ -1,5 +1,5 @@
 // Who is logged in, and what a person may change.
-import { ask, bytes, h, parse, person, say, setPerson, start } from "./dom.js";
+import { ask, bytes, h, make, moment, parse, person, say, setPerson, start } from "./dom.js";
 import { state } from "./live.js";
 
 export const personBox = () => h("div", { id: "person" }, person.name
@@ -11,10 +11,10 @@ const box = document.getElementById("dialog");
 
 // A dialog with fields; `work` gets their values, and its error is said in the dialog.
 function dialog(title, fields, confirm, work, more = []) {
-  const said = h("p", { class: "error", role: "alert" });
+  const said = make(h("p", { class: "error", role: "alert" }));
   const inputs = fields.map(([name, label, attributes]) => h("label", {}, h("span", {}, label), h("input", { name, required: true, ...attributes })));
-  const form = h("form", { method: "dialog" }, h("h2", { id: "dialog-title" }, title), more, inputs, said,
-    h("div", { class: "buttons" }, h("button", { type: "button", value: "cancel" }, say("person.cancel")), h("button", { type: "submit", class: "main" }, confirm)));
+  const form = make(h("form", { method: "dialog" }, h("h2", { id: "dialog-title" }, title), more, inputs, said,
+    h("div", { class: "buttons" }, h("button", { type: "button", value: "cancel" }, say("person.cancel")), h("button", { type: "submit", class: "main" }, confirm))));
   form.querySelector("[value=cancel]").onclick = () => box.close();
   form.onsubmit = async (event) => {
     event.preventDefault();
@@ -39,7 +39,7 @@ export const acts = {
         setPerson(await ask("POST", "/api/session", given));
         if (!start.may_read) location.reload();
         changed();
-      });
+      }, [h("p", { class: "quiet" }, say("person.whom"), " ", h("code", {}, "decanter user add NAME --role operator"))]);
   },
   async logout(_, changed) {
     await ask("DELETE", "/api/session").catch(() => {});
@@ -86,6 +86,29 @@ export const acts = {
     dialog(`${say("model.promote")}: ${version}`, [["reason", say("person.reason"), line]], say("model.promote"), async ({ reason }) => {
       await ask("POST", "/api/promote", { machine, temperature, version, reason }).catch((error) => expired(error, changed));
     }, [h("p", { class: "quiet" }, say("model.proven"))]);
+  },
+  // About the moment that the button names, or about now.
+  note(button, changed) {
+    const machines = state.order.map((name) => [name, state.machines[name].label]), at = button.dataset.at ? Number(button.dataset.at) : null;
+    const choice = make(h("select", { name: "machine" }, machines.map(([name, label]) => h("option", { value: name, selected: name === button.dataset.machine }, label))));
+    dialog(say("note.write"), [["text", say("note.note"), line]], say("note.keep"), async ({ text, machine }) => {
+      await ask("POST", "/api/notes", { machine, text, ...(at === null ? {} : { at }) }).catch((error) => expired(error, changed));
+      dispatchEvent(new Event("noted"));
+      changed();
+    }, [at !== null && h("p", {}, moment(at)), h("label", {}, h("span", {}, say("word.machine")), choice)]);
+  },
+  onshift(_, changed) {
+    dialog(say("shift.set"), [["names", say("shift.names"), line]], say("note.keep"), async ({ names }) => {
+      await ask("POST", "/api/shift", { names }).catch((error) => expired(error, changed));
+      dispatchEvent(new Event("noted"));
+      changed();
+    }, [h("p", { class: "quiet" }, say("shift.how"))]);
+  },
+  mail(button, changed) {
+    dialog(say("shift.mail"), [], say("person.confirm"), async () => {
+      const { told } = await ask("POST", "/api/shift/mail", { hours: Number(button.dataset.hours) }).catch((error) => expired(error, changed));
+      setTimeout(() => dialog(say("shift.mail"), [], say("person.confirm"), () => {}, [h("p", {}, say("shift.mailed", { names: told.join(", ") }))]));
+    }, [h("p", { class: "quiet" }, say("shift.mail_to"))]);
   },
   backup(_, changed) {
     dialog(say("person.backup"), [], say("person.confirm"), async () => {

@@ -46,26 +46,55 @@ export function modeBadge(mode, cut, of = "") {
   return h("span", { class: `badge ${cut ? "off" : mode}`, title: `${say("word.writeback")}: ${text}` }, cut ? say("live.was", { value: text }) : h("b", {}, text));
 }
 
-export function plantView() {
-  const rows = state.order.flatMap((name) => {
-    const machine = state.machines[name], tags = machine.temperatures.map((row) => row.tag);
-    return machine.temperatures.map((row, place) => {
-      // An alarm stands in the row of its temperature; the machine's own ones stand in its first row.
-      const own = machine.alarms.filter((alarm) => !alarm.of_plant && (alarm.tag === row.tag || (place === 0 && !tags.includes(alarm.tag))));
-      const worst = own[0], level = worstLevel([row, ...own]);
-      return h("a", { class: `row ${level} ${row.valid}`, href: `#/machine/${encodeURIComponent(name)}`, "data-key": `${name} ${row.tag}`, "data-machine": name, "data-tag": row.tag },
-        sign(level),
-        h("span", { class: "what" }, h("b", {}, machine.label), h("span", {}, row.label), modeBadge(machine.mode, isCut(name))),
-        h("span", { class: "big" }, value(row, name)),
-        h("span", { class: "sentence" }, sentence(row, name)[0], h("small", { class: "validity" }, sentence(row, name)[1])),
-        h("span", { class: "picture" }, sparkline(name, row, forecastOf(machine, row.tag).forecast, machine.status.speed)),
-        h("span", { class: "worst" }, worst
-          ? chip(worst)
-          : machine.alarms.every((alarm) => alarm.of_plant) && h("span", { class: "quiet" }, say("alarm.none"))));
-    });
+// Each temperature of each machine, with its alarms (its first row has the machine's own) and the worst level of all.
+const temperatureRows = () => state.order.flatMap((name) => {
+  const machine = state.machines[name];
+  return machine.temperatures.map((row) => {
+    const alarms = machine.alarms.filter((alarm) => row.alarms.includes(alarm.name));
+    return { name, machine, row, alarms, level: worstLevel([row, ...alarms]), cut: isCut(name) };
   });
-  return h("section", { class: "plant", "aria-label": say("nav.plant") }, plantAlarms(), rows);
+});
+
+// The three figures of a temperature: what it is, when it is at its limit, what is to be done about it.
+const figures = ({ name, row, cut }) => [
+  h("span", { class: "figure now" }, h("small", {}, say("word.measured")), h("span", { class: "big" }, value(row, name)), h("small", {}, `${say("word.limit")} ${number(row.limit)} ${row.unit}`)),
+  h("span", { class: `figure when ${row.valid}` }, h("small", {}, say("when.title")), h("span", { class: "amount" }, cut ? "–" : row.when[0]), h("small", {}, cut ? say("word.unknown") : row.when[1])),
+  h("span", { class: "figure action" }, h("small", {}, say("action.title")), h("span", { class: "doing" }, cut ? "–" : row.action))];
+
+export function plantView() {
+  return h("section", { class: "plant", "aria-label": say("nav.plant") }, plantAlarms(), temperatureRows().map((each) => {
+    const { name, machine, row, alarms, level } = each, [said, worth] = sentence(row, name);
+    return h("a", { class: `row ${level} ${row.valid}`, href: `#/machine/${encodeURIComponent(name)}`, "data-key": `${name} ${row.tag}`, "data-machine": name, "data-tag": row.tag },
+      sign(level),
+      h("span", { class: "what" }, h("b", {}, machine.label), h("span", {}, row.label), modeBadge(machine.mode, isCut(name))),
+      figures(each),
+      h("span", { class: "sentence" }, said, h("small", { class: "validity" }, worth), alarms.length > 0 && chip(alarms[0])),
+      h("span", { class: "picture" }, sparkline(name, row, forecastOf(machine, row.tag).forecast, machine.status.speed)));
+  }));
 }
+
+// ---------------------------------------------------------------- the wall
+
+const TILES = 4, TURN_S = 15;
+
+// Four machines at a time, each by its worst temperature, to be read from across the room and without a hand: more of
+// them take turns, and one that is in alarm does not wait for its turn.
+export function wallView() {
+  const rows = state.order.map((name) => temperatureRows().filter((each) => each.name === name).reduce((worst, each) => (rank(each) > rank(worst) ? each : worst)));
+  const urgent = rows.filter(({ level }) => level === "alarm"), fixed = urgent.length < TILES ? urgent : [], room = TILES - fixed.length;
+  const rest = rows.filter((each) => !fixed.includes(each)), turns = Math.max(Math.ceil(rest.length / room), 1);
+  const begin = room * (Math.floor(performance.now() / 1000 / TURN_S) % turns);
+  const shown = [...fixed, ...rest.slice(begin, begin + room)];
+  shown.sort((a, b) => rows.indexOf(a) - rows.indexOf(b));
+  return h("section", { class: `wall of${shown.length}` }, shown.map((each) => {
+    const { name, machine, row, level, cut } = each;
+    return h("section", { class: `tile ${level}`, "data-key": `${name} ${row.tag}` },
+      h("h2", {}, sign(level), h("span", {}, machine.label), modeBadge(machine.mode, cut)),
+      h("div", { class: "pair" }, h("p", {}, h("small", {}, row.label), h("b", { class: "big" }, value(row, name))), h("p", { class: `when ${row.valid}` }, h("small", {}, say("when.title")), h("b", { class: "amount" }, cut ? "–" : row.when[0]))),
+      h("p", {}, `${say("action.title")}: `, h("b", {}, cut ? say("word.unknown") : row.action)));
+  }), rows.length > shown.length && h("p", { class: "turns" }, say("word.of", { shown: shown.length, count: rows.length })));
+}
+const rank = ({ level }) => Object.keys(SIGNS).indexOf(level);
 
 // What stands of the whole plant is no machine's: a line of its own above them, and none without such an alarm.
 function plantAlarms() {

@@ -1,5 +1,5 @@
 // Alarms and the scorecard.
-import { ask, duration, h, moment, number, person, say, shown } from "./dom.js";
+import { ask, duration, h, moment, number, person, say, shown, start } from "./dom.js";
 import { state } from "./live.js";
 import { scoreOf } from "./scores.js";
 import { sign, stateKey, worstLevel } from "./plant.js";
@@ -8,10 +8,11 @@ const ROLES = ["operator", "engineer", "administrator"];
 export const can = (role) => ROLES.indexOf(person.role) >= ROLES.indexOf(role);
 
 // What was, in the reader's language, with what it watched in the plant's words; its own name where nobody knows its kind.
-function pastTitle({ kind, condition, tag, of_plant }, labels) {
+export function pastTitle({ kind, condition, tag, of_plant }, labels, tense = "past") {
   if (!kind) return condition;
   const what = condition === kind || of_plant ? "" : (labels[tag] ?? tag);
-  return what ? `${what}: ${say(`past.${stateKey(kind)}`)}` : say(`past.${stateKey(kind)}`);
+  const said = say(`${tense}.${stateKey(kind)}`);
+  return what ? `${what}: ${said}` : said;
 }
 
 export const waits = (alarm) => alarm.state === "unacknowledged" || alarm.state.endsWith(" unacknowledged");
@@ -24,15 +25,24 @@ export function alarmTable(names, ofPlant = true) {
     .map((alarm) => ({ ...alarm, machine: name, status: state.machines[name].status })));
   rows.sort((a, b) => a.priority - b.priority || b.since - a.since);
   if (!rows.length) return h("p", { class: "quiet" }, say("alarm.none"));
-  const waiting = rows.filter(waits);
+  const entryOf = (row) => entry(row, rows.filter((each) => each.machine === row.machine && each.under === row.name));
+  // Of a flood the most urgent and what came first is shown; what is folded away is not acknowledged with it.
+  const fresh = rows.filter(announcedLately).length, flood = fresh > start.flood.count;
+  const folded = flood ? rows.filter((row) => row.section === "standing" && !row.under && row.priority > 1 && !row.first_up) : [];
+  const waiting = rows.filter((row) => waits(row) && !folded.some((head) => head.machine === row.machine && [row.name, row.under].includes(head.name)));
   return [
-    waiting.length > 1 && can("operator") && h("p", { class: "buttons" }, acknowledging(waiting, say("alarm.acknowledge_all", { count: waiting.length }))),
+    flood && h("div", { class: "flood", role: "status", "data-key": "flood" }, h("b", {}, say("alarm.flood", { count: fresh })), h("span", {}, say("alarm.flood_shown"))),
+    waiting.length > 1 && can("operator") && h("p", { class: "buttons", "data-key": "all" }, acknowledging(waiting, say("alarm.acknowledge_all", { count: waiting.length }))),
     SECTIONS.map((section) => {
-      const heads = rows.filter((row) => row.section === section && !row.under);
-      return heads.length > 0 && [h("h3", {}, say(`alarm.${section}`)),
-        h("ul", { class: "alarms" }, heads.map((row) => entry(row, rows.filter((each) => each.machine === row.machine && each.under === row.name))))];
+      const heads = rows.filter((row) => row.section === section && !row.under && !folded.includes(row));
+      return heads.length > 0 && [h("h3", { "data-key": `${section} head` }, say(`alarm.${section}`)), h("ul", { class: "alarms", "data-key": section }, heads.map(entryOf))];
+    }),
+    [...new Set(folded.map((row) => row.of))].map((of) => {
+      const heads = folded.filter((row) => row.of === of);
+      return h("details", { class: "folded", "data-key": of }, h("summary", {}, say("alarm.folded", { of, count: heads.length })), h("ul", { class: "alarms" }, heads.map(entryOf)));
     })];
 }
+const announcedLately = (row) => row.raised !== null && row.status.time - row.raised <= start.flood.span_s;
 
 // What is acknowledged is what was shown when the button was pressed, and nothing that came since.
 const acknowledging = (rows, text) => h("button", { class: "main", "data-act": "acknowledge", "data-shown": JSON.stringify(rows.map((row) => [row.machine, row.name])) }, text);
@@ -41,10 +51,15 @@ function entry(row, parts) {
   const level = worstLevel([row, ...parts]), waiting = [row, ...parts].filter(waits);
   return h("li", { class: `entry ${level}`, "data-key": `${row.of} ${row.name}`, "data-alarm": row.name },
     sign(level),
-    h("div", { class: "alarmtext" }, h("b", { title: row.name }, `${row.of}: ${row.title}`), h("span", { class: "response" }, row.sentence), facts(row),
-      parts.length > 0 && h("ul", { class: "parts" }, parts.map((part) => h("li", { "data-part": part.name }, h("b", { title: part.name }, part.title), h("span", { class: "response" }, part.sentence), facts(part), h("div", { class: "changes" }, changes(part)))))),
+    h("div", { class: "alarmtext" }, h("b", { title: row.name }, `${row.of}: ${row.title}`, firstUp(row)), told(row), facts(row),
+      parts.length > 0 && h("ul", { class: "parts" }, parts.map((part) => h("li", { "data-part": part.name }, h("b", { title: part.name }, part.title, firstUp(part)), told(part), facts(part), h("div", { class: "changes" }, changes(part)))))),
     h("div", { class: "buttons" }, waiting.length > 0 && can("operator") && acknowledging(waiting, say("change.acknowledge")), changes(row)));
 }
+
+const firstUp = (row) => row.first_up && row.section === "standing" && h("span", { class: "first", title: say("alarm.first_up_means") }, say("alarm.first_up"));
+
+// What to do, and what comes if nobody does it.
+const told = (row) => [h("span", { class: "response" }, row.sentence), row.otherwise && h("span", { class: "otherwise" }, say("alarm.otherwise", { text: row.otherwise }))];
 
 const facts = (row) => h("small", {}, `${say("alarm.priority")} ${row.priority} · ${say(`alarm.${stateKey(row.state)}`)} · ${say(row.section === "over" ? "alarm.over_since" : "word.since")} ${moment(row.since)} (${duration((row.status.time - row.since) / row.status.speed)})`,
   row.acknowledged_by && ` · ${say("alarm.acknowledged_by")} ${row.acknowledged_by}`,

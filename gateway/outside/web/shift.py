@@ -1,0 +1,238 @@
+"""What happened in a shift, from the records alone: what was told and what came of it, what was hottest, who did what.
+
+These functions run in the process that reads the records, and give plain values.
+"""
+
+import json
+from collections import Counter, defaultdict
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+from drivers.tag import Quality
+from gateway.machine.alarms import ACTIVE, HIDDEN, UNSEEN, AlarmState, JournalRow, read_journal
+from gateway.settings import parse_kind
+from gateway.store import ARMED, DISARMED, EXPIRED, AuditError, machines, read_since, reading, samples, stored_rows
+
+ON_SHIFT, NOTE = "page: on shift", "page: note"
+"""Kinds of the audit log's rows in which people say who is there, and what they have seen."""
+WARNINGS = ("predicted over limit", "rising")
+"""Kinds of alarms that say that the limit is coming."""
+LIMIT = "over limit"
+LONGEST_SHIFT_S = 86_400.0
+"""Who is on shift is asked anew each day: a name that was set before that is nobody's present."""
+DEEDS = (
+    ARMED,
+    DISARMED,
+    EXPIRED,
+    "page: promote",
+    "page: backup",
+    "page: reload",
+    "page: shift mailed",
+    "page: log-in locked",
+)
+"""Kinds of rows in which somebody did something, beside those of alarms."""
+MOST_LISTED = 200
+"""How many notes and deeds are listed, the newest; how many were before them is said."""
+
+
+def read_shift(
+    path: Path, *, audit: str, start: float, end: float, gap: float, temperatures: Mapping[str, Mapping[str, float]]
+) -> dict[str, Any]:
+    """The report from `start` to `end` (s UTC) of the machines whose `temperatures` have these limits, by their names.
+
+    A time without a scan for more than `gap` (s) is one in which nobody watched. Raises HistorianError.
+    """
+    return {
+        "start": start,
+        "end": end,
+        "machines": {
+            name: _of_machine(path, name, limits, start=start, end=end, gap=gap)
+            for name, limits in temperatures.items()
+        },
+        **read_people(Path(audit), start=start, end=end),
+    }
+
+
+def read_people(audit: Path, *, start: float, end: float) -> dict[str, Any]:
+    """Who was on shift, the notes on moments from `start` to `end` (s UTC), and what people did, in their order; how
+    many older ones of them were `left_out`.
+
+    Without an audit log nobody did anything that had to be put on it.
+    """
+    if not audit.is_file():
+        return {"on_shift": None, "notes": [], "deeds": [], "left_out": {"notes": 0, "deeds": 0}}
+    try:
+        rows = [row.entry for row in read_since(audit, min(start, end - LONGEST_SHIFT_S), _is_of_people)]
+    except AuditError as error:
+        raise ValueError(str(error)) from None
+    names = [
+        {"names": row.reason, "by": row.who, "time": row.time}
+        for row in rows
+        if row.kind == ON_SHIFT and end - LONGEST_SHIFT_S <= row.time <= end
+    ]
+    notes: list[dict[str, Any]] = [
+        {"time": float(at), "machine": row.detail.get("machine"), "by": row.who, "text": row.reason}
+        for row in rows
+        if row.kind == NOTE and isinstance(at := row.detail.get("at"), int | float) and start <= at <= end
+    ]
+    deeds = [
+        {"time": row.time, "kind": row.kind, "by": row.who, "reason": row.reason, "about": _about(row.detail)}
+        for row in rows
+        if row.kind not in (NOTE, ON_SHIFT) and start <= row.time <= end
+    ]
+    return {
+        # Nobody's name stands for who has gone: an empty one takes the last ones back.
+        "on_shift": names[-1] if names and names[-1]["names"] != NOBODY else None,
+        "notes": sorted(notes, key=lambda note: note["time"])[-MOST_LISTED:],
+        "deeds": deeds[-MOST_LISTED:],
+        "left_out": {"notes": max(len(notes) - MOST_LISTED, 0), "deeds": max(len(deeds) - MOST_LISTED, 0)},
+    }
+
+
+NOBODY = "-"
+"""In place of names: who was on shift has gone."""
+
+
+def _is_of_people(kind: str) -> bool:
+    return kind in (ON_SHIFT, NOTE, *DEEDS) or kind.startswith("alarm ")
+
+
+def _about(detail: Mapping[str, Any]) -> str:
+    """Of what a deed was: the machine, and the alarm or the version of a model."""
+    return ", ".join(str(detail[key]) for key in ("machine", "alarm", "version") if detail.get(key))
+
+
+def _of_machine(
+    path: Path, machine: str, limits: Mapping[str, float], *, start: float, end: float, gap: float
+) -> dict[str, Any]:
+    def rows_of(table: str, columns: Sequence[str], temperature: str | None = None) -> list[tuple[Any, ...]]:
+        return stored_rows(connection, table, columns, start, end, machine=machine, temperature=temperature)
+
+    with reading(path) as connection:
+        on_record = dict(machines(connection))
+        known = machine in on_record
+        followed = [tag for tag in on_record.get(machine, []) if tag in limits]
+        times = [row[0] for row in rows_of("scans", ("time",))] if known else []
+        writes = [row for tag in followed for row in rows_of("writes", ("time", "verdict"), tag)]
+        columns = ("time", "horizon", "levels", "quantiles", "measured")
+        forecasts = {tag: rows_of("forecasts", columns, tag) for tag in followed}
+        states = [rows_of("predictions", ("time", "location", "known"), tag) for tag in followed[:1]]
+    moments = [start, *sorted(times), end]
+    unwatched = [(before, after) for before, after in pairwise(moments) if after - before > gap]
+    return {
+        "alarms": alarm_episodes(read_journal(path, machine=machine, end=end) if known else (), start, end),
+        "temperatures": [
+            {
+                "tag": tag,
+                "limit": limit,
+                "hottest": _hottest(path, machine, tag, start, end) if known else None,
+                "nearest": nearest_limit(forecasts.get(tag, ()), limit),
+            }
+            for tag, limit in limits.items()
+        ],
+        "states": _time_in_states(states[0] if states else (), gap),
+        "unwatched": {"count": len(unwatched), "seconds": sum(after - before for before, after in unwatched)},
+        "writes": dict(Counter(str(verdict) for _, verdict in writes)),
+    }
+
+
+def alarm_episodes(rows: Sequence[JournalRow], start: float, end: float) -> list[dict[str, Any]]:
+    """The alarms that came or stood from `start` to `end` (s UTC), in the order of their coming, and what came of each.
+
+    `ended` and `acknowledged` are None where that had not happened by `end`; of a warning `limit_after` is how long
+    after it the limit was passed while it stood, None where it was not.
+    """
+    episodes: list[dict[str, Any]] = []
+    open_ones: dict[str, dict[str, Any]] = {}
+    for row in rows:
+        one = open_ones.get(row.alarm)
+        if row.state == AlarmState.UNACKNOWLEDGED and (one is None or one["ended"] is not None):
+            one = {
+                "alarm": row.alarm,
+                "kind": parse_kind(row.alarm),
+                "tag": row.tag,
+                "priority": row.priority,
+                "of_plant": row.subject != row.machine,
+                "raised": row.time,
+                "acknowledged": None,
+                "by": "",
+                "ended": None,
+                "state": row.state,
+            }
+            open_ones[row.alarm] = one
+            episodes.append(one)
+        elif one is not None:
+            one["state"] = row.state
+            if row.by and one["acknowledged"] is None and row.state not in UNSEEN:
+                one |= {"acknowledged": row.time, "by": row.by}
+            if one["ended"] is None and row.state not in ACTIVE and row.state not in HIDDEN:
+                one["ended"] = row.time
+    passed = [one for one in episodes if one["kind"] == LIMIT]
+    for one in episodes:
+        until = end if one["ended"] is None else one["ended"]
+        after = (each["raised"] for each in passed if each["tag"] == one["tag"] and one["raised"] <= each["raised"])
+        first = next((time for time in after if time <= until), None)
+        one["warning"] = one["kind"] in WARNINGS
+        one["limit_after"] = None if first is None or not one["warning"] else first - one["raised"]
+    return [one for one in episodes if one["ended"] is None or one["ended"] >= start]
+
+
+def _hottest(path: Path, machine: str, tag: str, start: float, end: float) -> dict[str, float] | None:
+    """The greatest good reading and when it was."""
+    good = [
+        (float(sample.value), sample.time)
+        for sample in samples(path, tag, start, end, machine=machine)
+        if sample.quality is Quality.GOOD and isinstance(sample.value, int | float)
+    ]
+    value, time = max(good, default=(None, None))
+    return None if value is None or time is None else {"value": value, "time": time}
+
+
+def nearest_limit(rows: Sequence[tuple[Any, ...]], limit: float) -> dict[str, float | int | None]:
+    """The least `minutes` after which the median of a forecast was at the limit, and the `time` at which it said so.
+
+    `rows` are time, horizon, levels, quantiles and the reading then; between horizons the median is a line. Both are
+    None where no median of the `forecasts` was; `horizon` (s) is how far they looked.
+    """
+    made: dict[float, list[tuple[float, float]]] = defaultdict(list)
+    for time, horizon, levels, quantiles, measured in rows:
+        median = dict(zip(json.loads(levels), json.loads(quantiles), strict=True)).get(0.5)
+        if median is not None and measured is not None:
+            made[time] = [*(made[time] or [(0.0, float(measured))]), (float(horizon), float(median))]
+    crossings = [(crossing, time) for time, line in made.items() if (crossing := _crossing(line, limit)) is not None]
+    least = min(crossings, default=None)
+    return {
+        "forecasts": len(made),
+        "horizon": max((line[-1][0] for line in map(sorted, made.values())), default=None),
+        "minutes": None if least is None else least[0] / 60.0,
+        "time": None if least is None else least[1],
+    }
+
+
+def _crossing(line: Sequence[tuple[float, float]], limit: float) -> float | None:
+    """Seconds until a line of (seconds, value) is at the limit."""
+    ordered = sorted(line)
+    if ordered[0][1] >= limit:
+        return 0.0
+    for (before, low), (after, high) in pairwise(ordered):
+        if high >= limit:
+            return before + (after - before) * (limit - low) / (high - low)
+    return None
+
+
+def _time_in_states(rows: Sequence[tuple[Any, ...]], gap: float) -> list[dict[str, Any]]:
+    """How long the plant was in each known state and how often it came there, the longest first."""
+    seconds: dict[str, float] = defaultdict(float)
+    entries: Counter[str] = Counter()
+    ordered = sorted(rows, key=lambda row: row[0])
+    for (time, state, known), (after, then, known_then) in pairwise(ordered):
+        if known and after - time <= gap:
+            seconds[str(state)] += after - time
+        if known_then and (then != state or not known):
+            entries[str(then)] += 1
+    return [
+        {"state": state, "seconds": spent, "entries": entries[state]}
+        for state, spent in sorted(seconds.items(), key=lambda one: -one[1])
+    ]

@@ -1,0 +1,223 @@
+"""The report of a shift: from a historian and an audit log alone, to the last minute of what they have."""
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from drivers.supervision import Supervisor
+from drivers.tag import Quality, Tag
+from gateway.machine.alarms import BY_PERSONS, JournalRow
+from gateway.outside.texts import LANGUAGES, all_words
+from gateway.outside.web.access import AccountRole
+from gateway.outside.web.shift import (
+    DEEDS,
+    NOBODY,
+    NOTE,
+    ON_SHIFT,
+    alarm_episodes,
+    nearest_limit,
+    read_people,
+    read_shift,
+)
+from gateway.outside.web.shift_text import shift_text
+from gateway.store import AuditEntry, open_audit
+from tests.gateway.support import EPOCH, one_machine
+from tests.gateway.test_notify import MailServer, mail_server, secrets_in
+from tests.page.served import PAGE, Client, eventually, served
+
+__all__ = ["mail_server"]
+
+HOUR = 3600.0
+END = EPOCH + 8 * HOUR
+GOOD, BAD = Quality.GOOD.value, Quality.SENSOR_FAILURE.value
+
+
+def change(time: float, alarm: str, state: str, by: str = "") -> JournalRow:
+    return JournalRow(
+        time=time, machine="decanter", alarm=alarm, tag="T", priority=2, state=state, value=None, by=by, reason=""
+    )
+
+
+def test_of_each_alarm_it_is_said_what_came_of_it() -> None:
+    rows = [
+        change(EPOCH - 50.0, "link", "unacknowledged"),
+        change(EPOCH - 40.0, "link", "normal"),
+        change(EPOCH - 30.0, "device", "unacknowledged"),
+        change(EPOCH + 10.0, "predicted over limit T", "unacknowledged"),
+        change(EPOCH + 70.0, "predicted over limit T", "acknowledged", "olga"),
+        change(EPOCH + 100.0, "over limit T", "unacknowledged"),
+        change(EPOCH + 400.0, "over limit T", "returned unacknowledged"),
+        change(EPOCH + 410.0, "predicted over limit T", "normal"),
+        change(EPOCH + 500.0, "over limit T", "normal", "enzo"),
+        change(EPOCH + 600.0, "rising T", "unacknowledged"),
+        change(EPOCH + 660.0, "rising T", "returned unacknowledged"),
+        change(EPOCH + 700.0, "rising T", "unacknowledged"),
+    ]
+    device, predicted, over, rising, again = alarm_episodes(rows, EPOCH, END)
+    assert (device["alarm"], device["ended"], device["by"]) == ("device", None, ""), "what stood before stands"
+    assert (predicted["limit_after"], predicted["ended"] - predicted["raised"]) == (90.0, 400.0)
+    assert (predicted["by"], predicted["acknowledged"]) == ("olga", EPOCH + 70.0)
+    assert (over["ended"], over["acknowledged"], over["by"]) == (EPOCH + 400.0, EPOCH + 500.0, "enzo")
+    assert (over["warning"], over["limit_after"]) == (False, None), "the limit's own alarm warns of nothing"
+    assert (rising["warning"], rising["limit_after"], rising["ended"]) == (True, None, EPOCH + 660.0)
+    assert (again["raised"], again["ended"]) == (EPOCH + 700.0, None)
+
+
+def test_the_least_time_to_the_limit_is_that_of_the_median_line() -> None:
+    def said(time: float, measured: float, *medians: float) -> list[tuple[object, ...]]:
+        levels = json.dumps([0.05, 0.5, 0.95])
+        return [
+            (time, horizon, levels, json.dumps([median - 5.0, median, median + 5.0]), measured)
+            for horizon, median in zip((60.0, 300.0, 900.0), medians, strict=True)
+        ]
+
+    calm, near = said(EPOCH, 60.0, 60.0, 61.0, 62.0), said(EPOCH + 10.0, 70.0, 72.0, 76.0, 86.0)
+    assert nearest_limit([*calm, *near], 80.0) == {
+        "forecasts": 2, "horizon": 900.0, "minutes": (300.0 + 600.0 * 0.4) / 60.0, "time": EPOCH + 10.0
+    }  # fmt: skip
+    assert nearest_limit(calm, 80.0) == {"forecasts": 1, "horizon": 900.0, "minutes": None, "time": None}
+    assert nearest_limit(said(EPOCH, 81.0, 82.0, 83.0, 84.0), 80.0)["minutes"] == 0.0
+    assert nearest_limit([], 80.0) == {"forecasts": 0, "horizon": None, "minutes": None, "time": None}
+
+
+def test_it_is_made_of_the_records_of_its_time_alone(tmp_path: Path) -> None:
+    path, audit = tmp_path / "history.sqlite", tmp_path / "audit.sqlite"
+    store, view = one_machine(path, [Tag("T", "holding:0", unit="degC")])
+    # Read each ten seconds for eight hours, but for ten minutes in the third.
+    times = [EPOCH + 10.0 * step for step in range(8 * 360) if not 2 * HOUR <= 10.0 * step < 2 * HOUR + 600.0]
+    view.put("scans", [(time, 0.01, 0) for time in times])
+    view.put("samples", [("T", time, 50.0 + (time - EPOCH) / HOUR, GOOD, time) for time in times])
+    # Hotter, and not of this time or of no worth.
+    view.put("samples", [("T", EPOCH - 5.0, 99.0, GOOD, EPOCH - 5.0), ("T", times[7] + 1.0, 300.0, BAD, None)])
+    followed = store.view("decanter", (), temperature="T")
+    followed.put(
+        "writes",
+        [(EPOCH + 1.0, 1, "shadow", "shadow", 1, 0.1, "", ""), (END + 1.0, 2, "armed", "written", 1, 0.1, "", "")],
+    )
+    store.flush(60.0)
+    store.close()
+    shown = read_shift(path, audit=str(audit), start=EPOCH, end=END, gap=15.0, temperatures={"decanter": {"T": 80.0}})
+    machine = shown["machines"]["decanter"]
+    (row,) = machine["temperatures"]
+    assert row["hottest"] == {"value": pytest.approx(50.0 + (times[-1] - EPOCH) / HOUR), "time": times[-1]}
+    assert machine["unwatched"] == {"count": 1, "seconds": 610.0}
+    assert machine["writes"] == {"shadow": 1}
+    assert (shown["on_shift"], shown["notes"], shown["deeds"]) == (None, [], []), "there is no audit log"
+    nothing = read_shift(
+        path, audit=str(audit), start=END, end=END + HOUR, gap=15.0, temperatures={"decanter": {"T": 80.0}}
+    )
+    assert nothing["machines"]["decanter"]["unwatched"] == {"count": 1, "seconds": HOUR}
+    assert nothing["machines"]["decanter"]["temperatures"][0]["hottest"] is None
+    # A machine that has only been added has no rows yet.
+    added = read_shift(path, audit=str(audit), start=EPOCH, end=END, gap=15.0, temperatures={"pump": {"T": 80.0}})
+    assert added["machines"]["pump"]["unwatched"] == {"count": 1, "seconds": 8 * HOUR}
+
+
+def test_what_people_did_is_that_of_the_audit_log_and_a_name_holds_for_a_day(tmp_path: Path) -> None:
+    path = tmp_path / "audit.sqlite"
+    log = open_audit(path, Supervisor())
+    about = {"machine": "decanter", "alarm": "link"}
+    for entry in (
+        AuditEntry(EPOCH - 9 * HOUR, ON_SHIFT, "olga", "Anna, Luca"),
+        AuditEntry(EPOCH - HOUR, "alarm acknowledged", "olga", "", about),
+        AuditEntry(EPOCH + 1.0, "write", "olga", "", {"words": [1, 2]}),
+        AuditEntry(EPOCH + 2.0, "alarm shelved", "enzo", "cable", about),
+        AuditEntry(EPOCH + 3.0, NOTE, "olga", "belt smells", {"machine": "decanter", "at": EPOCH - HOUR}),
+        AuditEntry(EPOCH + 4.0, NOTE, "olga", "new grease", {"machine": "decanter", "at": EPOCH + 4.0}),
+    ):
+        log.put(entry)
+    log.close()
+    found = read_people(path, start=EPOCH, end=END)
+    assert found["deeds"] == [
+        {"time": EPOCH + 2.0, "kind": "alarm shelved", "by": "enzo", "reason": "cable", "about": "decanter, link"}
+    ]
+    assert [note["text"] for note in found["notes"]] == ["new grease"]
+    assert found["on_shift"] == {"names": "Anna, Luca", "by": "olga", "time": EPOCH - 9 * HOUR}
+    assert [note["text"] for note in read_people(path, start=EPOCH - 2 * HOUR, end=EPOCH)["notes"]] == ["belt smells"]
+    assert read_people(path, start=EPOCH + 15 * HOUR, end=EPOCH + 16 * HOUR)["on_shift"] is None, "it is a day old"
+    assert found["left_out"] == {"notes": 0, "deeds": 0}
+    again = open_audit(path, Supervisor())
+    again.put(AuditEntry(EPOCH + 5.0, ON_SHIFT, "olga", NOBODY))
+    again.close()
+    assert read_people(path, start=EPOCH, end=END)["on_shift"] is None
+
+
+def report() -> dict[str, Any]:
+    told = {"priority": 2, "of_plant": False, "tag": "T", "state": "normal"}
+    warning = told | {"alarm": "rising T", "kind": "rising", "raised": EPOCH + 60.0, "acknowledged": EPOCH + 90.0}
+    warning |= {"by": "olga", "ended": EPOCH + 360.0, "warning": True, "limit_after": None}
+    limit = told | {"alarm": "over limit T", "kind": "over limit", "raised": EPOCH + 900.0, "acknowledged": None}
+    limit |= {"by": "", "ended": None, "warning": False, "limit_after": None}
+    nearest = {"forecasts": 2, "horizon": 900.0, "minutes": 7.24, "time": EPOCH + 600.0}
+    row = {"tag": "T", "limit": 80.0, "hottest": {"value": 81.25, "time": EPOCH + 905.0}, "nearest": nearest}
+    machine = {"alarms": [warning, limit], "temperatures": [row], "states": [], "writes": {"shadow": 12}}
+    deed = {
+        "time": EPOCH + 90.0,
+        "kind": "alarm acknowledged",
+        "by": "olga",
+        "reason": "",
+        "about": "decanter, rising T",
+    }
+    return {
+        "start": EPOCH,
+        "end": END,
+        "machines": {"decanter": machine | {"unwatched": {"count": 1, "seconds": 610.0}}},
+        "on_shift": {"names": "Anna", "by": "olga", "time": EPOCH},
+        "notes": [{"time": EPOCH + 5.0, "machine": "decanter", "by": "olga", "text": "new grease"}],
+        "deeds": [deed],
+        "left_out": {"notes": 3, "deeds": 0},
+    }
+
+
+def test_its_mail_is_said_in_each_language_with_all_that_is_in_it() -> None:
+    labels = {"T": "gearbox bearing", "decanter": "Decanter 2"}
+    text = {language: shift_text(all_words()[language], labels, {"T": "degC"}, report()) for language in LANGUAGES}
+    for line in (
+        "Shift report, 2023-11-14 22:13:20 to 2023-11-15 06:13:20 UTC",
+        "On shift: Anna (said by olga, 2023-11-14 22:13:20)",
+        "  gearbox bearing: hottest 81.2 °C (2023-11-14 22:28:25), Limit 80.0 °C",
+        "  gearbox bearing: least time to the limit 7.2 min (2023-11-14 22:23:20)",
+        "  Nothing was read: 10 min (1)",
+        "  Blocks by verdict: computed, not written 12",
+        "    2023-11-14 22:14:20  gearbox bearing: rose towards its limit: limit not passed; over after 5 min; "
+        "Acknowledged by olga, 30 s",
+        "    2023-11-14 22:28:20  gearbox bearing: over its limit: stands; Acknowledged by nobody",
+        "  3 older ones are not listed.",
+        "  2023-11-14 22:13:25  Decanter 2: new grease (olga)",
+        "  2023-11-14 22:14:50  olga: alarm acknowledged, decanter, rising T",
+    ):
+        assert line in text["en"].splitlines()
+    assert "am heißesten 81,2 °C" in text["de"] and "limite non superato" in text["it"]
+    assert len({len(each.splitlines()) for each in text.values()}) == 1
+
+
+def test_it_goes_by_the_mail_server_of_the_alarms(mail_server: MailServer, tmp_path: Path) -> None:
+    smtp = f'[notify.smtp]\nhost = "127.0.0.1"\nport = {mail_server.port}\nuser = "gateway"\n'
+    smtp += f'sender = "gateway@example.com"\nca = "{mail_server.certificates / "ca.pem"}"\n'
+    to = '[[notify.to]]\nname = "shift"\nemail = "shift@example.com"\npriority = 1\n'
+    text = f'{PAGE}[notify]\nsecrets = "{secrets_in(tmp_path)}"\n{smtp}{to}'
+    with served(tmp_path / "plant", text, {"olga": AccountRole.OPERATOR}) as gateway:
+        client = Client(gateway.port)
+        assert client.ask("POST", "/api/shift/mail", {"hours": 8.0})[0] == 401
+        eventually(lambda: client.log_in("olga") == 200)
+        eventually(lambda: client.ask("GET", "/api/shift")[1]["machines"]["decanter"]["temperatures"][0]["hottest"])
+        # The server puts its first message off, which is said; then it takes it.
+        status, answered = client.ask("POST", "/api/shift/mail", {"hours": 8.0})
+        assert (status, answered["reason"]) == (502, "the mail server answers 451")
+        assert client.ask("POST", "/api/shift/mail?lang=de", {"hours": 8.0}) == (200, {"told": ["shift"]})
+    (mail,) = [each for each in mail_server.mails() if each["Subject"].startswith("Schichtbericht")]
+    assert mail["To"] == "shift@example.com" and "am heißesten 45,0 °C" in mail.get_content()
+    with served(tmp_path / "without", PAGE, {"olga": AccountRole.OPERATOR}) as gateway:
+        client = Client(gateway.port)
+        eventually(lambda: client.log_in("olga") == 200)
+        status, answered = client.ask("POST", "/api/shift/mail", {"hours": 8.0})
+        assert status == 409 and "nobody is told anything by mail" in answered["reason"]
+
+
+def test_every_deed_has_its_words() -> None:
+    kinds = {*DEEDS, *(f"alarm {word}" for word in BY_PERSONS.values())}
+    keys = {f"deed.{re.sub('[ -]', '_', kind.replace(':', ''))}" for kind in kinds}
+    assert keys == {key for key in all_words()["en"].texts if key.startswith("deed.")}
