@@ -2,6 +2,8 @@
 
 import json
 import re
+from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +11,7 @@ import pytest
 
 from drivers.supervision import Supervisor
 from drivers.tag import Quality, Tag
-from gateway.machine.alarms import BY_PERSONS, JournalRow
+from gateway.machine.alarms import BY_PERSONS, GATEWAY, JournalRow
 from gateway.outside.texts import LANGUAGES, all_words
 from gateway.outside.web.access import AccountRole
 from gateway.outside.web.shift import (
@@ -66,6 +68,65 @@ def test_of_each_alarm_it_is_said_what_came_of_it() -> None:
     assert (again["raised"], again["ended"]) == (EPOCH + 700.0, None)
 
 
+def test_a_warning_that_came_over_the_limit_does_not_say_that_it_was_not_passed() -> None:
+    rows = [
+        change(EPOCH - 90.0, "over limit T", "unacknowledged"),
+        change(EPOCH - 80.0, "over limit T", "normal"),
+        change(EPOCH, "over limit T", "unacknowledged"),
+        change(EPOCH + 2.0, "rising T", "unacknowledged"),
+        change(EPOCH + 100.0, "rising T", "normal"),
+        change(EPOCH + 300.0, "over limit T", "normal"),
+        change(EPOCH + 310.0, "rising T", "unacknowledged"),
+        change(EPOCH + 320.0, "rising T", "normal"),
+    ]
+    _, rising, after = alarm_episodes(rows, EPOCH, END)
+    assert (rising["limit_after"], after["limit_after"]) == (0.0, None)
+    assert [one["raised"] for one in alarm_episodes(rows, EPOCH + 305.0, END)] == [EPOCH + 310.0]
+
+
+@pytest.mark.parametrize(
+    ("states", "by"),
+    [
+        (["shelved", "normal"], "olga"),
+        (["suppressed by design", "normal"], "enzo"),
+        (["out of service", "returned unacknowledged"], "enzo"),
+        (["normal"], GATEWAY),
+        (["returned unacknowledged", "normal"], GATEWAY),
+    ],
+)
+def test_who_hides_an_alarm_has_not_acknowledged_it(states: list[str], by: str) -> None:
+    rows = [change(EPOCH + 10.0 * place, "link", state, by) for place, state in enumerate(states, 1)]
+    (one,) = alarm_episodes([change(EPOCH, "link", "unacknowledged"), *rows], EPOCH, END)
+    assert (one["acknowledged"], one["by"]) == (None, "")
+
+
+def test_of_long_records_no_alarm_is_held_against_all_others() -> None:
+    looked = Counter[str]()
+
+    class Watched(str):
+        __slots__ = ()
+
+        def __eq__(self, other: object) -> bool:
+            looked["tag"] += 1
+            return str.__eq__(self, other)
+
+        __hash__ = str.__hash__
+
+    rows = [
+        replace(change(EPOCH + 10.0 * at + more, alarm, state), tag=Watched("T"))
+        for at in range(200)
+        for more, alarm, state in (
+            (0.0, "rising T", "unacknowledged"),
+            (1.0, "over limit T", "unacknowledged"),
+            (2.0, "over limit T", "normal"),
+            (3.0, "rising T", "normal"),
+        )
+    ]
+    found = alarm_episodes(rows, EPOCH, END)
+    assert {one["limit_after"] for one in found if one["warning"]} == {1.0}
+    assert looked["tag"] < 10 * len(rows)
+
+
 def test_the_least_time_to_the_limit_is_that_of_the_median_line() -> None:
     def said(time: float, measured: float, *medians: float) -> list[tuple[object, ...]]:
         levels = json.dumps([0.05, 0.5, 0.95])
@@ -114,6 +175,45 @@ def test_it_is_made_of_the_records_of_its_time_alone(tmp_path: Path) -> None:
     # A machine that has only been added has no rows yet.
     added = read_shift(path, audit=str(audit), start=EPOCH, end=END, gap=15.0, temperatures={"pump": {"T": 80.0}})
     assert added["machines"]["pump"]["unwatched"] == {"count": 1, "seconds": 8 * HOUR}
+
+
+def test_scans_that_read_nothing_good_are_a_time_in_which_nothing_was_read(tmp_path: Path) -> None:
+    path = tmp_path / "history.sqlite"
+    store, view = one_machine(path, [Tag("T", "holding:0", unit="degC"), Tag("U", "holding:1", unit="degC")])
+    times = [EPOCH + 10.0 * step for step in range(8 * 360)]
+    view.put("scans", [(time, 0.01, 0) for time in times])
+    lost = Quality.COMMUNICATION_ERROR.value
+    # U answers for half an hour longer; then both are lost for 50 s, shorter than what counts where nothing is tried.
+    view.put("samples", [("T", times[0], 50.0, GOOD, times[0]), ("T", times[180], None, lost, None)])
+    view.put("samples", [("U", times[0], 50.0, GOOD, times[0]), ("U", times[360], None, lost, None)])
+    view.put("samples", [("T", times[364], 51.0, GOOD, times[364])])
+    store.flush(60.0)
+
+    def unwatched(*tags: str) -> dict[str, Any]:
+        limits = dict.fromkeys(tags, 80.0)
+        shown = read_shift(
+            path, audit=str(tmp_path / "audit"), start=EPOCH, end=END, gap=70.0, temperatures={"decanter": limits}
+        )
+        found: dict[str, Any] = shown["machines"]["decanter"]["unwatched"]
+        return found
+
+    assert unwatched("T", "U") == {"count": 1, "seconds": 50.0}
+    assert unwatched("U") == {"count": 1, "seconds": 7 * HOUR + 10.0}, "scans are stored all the same"
+    store.close()
+
+
+def test_what_was_only_tried_is_no_deed_and_what_was_asked_for_is_called_so(tmp_path: Path) -> None:
+    path = tmp_path / "audit.sqlite"
+    log = open_audit(path, Supervisor())
+    for at, dry_run in ((1.0, True), (2.0, False)):
+        log.put(AuditEntry(EPOCH + at, "page: reload", "ada", "", {"dry_run": dry_run}))
+    log.close()
+    assert [deed["time"] for deed in read_people(path, start=EPOCH, end=END)["deeds"]] == [EPOCH + 2.0]
+    # Their rows are written before they are done, and stand where that fails.
+    asked = {"en": "asked ", "it": "ha chiesto ", "de": " angefordert"}
+    for language, word in asked.items():
+        for deed in ("promote", "backup", "reload", "shift_mailed"):
+            assert word in all_words()[language].say(f"deed.page_{deed}")
 
 
 def test_what_people_did_is_that_of_the_audit_log_and_a_name_holds_for_a_day(tmp_path: Path) -> None:

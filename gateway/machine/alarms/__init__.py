@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 from sim.doors import lazy_getattr
 
 if TYPE_CHECKING:
-    from gateway.machine.alarms.board import AlarmBoard, AlarmError
+    from gateway.machine.alarms.board import GATEWAY, AlarmBoard, AlarmError
     from gateway.machine.alarms.conditions import acknowledge_words, alarm_name, make_conditions, suppressing_tags
     from gateway.machine.alarms.journal import JournalRow, read_journal
     from gateway.machine.alarms.picture import diagram, state_table, transition_table

@@ -4,16 +4,30 @@ These functions run in the process that reads the records, and give plain values
 """
 
 import json
+from bisect import bisect_left
 from collections import Counter, defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from drivers.tag import Quality
-from gateway.machine.alarms import ACTIVE, HIDDEN, UNSEEN, AlarmState, JournalRow, read_journal
+from gateway.machine.alarms import ACTIVE, GATEWAY, HIDDEN, AlarmState, JournalRow, read_journal
 from gateway.settings import parse_kind
-from gateway.store import ARMED, DISARMED, EXPIRED, AuditError, machines, read_since, reading, samples, stored_rows
+from gateway.store import (
+    ARMED,
+    DISARMED,
+    EXPIRED,
+    AuditError,
+    machines,
+    read_since,
+    reading,
+    samples,
+    stored_rows,
+    to_trace,
+)
 
 ON_SHIFT, NOTE = "page: on shift", "page: note"
 """Kinds of the audit log's rows in which people say who is there, and what they have seen."""
@@ -32,7 +46,7 @@ DEEDS = (
     "page: shift mailed",
     "page: log-in locked",
 )
-"""Kinds of rows in which somebody did something, beside those of alarms."""
+"""Kinds of rows in which somebody did something, or asked for it, beside those of alarms."""
 MOST_LISTED = 200
 """How many notes and deeds are listed, the newest; how many were before them is said."""
 
@@ -42,7 +56,8 @@ def read_shift(
 ) -> dict[str, Any]:
     """The report from `start` to `end` (s UTC) of the machines whose `temperatures` have these limits, by their names.
 
-    A time without a scan for more than `gap` (s) is one in which nobody watched. Raises HistorianError.
+    Nothing was read where no temperature had a good reading, or none was tried for more than `gap` (s). Raises
+    HistorianError.
     """
     return {
         "start": start,
@@ -55,9 +70,9 @@ def read_shift(
     }
 
 
-def read_people(audit: Path, *, start: float, end: float) -> dict[str, Any]:
-    """Who was on shift, the notes on moments from `start` to `end` (s UTC), and what people did, in their order; how
-    many older ones of them were `left_out`.
+def read_people(audit: Path, *, start: float, end: float, machine: str | None = None) -> dict[str, Any]:
+    """Who was on shift, the notes on moments from `start` to `end` (s UTC), of one machine or of all, and what people
+    did, in their order; how many older ones of them were `left_out`.
 
     Without an audit log nobody did anything that had to be put on it.
     """
@@ -76,11 +91,13 @@ def read_people(audit: Path, *, start: float, end: float) -> dict[str, Any]:
         {"time": float(at), "machine": row.detail.get("machine"), "by": row.who, "text": row.reason}
         for row in rows
         if row.kind == NOTE and isinstance(at := row.detail.get("at"), int | float) and start <= at <= end
+        if machine is None or row.detail.get("machine") == machine
     ]
     deeds = [
         {"time": row.time, "kind": row.kind, "by": row.who, "reason": row.reason, "about": _about(row.detail)}
         for row in rows
-        if row.kind not in (NOTE, ON_SHIFT) and start <= row.time <= end
+        # Who only asks what a reload would change has had nothing done.
+        if row.kind not in (NOTE, ON_SHIFT) and start <= row.time <= end and not row.detail.get("dry_run")
     ]
     return {
         # Nobody's name stands for who has gone: an empty one takes the last ones back.
@@ -114,13 +131,10 @@ def _of_machine(
         on_record = dict(machines(connection))
         known = machine in on_record
         followed = [tag for tag in on_record.get(machine, []) if tag in limits]
-        times = [row[0] for row in rows_of("scans", ("time",))] if known else []
         writes = [row for tag in followed for row in rows_of("writes", ("time", "verdict"), tag)]
         columns = ("time", "horizon", "levels", "quantiles", "measured")
         forecasts = {tag: rows_of("forecasts", columns, tag) for tag in followed}
         states = [rows_of("predictions", ("time", "location", "known"), tag) for tag in followed[:1]]
-    moments = [start, *sorted(times), end]
-    unwatched = [(before, after) for before, after in pairwise(moments) if after - before > gap]
     return {
         "alarms": alarm_episodes(read_journal(path, machine=machine, end=end) if known else (), start, end),
         "temperatures": [
@@ -133,7 +147,7 @@ def _of_machine(
             for tag, limit in limits.items()
         ],
         "states": _time_in_states(states[0] if states else (), gap),
-        "unwatched": {"count": len(unwatched), "seconds": sum(after - before for before, after in unwatched)},
+        "unwatched": _unwatched(path, machine, limits if known else (), start=start, end=end, gap=gap),
         "writes": dict(Counter(str(verdict) for _, verdict in writes)),
     }
 
@@ -164,19 +178,53 @@ def alarm_episodes(rows: Sequence[JournalRow], start: float, end: float) -> list
             open_ones[row.alarm] = one
             episodes.append(one)
         elif one is not None:
-            one["state"] = row.state
-            if row.by and one["acknowledged"] is None and row.state not in UNSEEN:
+            if row.by and one["acknowledged"] is None and _acknowledges(row, one["state"]):
                 one |= {"acknowledged": row.time, "by": row.by}
+            one["state"] = row.state
             if one["ended"] is None and row.state not in ACTIVE and row.state not in HIDDEN:
                 one["ended"] = row.time
-    passed = [one for one in episodes if one["kind"] == LIMIT]
+    limits: dict[str, list[dict[str, Any]]] = defaultdict(list)
     for one in episodes:
-        until = end if one["ended"] is None else one["ended"]
-        after = (each["raised"] for each in passed if each["tag"] == one["tag"] and one["raised"] <= each["raised"])
-        first = next((time for time in after if time <= until), None)
+        if one["kind"] == LIMIT:
+            limits[one["tag"]].append(one)
+    shown = [one for one in episodes if one["ended"] is None or one["ended"] >= start]
+    for one in shown:
         one["warning"] = one["kind"] in WARNINGS
-        one["limit_after"] = None if first is None or not one["warning"] else first - one["raised"]
-    return [one for one in episodes if one["ended"] is None or one["ended"] >= start]
+        one["limit_after"] = _limit_after(one, limits[one["tag"]], end) if one["warning"] else None
+    return shown
+
+
+def _limit_after(warning: Mapping[str, Any], limits: Sequence[Mapping[str, Any]], end: float) -> float | None:
+    """Seconds after a warning until the limit was passed while it stood, 0 where it was already; `limits` are the
+    limit's own alarms of that temperature in their order."""
+    raised, until = warning["raised"], end if warning["ended"] is None else warning["ended"]
+    place = bisect_left(limits, raised, key=lambda one: one["raised"])
+    if place and ((over := limits[place - 1]["ended"]) is None or over > raised):
+        return 0.0
+    return next((one["raised"] - raised for one in limits[place : place + 1] if one["raised"] <= until), None)
+
+
+def _acknowledges(row: JournalRow, before: str) -> bool:
+    """Whether a change says that somebody knew of the alarm; who hides one, or cleans up, says nothing of the kind."""
+    if row.state == AlarmState.NORMAL:
+        return before == AlarmState.RETURNED and row.by != GATEWAY
+    return row.state in (AlarmState.ACKNOWLEDGED, AlarmState.LATCHED_ACKNOWLEDGED)
+
+
+def _unwatched(
+    path: Path, machine: str, tags: Collection[str], *, start: float, end: float, gap: float
+) -> dict[str, float | int]:
+    """How often and how long none of the tags had a good reading: a scan alone says only that it was tried."""
+    times, good = np.empty(0), np.empty(0, dtype=bool)
+    if tags:
+        seen = to_trace(path, start=start, end=end, machine=machine, tags=tags)
+        times = seen.times
+        good = np.any([np.zeros(times.size, dtype=bool), *map(np.isfinite, seen.signals.values())], axis=0)
+    # Between two good scans nothing was read where others lie that were not, or where there is none for too long.
+    places = np.concatenate(([-1], np.flatnonzero(good), [good.size]))
+    lengths = np.diff(np.concatenate(([start], times[good], [end])))
+    none = lengths[(np.diff(places) > 1) | (lengths > gap)]
+    return {"count": int(none.size), "seconds": float(none.sum())}
 
 
 def _hottest(path: Path, machine: str, tag: str, start: float, end: float) -> dict[str, float] | None:
