@@ -67,7 +67,7 @@ def test_all_that_the_page_shows_can_be_asked_for(gateway: Served) -> None:
         "/api/scorecard": f"machine=decanter&temperature={TEMPERATURE}",
         "/api/model": "machine=decanter",
         "/api/shift": "hours=1",
-        "/api/notes": f"start={now - 60}&end={now}",
+        "/api/notes": f"machine=decanter&start={now - 60}&end={now}",
         "/api/box": "",
         "/api/session": "",
     }
@@ -130,9 +130,9 @@ def test_who_is_on_shift_and_what_was_noted_are_said_by_persons_and_kept(gateway
     assert report["end"] - report["start"] == 8 * 3600.0
     row = report["machines"]["decanter"]["temperatures"][0]
     assert (row["tag"], row["limit"], row["hottest"]["value"]) == (TEMPERATURE, 47.0, 45.0)
-    seen = olga.ask("GET", f"/api/notes?start={now - 40}&end={now}")[1]["notes"]
+    seen = olga.ask("GET", f"/api/notes?machine=decanter&start={now - 40}&end={now}")[1]["notes"]
     assert [each["text"] for each in seen] == ["new grease"]
-    assert olga.ask("GET", f"/api/notes?start={now - 20}&end={now}")[1] == {"notes": []}
+    assert olga.ask("GET", f"/api/notes?machine=decanter&start={now - 20}&end={now}")[1] == {"notes": [], "left_out": 0}
 
 
 def test_an_alarm_is_acknowledged_by_a_person_and_on_record_with_name_and_address(gateway: Served) -> None:

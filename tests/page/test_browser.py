@@ -371,9 +371,12 @@ def test_a_note_stands_on_the_time_axis_of_the_trends(page: Page, gateway: Serve
     page.get_by_role("dialog").get_by_role("button", name="Keep").click()
     note = page.locator(".notes li").filter(has_text="belt was tightened")
     expect(note.locator("small")).to_have_text("olga at 127.0.0.1")
-    # Of another stretch it is none.
+    # Of another stretch it is none; where there are too many for a list, it is said how many are not in it.
+    newest = {"time": 0.0, "machine": "decanter", "by": "olga", "text": "newest"}
+    page.route("**/api/notes?*", lambda route: route.fulfill(json={"notes": [newest], "left_out": 3}))
     page.get_by_role("button", name="1 min", exact=True).click()
     expect(note).to_have_count(0)
+    expect(page.locator(".notes")).to_contain_text("3 older ones are not listed.")
 
 
 def test_two_days_are_laid_over_one_another(page: Page) -> None:

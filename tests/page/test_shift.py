@@ -14,8 +14,10 @@ from drivers.tag import Quality, Tag
 from gateway.machine.alarms import BY_PERSONS, GATEWAY, JournalRow
 from gateway.outside.texts import LANGUAGES, all_words
 from gateway.outside.web.access import AccountRole
+from gateway.outside.web.readings import notes_between
 from gateway.outside.web.shift import (
     DEEDS,
+    MOST_LISTED,
     NOBODY,
     NOTE,
     ON_SHIFT,
@@ -214,6 +216,18 @@ def test_what_was_only_tried_is_no_deed_and_what_was_asked_for_is_called_so(tmp_
     for language, word in asked.items():
         for deed in ("promote", "backup", "reload", "shift_mailed"):
             assert word in all_words()[language].say(f"deed.page_{deed}")
+
+
+def test_the_notes_of_a_machine_are_not_pushed_out_by_those_of_another(tmp_path: Path) -> None:
+    path = tmp_path / "audit.sqlite"
+    log = open_audit(path, Supervisor())
+    log.put(AuditEntry(EPOCH + 1.0, NOTE, "olga", "mine", {"machine": "a", "at": EPOCH + 1.0}))
+    for at in range(MOST_LISTED + 3):
+        log.put(AuditEntry(EPOCH + 2.0 + at, NOTE, "olga", "other", {"machine": "b", "at": EPOCH + 2.0 + at}))
+    log.close()
+    a, b = (notes_between(path, audit=str(path), machine=name, start=EPOCH, end=END) for name in ("a", "b"))
+    assert ([note["text"] for note in a["notes"]], a["left_out"]) == (["mine"], 0)
+    assert (len(b["notes"]), b["left_out"]) == (MOST_LISTED, 3)
 
 
 def test_what_people_did_is_that_of_the_audit_log_and_a_name_holds_for_a_day(tmp_path: Path) -> None:

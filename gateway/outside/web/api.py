@@ -252,11 +252,6 @@ class _RatesQuery(Section):
     days: float = Field(7.0, gt=0, le=90, description="over how many days, up to 90")
 
 
-class _NotesQuery(Section):
-    start: Time
-    end: Time
-
-
 class _ShiftQuery(Section):
     hours: float = Field(8.0, gt=0, le=24, description="over how many hours up to now, up to 24")
 
@@ -303,7 +298,7 @@ async def _rates(call: Call) -> Any:
 
 
 async def _notes(call: Call) -> Any:
-    return await call.page.reader.notes(call.page.config.audit, *_check_order(call.given))
+    return await call.page.reader.notes(call.page.config.audit, call.given.machine, *_check_order(call.given))
 
 
 async def _shift(call: Call) -> Any:
@@ -577,9 +572,9 @@ ENDPOINTS: Sequence[Endpoint] = (
     Endpoint(
         method="GET",
         path="/api/notes",
-        summary="What people have noted of moments of a stretch.",
+        summary="What people have noted of moments of a machine in a stretch, the newest.",
         answer=_notes,
-        gives=_NotesQuery,
+        gives=_TimeSpanQuery,
     ),
     Endpoint(
         method="GET",

@@ -134,9 +134,9 @@ class HistorianReader:
         """See `gateway.outside.web.readings.scores_by_week`."""
         return await self._slow.ask("scorecard", machine=machine, temperature=temperature, weeks=weeks)
 
-    async def notes(self, audit: Path, start: float, end: float) -> bytes:
+    async def notes(self, audit: Path, machine: str, start: float, end: float) -> bytes:
         """See `gateway.outside.web.readings.notes_between`."""
-        return await self._quick.ask("notes", audit=str(audit.absolute()), start=start, end=end)
+        return await self._quick.ask("notes", audit=str(audit.absolute()), machine=machine, start=start, end=end)
 
     async def shift(
         self, audit: Path, start: float, end: float, temperatures: Mapping[str, Mapping[str, float]]

@@ -139,9 +139,10 @@ def scores_by_week(path: Path, *, machine: str, temperature: str, weeks: int) ->
     return plain
 
 
-def notes_between(_: Path, *, audit: str, start: float, end: float) -> dict[str, Any]:
-    """What people have noted of moments from `start` to `end` (s UTC)."""
-    return {"notes": read_people(Path(audit), start=start, end=end)["notes"]}
+def notes_between(_: Path, *, audit: str, machine: str, start: float, end: float) -> dict[str, Any]:
+    """What people have noted of a machine's moments from `start` to `end` (s UTC); how many older ones `left_out`."""
+    found = read_people(Path(audit), start=start, end=end, machine=machine)
+    return {"notes": found["notes"], "left_out": found["left_out"]["notes"]}
 
 
 def shift_report(path: Path, **asked: Any) -> dict[str, Any]:

@@ -42,6 +42,7 @@ function notesOf(machine) {
   const notes = look.data?.notes ?? [];
   return h("section", { class: "notes" },
     can("operator") && h("p", { class: "buttons" }, h("button", { "data-act": "note", "data-machine": machine, "data-at": look.at }, look.at === null ? say("note.write") : say("note.about", { time: moment(look.at) }))),
+    look.data?.leftOut > 0 && h("p", { class: "quiet" }, say("shift.left_out", { count: look.data.leftOut })),
     notes.length > 0 && h("ol", {}, notes.map((note, place) => h("li", {}, h("b", {}, `${place + 1}`), " ", h("time", {}, moment(note.time)), ` ${note.text} `, h("small", {}, note.by)))));
 }
 addEventListener("noted", () => (look.asked = ""));
@@ -89,9 +90,9 @@ function fetchOnce(machine, status) {
     look.data = { width: all[0].width, start, end, notes: [], tags: look.tags.map((tag) => (labels[tag] ? `${labels[tag]} (${tag})` : tag)), trends: all.slice(0, shown), shift, earlier: shift ? all.slice(shown, 2 * shown) : [], said: said ? all.at(-1) : null };
     draw(document.getElementById("trend") ?? place);
     // After what nobody waits longer for because of them.
-    ask("GET", "/api/notes", { start, end }).then(({ notes }) => {
+    ask("GET", "/api/notes", { machine, start, end }).then(({ notes, left_out: leftOut }) => {
       if (look.asked !== key || !notes.length) return;
-      look.data.notes = notes.filter((note) => note.machine === machine);
+      Object.assign(look.data, { notes, leftOut });
       draw(document.getElementById("trend") ?? place);
     }, () => {});
   }, (error) => (look.error = error.message));
