@@ -150,7 +150,7 @@ def _report_absences(fleet: Fleet, without: Mapping[str, str]) -> None:
         fleet.log.error("a part of the gateway could not be begun, and it goes on without", part=part, reason=reason)
 
 
-def _mail(config: Config, subject: str, text: str, now: float) -> list[str]:
+def _mail(config: Config, subject: str, text: str, now: float) -> tuple[list[str], dict[str, str]]:
     """Mail a text of the page's by the way of the alarms; see `gateway.outside.notify.mail_text`."""
     from gateway.outside.notify import mail_text
 

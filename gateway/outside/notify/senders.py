@@ -81,20 +81,30 @@ def _own_name(end: float) -> str:
     return name if "." in name else "[127.0.0.1]"
 
 
-def mail_text(section: NotifySection, secrets: NotifySecrets, subject: str, text: str, now: float) -> list[str]:
-    """Mail a text at a time (s UTC) to each recipient that has an address; gives their names.
-
-    Raises UndeliveredError or RefusedError about the first that does not get it, OSError as `make_senders`.
+def mail_text(
+    section: NotifySection, secrets: NotifySecrets, subject: str, text: str, now: float
+) -> tuple[list[str], dict[str, str]]:
+    """Mail a text at a time (s UTC) to each recipient that has an address; gives the names of those who have it, and of
+    the others why not. Raises UndeliveredError where the server's authority cannot be read.
     """
-    told = []
+    told, missed, smtp = list[str](), dict[str, str](), section.smtp
+    if smtp is None:
+        return told, missed
+    try:
+        trusted = make_tls(smtp.ca)
+    except OSError as error:
+        raise UndeliveredError(f"smtp.ca {smtp.ca} cannot be read ({failure_reason(error)})") from None
     for row in section.to:
-        if row.email is None or section.smtp is None:
+        if row.email is None:
             continue
         mark = sha256("\n\n".join([row.name, subject, text, repr(now)]).encode()).hexdigest()[:32]
-        trusted = make_tls(section.smtp.ca)
-        _send_mail(row, section.smtp, secrets.smtp_password, trusted, subject=subject, text=text, mark=mark, now=now)
-        told.append(row.name)
-    return told
+        try:
+            _send_mail(row, smtp, secrets.smtp_password, trusted, subject=subject, text=text, mark=mark, now=now)
+        except (UndeliveredError, RefusedError) as error:
+            missed[row.name] = str(error)
+        else:
+            told.append(row.name)
+    return told, missed
 
 
 def _mail(

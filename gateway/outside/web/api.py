@@ -331,10 +331,13 @@ async def _mail_shift(call: Call) -> Any:
     text = shift_text(words, call.page.config.page.labels, units, report)
     await call.page.record("page: shift mailed", call.who, hours=call.given.hours)
     try:
-        told = await asyncio.to_thread(call.page.mail, shift_title(words, report), text, time.time())
+        told, missed = await asyncio.to_thread(call.page.mail, shift_title(words, report), text, time.time())
     except (ConfigError, OneLineError) as error:
         raise Refused(HTTPStatus.BAD_GATEWAY, " ".join(str(error).split())) from None
-    return {"told": told}
+    if not told:
+        reasons = "; ".join(f"{name}: {reason}" for name, reason in missed.items())
+        raise Refused(HTTPStatus.BAD_GATEWAY, f"nobody was told: {reasons}")
+    return {"told": told, "missed": missed}
 
 
 async def _scorecard(call: Call) -> Any:

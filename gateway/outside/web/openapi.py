@@ -20,6 +20,7 @@ REFUSALS = {
     "415": "The body is of another type than application/json.",
     "422": "The request is not as described.",
     "429": "Too many wrong passwords, or too many at a time.",
+    "502": "The mail server takes it for nobody, or cannot be asked.",
     "503": "The gateway cannot answer now.",
 }
 

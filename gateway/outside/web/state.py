@@ -22,10 +22,11 @@ class Unaccountable(OneLineError, RuntimeError):
     """What a person asked for is not done, as it cannot be put on record."""
 
 
-Mail = Callable[[str, str, float], list[str]]
-"""Mails a subject and a text at a time (s UTC) to all who are told by mail, and gives their names; one blocking call.
+Mail = Callable[[str, str, float], tuple[list[str], dict[str, str]]]
+"""Mails a subject and a text at a time (s UTC) to all who are told by mail; one blocking call. It gives the names of
+those who have it, and of the others why not.
 
-Raises OneLineError or ConfigError where somebody does not get it.
+Raises OneLineError or ConfigError where nobody could be told at all.
 """
 
 

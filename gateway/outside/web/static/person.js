@@ -106,8 +106,9 @@ export const acts = {
   },
   mail(button, changed) {
     dialog(say("shift.mail"), [], say("person.confirm"), async () => {
-      const { told } = await ask("POST", "/api/shift/mail", { hours: Number(button.dataset.hours) }).catch((error) => expired(error, changed));
-      setTimeout(() => dialog(say("shift.mail"), [], say("person.confirm"), () => {}, [h("p", {}, say("shift.mailed", { names: told.join(", ") }))]));
+      const { told, missed } = await ask("POST", "/api/shift/mail", { hours: Number(button.dataset.hours) }).catch((error) => expired(error, changed));
+      setTimeout(() => dialog(say("shift.mail"), [], say("person.confirm"), () => {}, 
+        [h("p", {}, say("shift.mailed", { names: told.join(", ") })), ...Object.entries(missed).map(([name, reason]) => h("p", { class: "error" }, say("shift.not_mailed", { name, reason })))]));
     }, [h("p", { class: "quiet" }, say("shift.mail_to"))]);
   },
   backup(_, changed) {
