@@ -275,6 +275,12 @@ def test_the_wall_is_read_from_across_the_room(page: Page) -> None:
     expect(page.locator(".tile.alarm h2")).to_contain_text("Machine e")
     expect(tiles).to_have_count(4)
     expect(page.locator(".turns")).to_have_text("4 of 5, in turn")
+    # Five in alarm take turns among themselves: no calm one is shown in the place of one of them.
+    burning = {name: fifth | {"label": f"Machine {name}"} for name in ("e", "f", "g", "h", "i")}
+    show(page, also={**four, **burning}, **as_shown("en"))
+    expect(page.locator(".tile.alarm")).not_to_have_count(0)
+    expect(page.locator(".tile:not(.alarm)")).to_have_count(0)
+    expect(page.locator(".turns")).to_contain_text("of 9, in turn")
 
 
 def test_an_alarm_says_what_comes_if_nobody_acts_and_which_was_first(page: Page) -> None:

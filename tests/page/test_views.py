@@ -47,6 +47,22 @@ def test_the_sentence_says_when_the_limit_is_reached_if_it_goes_on_so() -> None:
     assert (row()["level"], row()["valid"]) == ("attention", "good")
 
 
+def test_what_there_is_to_do_begins_with_the_limit_and_leaves_out_what_was_put_aside() -> None:
+    def standing(kind: str, **changes: Any) -> dict[str, Any]:
+        known = {"tag": TEMPERATURE, "kind": kind, "limit": 80.0, "standing": True, "beyond": True}
+        return alarm(f"{kind} {TEMPERATURE}") | known | {"own_response": False} | changes
+
+    aside = {"state": "out of service", "active": False}
+    review, over = standing("review", priority=3), standing("over limit", **aside)
+    hot = {"values__" + TEMPERATURE: tag(86.0)}
+    for alarms in ([], [over], [over, review], [standing("drift", priority=3)]):
+        assert "above 80" in row(**hot, alarm_summary=alarms)["action"], alarms
+    calm = {"values__" + TEMPERATURE: tag(45.0), **forecast(None, None, None, 0.0)}
+    assert "unfit" in row(**calm, alarm_summary=[review])["action"]
+    for put_aside in (review | aside, standing("sensor jumping", **aside)):
+        assert row(**calm, alarm_summary=[put_aside])["action"] == row(**calm)["action"]
+
+
 def test_in_place_of_a_bad_sensor_the_model_speaks_and_says_so() -> None:
     v = {"since": EPOCH - 720.0, "reason": "sensor frozen", "mean": 61.2, "low": 57.3, "high": 65.8, "stopped": ""}
     said = row(prediction__virtual=v)

@@ -72,11 +72,17 @@ def _belongs(alarm: Mapping[str, Any], tag: str, temperatures: Sequence[Mapping[
 
 
 def _action(words: Words, row: Mapping[str, Any], alarms: Sequence[Mapping[str, Any]]) -> str:
-    """What a person has to do about a temperature: by its most urgent alarm that holds, else by what is foreseen."""
-    if holding := next((alarm for alarm in alarms if alarm["holds"] and alarm["sentence"]), None):
+    """What a person has to do about a temperature: by its most urgent alarm that holds, else by what is foreseen.
+
+    What was put aside asks for nothing, and nothing less than an alarm goes before a limit that is passed.
+    """
+    standing = [each for each in alarms if each["holds"] and each["sentence"] and each["section"] == "standing"]
+    holding = standing[0] if standing else None
+    hot = row["level"] == "alarm" and row["value"] is not None
+    if holding is not None and not (hot and holding["level"] != "alarm"):
         return str(holding["sentence"])
     if row["level"] in ("alarm", "attention") and row["value"] is not None:
-        kind = "over_limit" if row["level"] == "alarm" else "predicted_over_limit"
+        kind = "over_limit" if hot else "predicted_over_limit"
         limit = words.number(row["limit"], 0 if row["limit"] == int(row["limit"]) else 1)
         return words.say(f"response.{kind}", tag=row["label"], limit=limit, unit=row["unit"])
     if row["level"] in ("unknown", "attention"):

@@ -78,21 +78,22 @@ export function plantView() {
 const TILES = 4, TURN_S = 15;
 
 // Four machines at a time, each by its worst temperature, to be read from across the room and without a hand: more of
-// them take turns, and one that is in alarm does not wait for its turn.
+// them take turns, and one that is in alarm does not wait for its turn: where the wall is full of alarms, these alone do.
 export function wallView() {
   const rows = state.order.map((name) => temperatureRows().filter((each) => each.name === name).reduce((worst, each) => (rank(each) > rank(worst) ? each : worst)));
-  const urgent = rows.filter(({ level }) => level === "alarm"), fixed = urgent.length < TILES ? urgent : [], room = TILES - fixed.length;
-  const rest = rows.filter((each) => !fixed.includes(each)), turns = Math.max(Math.ceil(rest.length / room), 1);
+  const urgent = rows.filter(({ level }) => level === "alarm"), full = urgent.length >= TILES;
+  const fixed = full ? [] : urgent, room = TILES - fixed.length;
+  const rest = full ? urgent : rows.filter((each) => !fixed.includes(each)), turns = Math.max(Math.ceil(rest.length / room), 1);
   const begin = room * (Math.floor(performance.now() / 1000 / TURN_S) % turns);
   const shown = [...fixed, ...rest.slice(begin, begin + room)];
   shown.sort((a, b) => rows.indexOf(a) - rows.indexOf(b));
-  return h("section", { class: `wall of${shown.length}` }, shown.map((each) => {
+  return h("section", { class: "wallview" }, plantAlarms(), h("section", { class: `wall of${shown.length}` }, shown.map((each) => {
     const { name, machine, row, level, cut } = each;
     return h("section", { class: `tile ${level}`, "data-key": `${name} ${row.tag}` },
       h("h2", {}, sign(level), h("span", {}, machine.label), modeBadge(machine.mode, cut)),
       h("div", { class: "pair" }, h("p", {}, h("small", {}, row.label), h("b", { class: "big" }, value(row, name))), h("p", { class: `when ${row.valid}` }, h("small", {}, say("when.title")), h("b", { class: "amount" }, cut ? "–" : row.when[0]))),
       h("p", {}, `${say("action.title")}: `, h("b", {}, cut ? say("word.unknown") : row.action)));
-  }), rows.length > shown.length && h("p", { class: "turns" }, say("word.of", { shown: shown.length, count: rows.length })));
+  }), rows.length > shown.length && h("p", { class: "turns" }, say("word.of", { shown: shown.length, count: rows.length }))));
 }
 const rank = ({ level }) => Object.keys(SIGNS).indexOf(level);
 
