@@ -239,6 +239,14 @@ def test_hundreds_of_thousands_are_read_as_india_writes_them_and_a_mark_twice_is
     assert numbers(["0.400", "149.830"], ",")[0].tolist() == [0.4, 149.83]
 
 
+def test_a_column_unit_that_names_machines_is_none_of_units(tmp_path: Path) -> None:
+    plant = recording()
+    times = [f"{moment:%Y-%m-%d %H:%M:%S}" for moment in plant.moments]
+    rows = zip(times, "A" * 120 + "C" * 120, plant.heat, plant.current, plant.running, strict=True)
+    header = "Time,Unit,Bearing temperature,Motor current,Running"
+    mapped(written(tmp_path / "a.csv", header, [",".join(map(str, row)) for row in rows]), tmp_path / "m.toml")
+
+
 def test_numbers_with_both_marks_are_refused_as_that(tmp_path: Path) -> None:
     cells = (lambda value: str(value) if value > 40 else comma(value), comma, str)
     mixed = wide(tmp_path / "a.csv", cells=cells, mark=";", header="Time;Bearing temperature;Motor current;Running")

@@ -13,6 +13,7 @@ from sim.lab.recordings import (
     UNNAMED_COLUMN,
     LoadReport,
     TraceError,
+    conversion,
     csv_files,
     find_codes,
     known_unit,
@@ -249,7 +250,8 @@ def _check_units(table: FoundTable, places: Sequence[int]) -> None:
     """Raises TraceError for a column of units by which the rows of a wide file are in different ones."""
     for place in (each for each in places if named_unit(table.header[each])):
         units = {unit for cell in set(table.column(place)) if (unit := known_unit(cell))}
-        if len(units) > 1:
+        # A and C are names of machines as well; only units of one quantity are surely none.
+        if len(units) > 1 and not any(np.isnan(conversion(unit, min(units))[0]) for unit in units):
             raise TraceError(
                 f"{table.path}: {table.header[place]!r} says that rows are in {' and in '.join(sorted(units))}: a "
                 "signal has one unit; export it in one"
