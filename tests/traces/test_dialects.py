@@ -17,8 +17,9 @@ from openpyxl import Workbook
 
 from gateway.cli.main import main
 from gateway.console import shipped_file
-from sim.lab.recordings import LoadReport, TraceError, load_map, load_traces, numbers
+from sim.lab.recordings import LoadReport, TraceError, load_map, load_traces, numbers, parse_map
 from sim.lab.recordings.clock import spread_evenly
+from sim.lab.recordings.mapping.columns import find_points
 from sim.sha import Trace
 from tests.traces.exports import STEP, Recording, comma, recording, wide, written
 
@@ -236,7 +237,84 @@ def test_hundreds_of_thousands_are_read_as_india_writes_them_and_a_mark_twice_is
     assert numbers(["1,49,830", "99,830", "830"])[0].tolist() == [149830.0, 99830.0, 830.0]
     assert numbers(["1,234,567", "950,123", "0"])[0].tolist() == [1234567.0, 950123.0, 0.0]
     assert np.isnan(numbers(["1,49,83", "1,4983,000"])[0]).all()
-    assert numbers(["0.400", "149.830"], ",")[0].tolist() == [0.4, 149.83]
+
+
+def german(path: Path, name: str, own: Callable[[int], str], *, clock: Callable[[int], str] | None = None) -> Path:
+    """An export with decimal commas and one column more, whose cells `own` writes, and maybe another clock."""
+    plant = recording()
+    clock = clock or (lambda at: f"{plant.moments[at]:%d.%m.%Y %H:%M:%S}")
+    zipped = enumerate(zip(plant.heat, plant.current, plant.running, strict=True))
+    rows = [f"{clock(at)};{comma(h)};{comma(c)};{r};{own(at)}" for at, (h, c, r) in zipped]
+    head = "Time [s]" if clock(0)[:1] == "1" and ":" not in clock(0) else "Zeit"
+    return written(path, f"{head};Lagertemperatur;Motorstrom [A];Betrieb;{name}", rows)
+
+
+def test_a_clock_and_a_vibration_with_points_are_read_alike_however_their_rows_are_cut(tmp_path: Path) -> None:
+    vibration = [0.812, *(2.5 + at / 1000 for at in range(1, 240))]
+    path = tmp_path / "a.csv"
+    clock = [f"{199.98 + at / 100:.3f}" for at in range(240)]
+    export = german(path, "Vibration mm/s", lambda at: f"{vibration[at]:.3f}", clock=clock.__getitem__)
+    (trace,), _, said = mapped(export, tmp_path / "m.toml")
+    assert 'points = { "Vibration mm/s" = "decimal" }' in said["text"]
+    assert np.allclose(trace.signals["Vibration_mm/s"], vibration)
+    assert np.allclose(np.diff(trace.times), 0.01)
+    # Another file by the same map, in which no cell shows any more what the point is.
+    later = export.read_text(encoding="utf-8").splitlines()
+    export.write_text("\n".join([later[0], *later[25:40]]) + "\n", encoding="utf-8")
+    (trace,), _ = load_traces(export, load_map(tmp_path / "m.toml"))
+    assert np.allclose(trace.signals["Vibration_mm/s"], vibration[24:39])
+    assert np.allclose(trace.times, 199.98 + np.arange(24, 39) / 100)
+
+
+def test_what_a_lone_point_is_no_batch_of_cells_decides() -> None:
+    assert numbers(["0.400", "149.83", "400"], ",")[0].tolist() == [0.4, 149.83, 400.0]
+    for batch in (["149.830"], ["149.830", "400"], ["149.830", "n/a"], ["149.830", "1,5", "0.5"]):
+        assert np.isnan(numbers(batch, ",")[0][0])
+
+
+@pytest.mark.parametrize(
+    ("cells", "points"),
+    [
+        (["149.830", "n/a", "400"], "thousands"), (["1.234.567", "950.123"], "thousands"),
+        (["1.000", "950,0"], "thousands"),
+        (["1.234,5", "1.234"], "thousands"), (["0.812", "2.599"], "decimal"), (["12.5", "400"], "decimal"),
+        (["2.599", "2.500"], "either"), (["149.830", "1234", "400"], "either"), (["2.500", "2,501"], "either"),
+        (["12.5", "12,5"], "both"), (["400", "1,5"], ""),
+    ],
+)  # fmt: skip
+def test_a_column_tells_what_its_points_are(cells: list[str], points: str) -> None:
+    assert find_points(cells) == points
+
+
+def test_a_totaliser_in_thousands_is_read_and_what_nobody_can_tell_stays_unused_unless_it_plays_a_part(
+    tmp_path: Path,
+) -> None:
+    total = german(tmp_path / "t.csv", "Menge", lambda at: f"1.{at:03d}" if at % 3 else f"950,{at % 10}")
+    (trace,), _, said = mapped(total, tmp_path / "t.toml")
+    assert trace.signals["Menge"][[1, 3]].tolist() == [1001.0, 950.3]
+    constant = german(tmp_path / "c.csv", "Druck", lambda at: "1.250")
+    (trace,), _, said = mapped(constant, tmp_path / "c.toml")
+    assert "Druck" not in trace.signals and any("'Druck' is not used" in line for line in said["report"])
+    recipe = german(tmp_path / "r.csv", "Rezept", lambda at: "1.5" if at % 2 else "1,5")
+    (trace,), _, said = mapped(recipe, tmp_path / "r.toml")
+    assert "Rezept" not in trace.signals and any("'Rezept' is not used" in line for line in said["report"])
+    unclear = german(tmp_path / "u.csv", "Leistung", lambda at: "1.250" if at % 60 else "2.250")
+    assert "sets apart thousands" in asked(unclear, tmp_path / "u.toml", "--current", "Leistung")
+
+
+def test_points_of_a_map_without_decimal_commas_are_refused(tmp_path: Path) -> None:
+    mapped(german(tmp_path / "a.csv", "Druck", lambda at: f"{at / 100:.2f}"), tmp_path / "m.toml")
+    text = (tmp_path / "m.toml").read_text(encoding="utf-8")
+    with pytest.raises(TraceError, match="needs decimal = ','"):
+        parse_map(text.replace('decimal = ","', 'decimal = "."'), "m.toml")
+
+
+def test_a_column_unit_that_names_machines_is_none_of_units(tmp_path: Path) -> None:
+    plant = recording()
+    times = [f"{moment:%Y-%m-%d %H:%M:%S}" for moment in plant.moments]
+    rows = zip(times, "A" * 120 + "C" * 120, plant.heat, plant.current, plant.running, strict=True)
+    header = "Time,Unit,Bearing temperature,Motor current,Running"
+    mapped(written(tmp_path / "a.csv", header, [",".join(map(str, row)) for row in rows]), tmp_path / "m.toml")
 
 
 def test_numbers_with_both_marks_are_refused_as_that(tmp_path: Path) -> None:

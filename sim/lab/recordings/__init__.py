@@ -6,7 +6,17 @@ from sim.doors import lazy_getattr
 
 if TYPE_CHECKING:
     from sim.lab.recordings.auto_thresholds import Levels, find_levels, round_value, with_levels, with_thresholds
-    from sim.lab.recordings.cells import RUN_WORDS, SWITCH_WORDS, booleans, decimal_mark, numbers, parse_quantity
+    from sim.lab.recordings.cells import (
+        RUN_WORDS,
+        SWITCH_WORDS,
+        Points,
+        booleans,
+        decimal_mark,
+        is_lone_point,
+        numbers,
+        parse_quantity,
+        rewrite_points,
+    )
     from sim.lab.recordings.channel_use import channel_uses
     from sim.lab.recordings.clock import longest_rising_rows, read_clock, to_utc, unroll_midnight
     from sim.lab.recordings.clock_counts import COUNTS, dated_format, since_1970

@@ -10,6 +10,8 @@ from sim.lab.recordings.unit_table import conversion, known_unit
 from sim.sha import Array, Mask
 
 Decimal = Literal["auto", ".", ","]
+Points = Literal["decimal", "thousands"]
+"""What a point without a comma is in a column of a file with decimal commas."""
 
 SWITCH_WORDS: tuple[tuple[tuple[str, ...], tuple[str, ...]], ...] = (
     (("true", "t", "vero", "wahr", "vrai", "verdadero"), ("false", "f", "falso", "falsch", "faux")),
@@ -30,8 +32,8 @@ _GROUPED_PATTERNS = {
     for mark in ".,"
 }
 """Thousands, or hundreds above a thousand as India writes them, set apart by a mark; twice a mark is nothing else."""
-_THOUSANDS = re.compile(r"[+-]?(?:\d{1,3}|[1-9]\d{0,2}(?:\.\d{3})+)")
-"""A whole number whose thousands are set apart by points wherever it has any."""
+_LONE_POINT = re.compile(r"\s*[+-]?\s*[1-9]\d{0,2}\.\d{3}\s*")
+"""1.234, whose point is a decimal one or sets apart thousands: the cell does not say which."""
 _MEASURED = re.compile(r"([+-]?[\d.,'’\xa0\u202f ]*\d(?:[eE][+-]?\d+)?)\s*([^\d\s].*)")
 """A number and its unit in one cell, as dashboards show them."""
 
@@ -59,9 +61,9 @@ def _number(cell: str, decimal: Decimal) -> float:
             cell = cell.replace(mark, "")
     if decimal == ",":
         whole, comma, fraction = cell.partition(",")
-        if "." in fraction or ("." in whole and not comma):
+        if "." in fraction or _LONE_POINT.fullmatch(cell):
             return np.nan
-        cell = whole.replace(".", "") + comma.replace(",", ".") + fraction
+        cell = whole.replace(".", "") + comma.replace(",", ".") + fraction if comma else cell
     elif "," in cell:
         whole, point, fraction = cell.partition(".")
         if not _GROUPED_PATTERNS[","].fullmatch(whole):
@@ -93,16 +95,26 @@ def decimal_mark(cells: Sequence[str]) -> Decimal:
     return "," if any("," in cell for cell in cells) and not any("." in cell for cell in cells) else "."
 
 
+def is_lone_point(cell: str) -> bool:
+    """Whether a cell is like 1.234, of which only its column can say what the point is."""
+    return _LONE_POINT.fullmatch(cell) is not None
+
+
+def rewrite_points(cells: Sequence[str], points: Points) -> list[str]:
+    """Cells of a file with decimal commas, their lone points written as its commas or, of thousands, left out."""
+    if points == "thousands":
+        return [cell.replace(".", "") if _LONE_POINT.fullmatch(cell) else cell for cell in cells]
+    return [cell.replace(".", ",") if "," not in cell and cell.count(".") == 1 else cell for cell in cells]
+
+
 def numbers(cells: Sequence[str], decimal: Decimal = "auto", unit: str = "") -> tuple[Array, Mask]:
     """Values (NaN where there is none) and a mask of the cells that hold something, but no finite number.
 
     With `unit`, a cell that says its own unit is converted to it.
     """
-    # In a file with decimal commas 149.830 beside 400 is no fraction, which Python would make of it.
-    pointed = decimal == "," and any("." in cell for cell in cells)
-    if pointed and all(not cell.strip() or _THOUSANDS.fullmatch(cell.strip()) for cell in cells):
-        cells = [cell.replace(".", "") for cell in cells]
-    plain = _plain_floats(cells)
+    # What 1.234 is in a file with decimal commas its column says, and no batch of its cells: see `rewrite_points`.
+    unsure = decimal == "," and any("." in cell and _LONE_POINT.fullmatch(cell) for cell in cells)
+    plain = None if unsure else _plain_floats(cells)
     if plain is not None:
         return plain, np.zeros(plain.shape, dtype=bool)
     stripped = list(map(str.strip, cells))

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sim.lab.recordings.cells import Decimal, numbers
+from sim.lab.recordings.cells import Decimal, numbers, rewrite_points
 from sim.lab.recordings.clock_counts import COUNTS
 from sim.lab.recordings.clock_words import plain_time
 from sim.lab.recordings.column_map import ClockColumns, Names, TimeOfDay
@@ -51,7 +51,7 @@ def read_clock(clock: ClockColumns, columns: Sequence[Sequence[str]], decimal: D
             break
         texts = [cells[index] for index in left] if left.size < len(cells) else cells
         if (count := COUNTS.get(format_)) is not None:
-            seconds[left] = count.seconds(numbers(texts, decimal)[0])
+            seconds[left] = count.seconds(_count(texts, decimal))
             local[left] = count.local
         else:
             seconds[left], local[left] = _dates(texts, format_)
@@ -60,8 +60,13 @@ def read_clock(clock: ClockColumns, columns: Sequence[Sequence[str]], decimal: D
     return seconds, local
 
 
+def _count(cells: Sequence[str], decimal: Decimal) -> Array:
+    """A clock's numbers: 199.980 is no thousands there, whatever the readings' decimal mark."""
+    return numbers(rewrite_points(cells, "decimal") if decimal == "," else cells, decimal)[0]
+
+
 def _time_of_day(day: TimeOfDay, columns: Sequence[Sequence[str]], decimal: Decimal) -> Array:
-    parts = [numbers(cells, decimal)[0] for cells in columns]
+    parts = [_count(cells, decimal) for cells in columns]
     hour, minute, second = parts[:3]
     usable = (hour >= 0) & (hour < 24) & (minute >= 0) & (minute < 60) & (second >= 0) & (second < 61)
     whole = hour * 3600.0 + minute * 60.0 + second

@@ -22,6 +22,7 @@ from drivers.errors import did_you_mean
 from drivers.named_files import MOST_TOML_BYTES, contents, parse_toml
 from drivers.settings import first_sentence
 from sim.lab.recordings.alphabet_table import DECANTER_AUTO, alphabet_from_table
+from sim.lab.recordings.cells import Points
 from sim.lab.recordings.clock_counts import COUNTS
 from sim.lab.recordings.load_report import TraceError
 from sim.sha import Alphabet
@@ -201,9 +202,12 @@ class ColumnMap(_MapPart):
     """How to read one kind of CSV.
 
     `separator` is tried first; another of `, ; tab |` is taken only if the header's names fit under it alone. `decimal`
-    `auto` takes a comma inside a cell for a decimal comma unless the column also has decimal points. `columns` are the
-    names of a file without header. `parts` is a pattern of file names: all such files of one folder make one trace; a
-    part may have some of the signals only, and `STEM/NAME` is the column NAME of the file STEM.csv alone.
+    `auto` takes a comma inside a cell for a decimal comma unless the column also has decimal points. Beside decimal
+    commas `points` says of a column what 1.234 is there, a `decimal` point or `thousands`; it is no number where nobody
+    says it.
+    `columns` are the names of a file without header. `parts` is a pattern of file names: all such files of one folder
+    make one trace; a part may have some of the signals only, and `STEM/NAME` is the column NAME of the file STEM.csv
+    alone.
     `duplicates` says what becomes of rows with the same time: they must `agree` (over 1 % that do not is refused), or
     it is the `average` of the readings (of booleans the last), the `last` reading of each signal, `keep`, or `spread`:
     evenly up to the next time, as by a clock that lost its seconds. `clock_back`: `refuse` the fewest rows
@@ -226,6 +230,7 @@ class ColumnMap(_MapPart):
     long: Long | None = None
     separator: Literal["auto", ",", ";", "tab", "|"] = "auto"
     decimal: Literal["auto", ".", ","] = "auto"
+    points: dict[str, Points] = {}
     encoding: str = "auto"
     comment: str = "#"
     columns: tuple[str, ...] = ()
@@ -272,6 +277,8 @@ class ColumnMap(_MapPart):
             raise ValueError(
                 "a long map needs clock_back = 'sort', duplicates 'agree', 'last' or 'average', and no extra"
             )
+        if self.points and self.decimal != ",":
+            raise ValueError("points says what they are beside decimal commas; it needs decimal = ','")
         if self.temperature not in self.signals:
             raise ValueError(f"temperature names {self.temperature!r}; {_require_word(self.temperature, self.signals)}")
         for name, derived in self.derived.items():

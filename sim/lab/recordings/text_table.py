@@ -21,10 +21,10 @@ from numpy.typing import NDArray
 
 from drivers.csv_rows import strip_guards
 from drivers.errors import did_you_mean
-from sim.lab.recordings.cells import booleans, numbers
+from sim.lab.recordings.cells import Points, booleans, numbers, rewrite_points
 from sim.lab.recordings.column_map import ColumnMap, Names
 from sim.lab.recordings.load_report import FileReport, TraceError, list_names
-from sim.lab.recordings.sources import open_source, read_head
+from sim.lab.recordings.sources import open_source, read_head, recording_name
 
 Lines = NDArray[np.intp]
 """Numbers of lines of a file, from 1."""
@@ -63,6 +63,8 @@ class TextLayout:
     skip: int
     comments: tuple[str, ...]
     clock: tuple[Names, ...] = ()
+    points: tuple[tuple[str, Points], ...] = ()
+    """Columns, and what their lone points are."""
 
     def is_header(self, cells: Sequence[str]) -> bool:
         """Whether a row is a header."""
@@ -208,7 +210,12 @@ def find_layout(
     if named != tuple(header):
         report.warn(f"columns have the same name; they are told apart as {list_names(set(named) - set(header))}")
     report.columns = named
-    return TextLayout(encoding, separator, named, skip, tuple(comments), clock=tuple(clock) if fits else ())
+    own_name = f"{recording_name(path)}/" if column_map.parts else ""
+    points = tuple((column.removeprefix(own_name), points) for column, points in column_map.points.items())
+    absent = [column for column, _ in points if find_column(named, (column,)) is None]
+    if absent and not column_map.parts:
+        report.warn(f"there is no column {list_names(map(repr, absent))}, of whose points the map speaks")
+    return TextLayout(encoding, separator, named, skip, tuple(comments), tuple(clock) if fits else (), points)
 
 
 def decode_head(path: Path, head: bytes, encoding: str) -> tuple[str, str, str]:
@@ -368,7 +375,7 @@ def read_rows(
                 report.rows += len(block)
                 rows.add(np.arange(first, below), plain)
                 if rows.count == _CHUNK_LINES:
-                    yield layout, *rows.take()
+                    yield _with_points(layout, *rows.take())
                 continue
             width = [len(layout.header)]
             singly = split_rows(
@@ -387,7 +394,7 @@ def read_rows(
                         continue
                     report.refuse([number], "a header of other names, or in another order, begins here")
                     if rows.count:
-                        yield layout, *rows.take()
+                        yield _with_points(layout, *rows.take())
                     layout = replace(layout, header=header)
                     report.columns += tuple(name for name in header if find_column(report.columns, (name,)) is None)
                     width[0] = rows.width = len(header)
@@ -398,9 +405,19 @@ def read_rows(
                 else:
                     rows.add(np.array([number]), [[cell] for cell in cells])
                 if rows.count == _CHUNK_LINES:
-                    yield layout, *rows.take()
+                    yield _with_points(layout, *rows.take())
     if rows.count:
-        yield layout, *rows.take()
+        yield _with_points(layout, *rows.take())
+
+
+def _with_points(
+    layout: TextLayout, lines: Lines, columns: list[list[str]]
+) -> tuple[TextLayout, Lines, list[list[str]]]:
+    """The rows with points as the map says that they are meant."""
+    for name, points in layout.points:
+        if (place := find_column(layout.header, (name,))) is not None:
+            columns[place] = rewrite_points(columns[place], points)
+    return layout, lines, columns
 
 
 def _plain_columns(lines: Sequence[str], layout: TextLayout, comment: str) -> Sequence[Sequence[str]] | None:

@@ -1,5 +1,6 @@
 """Columns of an undescribed table: which hold numbers, switches with their words, or nothing that can be used."""
 
+import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,7 +9,16 @@ from typing import Literal
 
 import numpy as np
 
-from sim.lab.recordings import CONVERTED_UNITS, SWITCH_WORDS, booleans, conversion, find_codes, numbers, parse_quantity
+from sim.lab.recordings import (
+    CONVERTED_UNITS,
+    SWITCH_WORDS,
+    booleans,
+    conversion,
+    find_codes,
+    is_lone_point,
+    numbers,
+    parse_quantity,
+)
 from sim.lab.recordings.mapping.words import named_state, split_unit
 from sim.sha import Array
 
@@ -67,6 +77,33 @@ def find_decimal(columns: Sequence[Sequence[str]], separator: str) -> Literal["a
     if comma > 0 and comma >= point:
         return ","
     return "." if point else "auto"
+
+
+_POINTED = re.compile(r"[+-]?\d+\.\d+")
+_COMMA = re.compile(r"[+-]?\d+(?:\.\d{3})*,(\d+)")
+_GROUPED_TWICE = re.compile(r"[+-]?\d{1,3}(?:\.\d{3}){2,}")
+
+
+def find_points(cells: Sequence[str]) -> Literal["", "decimal", "thousands", "either", "both"]:
+    """What points without a comma are in a column of a file with decimal commas; "" where it has none.
+
+    `either`: nothing in the column tells; `both`: some are decimal points, beside decimal commas.
+    """
+    distinct = set(cells)
+    pointed = {cell for cell in distinct if _POINTED.fullmatch(cell)}
+    fractions = [match for cell in distinct if (match := _COMMA.fullmatch(cell))]
+    if not pointed:
+        return ""
+    if not all(map(is_lone_point, pointed)):
+        return "both" if fractions else "decimal"
+    digits = {len(cell.lstrip("+-")) for cell in distinct if cell.lstrip("+-").isdigit()}
+    # 1234 beside 1.234 sets no thousands apart, and 2,501 beside 2.500 may be the same number in two writings.
+    if max(digits, default=0) > len("999"):
+        return "either"
+    grouped = any("." in match[0] or len(match[1]) != len("000") for match in fractions)
+    if grouped or any(map(_GROUPED_TWICE.fullmatch, distinct)) or (digits and not fractions):
+        return "thousands"
+    return "either"
 
 
 def _numbers_among(cells: Sequence[str], decimal: Literal[".", ","]) -> int:

@@ -6,26 +6,31 @@ from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
 from sim.lab.recordings import (
     UNNAMED_COLUMN,
     LoadReport,
+    Points,
     TraceError,
+    conversion,
     csv_files,
     find_codes,
     known_unit,
     list_names,
     load_traces,
+    numbers,
     parse_map,
+    rewrite_points,
     round_value,
     wall_zone,
     zone_problem,
 )
 from sim.lab.recordings.mapping.answers import Answers
 from sim.lab.recordings.mapping.clocks import FoundClock
-from sim.lab.recordings.mapping.columns import FoundColumn, describe_column, find_decimal
+from sim.lab.recordings.mapping.columns import FoundColumn, describe_column, find_decimal, find_points
 from sim.lab.recordings.mapping.decide import (
     COLDEST,
     HOTTEST,
@@ -91,6 +96,16 @@ class _LongForm:
 
 
 @dataclass(frozen=True, slots=True)
+class _Marks:
+    """The file's `decimal` mark, what lone points are in columns of a file with decimal commas, and by header why a
+    column's numbers cannot be told."""
+
+    decimal: Literal["auto", ".", ","]
+    points: Mapping[str, Points]
+    unclear: Mapping[str, str]
+
+
+@dataclass(frozen=True, slots=True)
 class _Found:
     """All that a map is written from."""
 
@@ -102,7 +117,7 @@ class _Found:
     rows: Rows
     quality: FoundQuality
     stored: Stored
-    decimal: str
+    marks: "_Marks"
     derived: str
 
 
@@ -132,12 +147,11 @@ def draft_map(path: Path, answers: Answers, names: Mapping[str, str] | None = No
         quality = find_quality(table, taken, answers)
     else:
         quality = find_quality(table, taken | {long.name, long.value, long.unit}, answers, value=long.value)
-    columns, own, decimal = _columns(
-        table, clock, long, taken | set(quality.places), separate_times(table, rows, times)
-    )
+    columns, own, marks = _columns(table, clock, long, taken | set(quality.places), separate_times(table, rows, times))
     columns = [replace(column, name=names.get(column.header, column.name)) for column in columns]
     columns = with_units(path, with_words(path, _number_equal_names(columns), own, answers), answers)
     parts = choose_parts(path, columns, answers)
+    columns = _without_unclear(path, columns, parts, marks, answers)
     check_temperature(path, columns, parts.temperature, answers)
     stored = find_storage(table, columns, own, parts.temperature, answers)
     derived = names.get(RUNNING_SIGNAL, RUNNING_SIGNAL)
@@ -150,7 +164,7 @@ def draft_map(path: Path, answers: Answers, names: Mapping[str, str] | None = No
         rows=rows,
         quality=quality,
         stored=stored,
-        decimal=decimal,
+        marks=marks,
         derived=derived,
     )
     # The current's levels, the usual step and the codes are those of all rows, which the map itself reads.
@@ -193,18 +207,19 @@ def _conclusions(found: _Found) -> list[str]:
         )
     for column in found.columns:
         if column.bad:
-            numbers = ", ".join(f"{code:g}" for code in column.bad)
+            codes = ", ".join(f"{code:g}" for code in column.bad)
             said.append(
-                f"{column.header!r} holds {numbers}: numbers that devices send where they have no reading; the "
+                f"{column.header!r} holds {codes}: numbers that devices send where they have no reading; the "
                 f"map's bad = "
-                f"[{numbers}] refuses them"
+                f"[{codes}] refuses them"
             )
         if column.beyond:
             said.append(
                 f"{column.beyond} readings of {column.header!r} are below {COLDEST:g} or above {HOTTEST:g} degC, which "
                 "no bearing is; the map's low and high refuse them"
             )
-    unused = [column.header for column in found.columns if column.kind not in ("number", "switch")]
+    said += [f"{header!r} is not used: it {why}" for header, why in found.marks.unclear.items()]
+    unused = _unused(found)
     if unused:
         said.append(
             "columns that are not used, as they hold neither numbers nor a switch: "
@@ -213,26 +228,38 @@ def _conclusions(found: _Found) -> list[str]:
     return said
 
 
+def _unused(found: _Found) -> list[str]:
+    """The headers of columns that hold neither numbers nor a switch."""
+    return [
+        column.header
+        for column in found.columns
+        if column.kind not in ("number", "switch") and column.header not in found.marks.unclear
+    ]
+
+
 def _columns(
     table: FoundTable, clock: FoundClock, long: _LongForm | None, taken: Collection[int | None], times: Array
-) -> tuple[list[FoundColumn], list[Array], str]:
-    """What each column, or each signal of a long file, holds, and the times of its cells; the file's decimal mark."""
+) -> tuple[list[FoundColumn], list[Array], _Marks]:
+    """What each column, or each signal of a long file, holds, and the times of its cells; how numbers are marked."""
     if long is None:
         places = [p for p in range(len(table.header)) if p not in taken and table.header[p] not in ("", UNNAMED_COLUMN)]
-        decimal = find_decimal([table.column(place) for place in places], table.separator)
+        marks = _find_marks(table, places)
         _check_units(table, places)
         found = [
-            describe_column(table.header[p], table.titles[p], table.units[p], table.column(p), decimal) for p in places
+            describe_column(table.header[p], table.titles[p], table.units[p], _plain_cells(table, p, marks), decimal)
+            for p in places
+            for decimal in ["." if table.header[p] in marks.unclear else marks.decimal]
         ]
-        for column, place in zip(found, places, strict=True):
-            _check_marks(table, column, place)
-        return found, [times] * len(found), decimal
-    decimal = find_decimal([table.column(long.value)], table.separator)
+        return found, [times] * len(found), marks
+    marks = _find_marks(table, [long.value])
+    if why := marks.unclear.get(table.header[long.value]):
+        raise TraceError(f"{table.path}: {table.header[long.value]!r} {why}")
+    values = _plain_cells(table, long.value, marks)
     cells: dict[str, list[str]] = {}
     own: dict[str, list[float]] = {}
     units: dict[str, str] = {}
-    for row, time in zip(table.rows, times.tolist(), strict=True):
-        cells.setdefault(row[long.name], []).append(row[long.value])
+    for row, value, time in zip(table.rows, values, times.tolist(), strict=True):
+        cells.setdefault(row[long.name], []).append(value)
         own.setdefault(row[long.name], []).append(time)
         if long.unit is not None and row[long.unit]:
             unit = known_unit(row[long.unit])
@@ -241,15 +268,18 @@ def _columns(
                     f"{table.path}: readings of {row[long.name]!r} are in {units[row[long.name]] or 'no unit'} and in "
                     f"{row[long.unit]}: a signal has one unit; export it in one"
                 )
-    found = [describe_column(name, name, units.get(name, ""), each, decimal) for name, each in cells.items() if name]
-    return found, [np.array(each) for name, each in own.items() if name], decimal
+    found = [
+        describe_column(name, name, units.get(name, ""), each, marks.decimal) for name, each in cells.items() if name
+    ]
+    return found, [np.array(each) for name, each in own.items() if name], marks
 
 
 def _check_units(table: FoundTable, places: Sequence[int]) -> None:
     """Raises TraceError for a column of units by which the rows of a wide file are in different ones."""
     for place in (each for each in places if named_unit(table.header[each])):
         units = {unit for cell in set(table.column(place)) if (unit := known_unit(cell))}
-        if len(units) > 1:
+        # A and C are names of machines as well; only units of one quantity are surely none.
+        if len(units) > 1 and not any(np.isnan(conversion(unit, min(units))[0]) for unit in units):
             raise TraceError(
                 f"{table.path}: {table.header[place]!r} says that rows are in {' and in '.join(sorted(units))}: a "
                 "signal has one unit; export it in one"
@@ -260,18 +290,59 @@ _ONE_MARK = re.compile(r"[+-]?\d+([.,])\d+")
 """A number with one mark, which may be a decimal point or a decimal comma."""
 
 
-def _check_marks(table: FoundTable, column: FoundColumn, place: int) -> None:
-    """Raises TraceError for a column that is no number as some of its cells have a decimal comma and others a point."""
-    if column.kind == "number":
-        return
-    cells = [cell for cell in table.column(place) if cell]
-    marked = [(cell, match[1]) for cell in cells if (match := _ONE_MARK.fullmatch(cell))]
-    shown = {mark: cell for cell, mark in reversed(marked)}
-    if len(shown) == 2 and 2 * len(marked) > len(cells):
-        raise TraceError(
-            f"{table.path}: {column.header!r} has numbers with a decimal point and with a decimal comma "
-            f"({shown['.']}, {shown[',']}): export it with one of them"
-        )
+_RARE_MARK = 0.2
+"""Share of the filled cells with the rarer of two marks that makes a column unreadable; fewer are faults of cells."""
+
+
+def _find_marks(table: FoundTable, places: Sequence[int]) -> _Marks:
+    """How the numbers of the columns at `places` are marked."""
+    decimal = find_decimal([table.column(place) for place in places], table.separator)
+    points: dict[str, Points] = {}
+    unclear: dict[str, str] = {}
+    for place in places:
+        header, cells = table.header[place], [cell for cell in table.column(place) if cell]
+        meant = find_points(cells) if decimal == "," else "both"
+        marked = [(cell, match[1]) for cell in cells if (match := _ONE_MARK.fullmatch(cell))]
+        if decimal != ",":
+            # 1,234 beside 950.5 sets thousands apart.
+            marked = [(cell, mark) for cell, mark in marked if mark == "." or np.isnan(numbers([cell], ".")[0][0])]
+        shown = {mark: cell for cell, mark in reversed(marked)}
+        if meant == "decimal" or meant == "thousands":
+            points[header] = meant
+        elif meant == "either":
+            unclear[header] = (
+                f"has numbers like {shown['.']} in a file with decimal commas, and nothing tells whether the point is "
+                f"a decimal one or sets apart thousands: export it with decimal commas"
+            )
+        elif meant == "both" and 2 * len(marked) > len(cells):
+            rarer = min(sum(mark == each for _, mark in marked) for each in ".,")
+            if rarer > _RARE_MARK * len(cells):
+                unclear[header] = (
+                    f"has numbers with a decimal point and with a decimal comma ({shown['.']}, {shown[',']}): export "
+                    "it with one of them"
+                )
+    return _Marks(decimal, points, unclear)
+
+
+def _plain_cells(table: FoundTable, place: int, marks: _Marks) -> list[str]:
+    """A column's cells with its points as they are meant; of one that is unclear with points alone."""
+    cells, header = table.column(place), table.header[place]
+    if header in marks.unclear:
+        return [cell.replace(",", ".") for cell in cells]
+    return rewrite_points(cells, marks.points[header]) if header in marks.points else cells
+
+
+def _without_unclear(
+    where: object, columns: Sequence[FoundColumn], parts: Parts, marks: _Marks, answers: Answers
+) -> list[FoundColumn]:
+    """The columns, of which none is used whose numbers cannot be told. Raises TraceError for one that plays a part."""
+    playing = {part.header for part in (parts.temperature, parts.current, parts.running, parts.standstill) if part}
+    playing |= {part.header for part in parts.others}
+    playing |= {answers.running, *answers.current, *(unit.rpartition("=")[0] for unit in answers.unit)}
+    for header, why in marks.unclear.items():
+        if header in playing:
+            raise TraceError(f"{where}: {header!r} {why}")
+    return [replace(each, kind="text") if each.header in marks.unclear else each for each in columns]
 
 
 def _with_codes(column: FoundColumn, traces: Sequence[Trace], *, slow: bool) -> FoundColumn:
@@ -338,13 +409,14 @@ def _text(found: _Found, alphabet: Alphabet | None = None) -> str:
     quoted = _quote_text
     table, clock, long, parts = found.table, found.clock, found.long, found.parts
     temperature, rows, stored = parts.temperature, found.rows, found.stored
-    decimal = found.decimal if clock.decimal in ("auto", found.decimal) or found.decimal != "auto" else clock.decimal
+    decimal = found.marks.decimal if found.marks.decimal != "auto" else clock.decimal
     lines = [
         f"# Column map drafted from {table.path.name}; look it over, above all what stands behind #.",
         "",
         f'format = "{"wide" if long is None else "long"}"',
         f"separator = {quoted(table.separator)}",
         f"decimal = {quoted(decimal)}",
+        *_points(found.marks),
         f"temperature = {quoted(temperature.name)}    # {parts.reasons['temperature']}",
         f"duplicates = {quoted(rows.duplicates)}",
         f"clock_back = {quoted('sort' if long is not None or table.parts else rows.clock_back)}",
@@ -384,7 +456,8 @@ def _text(found: _Found, alphabet: Alphabet | None = None) -> str:
     for column in found.columns:
         if column.kind in ("number", "switch"):
             lines.append(_signal(column, parts, stored))
-    unused = [column.header for column in found.columns if column.kind not in ("number", "switch")]
+    lines += [f"# not used: {_one_line(header)}: it {why}" for header, why in found.marks.unclear.items()]
+    unused = _unused(found)
     if unused:
         lines.append(f"# neither numbers nor switches: {list_names(map(_one_line, unused), _MAX_UNUSED_COLUMNS)}")
     lines += _derived_signal(parts, found.derived)
@@ -392,6 +465,13 @@ def _text(found: _Found, alphabet: Alphabet | None = None) -> str:
     lines += [f"{role} = {quoted(signal)}" for role, signal in _roles(found.columns, parts).items()]
     lines += _alphabet(found, alphabet)
     return "\n".join(lines) + "\n"
+
+
+def _points(marks: _Marks) -> list[str]:
+    if not marks.points:
+        return []
+    columns = ", ".join(f"{_quote_text(header)} = {_quote_text(points)}" for header, points in marks.points.items())
+    return [f"points = {{ {columns} }}    # what 1.234 is there"]
 
 
 def _roles(columns: Sequence[FoundColumn], parts: Parts) -> dict[str, str]:
