@@ -32,9 +32,9 @@ from gateway.commission.files.io_templates import ListedUnit, TemplateError, rea
 from gateway.commission.files.io_units import CountFactor, parse_factor, parse_range, parse_unit
 from gateway.commission.files.io_words import (
     COLUMNS,
+    KNOWN_TYPES,
     LENGTHS_IN_BITS,
     LENGTHS_OF_NO_UNIT,
-    KNOWN_TYPES,
     ORDERS,
     TABLES,
     WIDTHS,

@@ -82,6 +82,11 @@ _TOTAL = re.compile(
     re.IGNORECASE,
 )
 _SETPOINT = re.compile(r"set.?point|sollwert|\bsp\b|consigne|soglia|limit|target|alarm|ref\b|设定", re.IGNORECASE)
+_COUNT = re.compile(
+    r"hours|stunden|\bore\b|contaore|heures|horas|counter|\bcounts?\b|zähler|zaehler|contatore|compteur|contador",
+    re.IGNORECASE,
+)
+"""What counts hours or pieces: it goes on rising, and says of no moment whether the machine runs."""
 _FEED = re.compile(r"feed|inlet|zulauf|ingresso|alimentazion|fango|alimentation|entrada", re.IGNORECASE)
 _VIBRATION = re.compile(r"vibra|schwing", re.IGNORECASE)
 LOAD_UNITS = frozenset({"W", "kW", "MW", "rpm", "Nm", "Hz"})
@@ -207,6 +212,11 @@ def named_remainder(name: str) -> bool:
 def named_total(name: str) -> bool:
     """Whether a load's name says that others are parts of it."""
     return _TOTAL.search(name) is not None
+
+
+def named_otherwise(name: str, other: str) -> bool:
+    """Whether `name` says set point, alarm, total or count, and `other`, which it may be another name of, does not."""
+    return any(word.search(name) and not word.search(other) for word in (_SETPOINT, _ALARM, _TOTAL, _COUNT))
 
 
 def running_score(name: str) -> int:
