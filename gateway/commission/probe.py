@@ -12,7 +12,7 @@ from typing import Any
 import click
 
 from drivers.driver import LINKS
-from drivers.errors import DeviceException, DriverError, LinkDown, LinkFault, ReplyMismatch, ReplyTimeout
+from drivers.errors import DeviceException, DriverError, LinkDown, LinkFault, NotAsked, ReplyMismatch, ReplyTimeout
 from drivers.survey import AsksRegisters
 from gateway.commission.options import SharedOptions
 from gateway.commission.session import (
@@ -126,7 +126,13 @@ async def _confirm_habits(site: Site, habits: Mapping[str, Any], steps: list[Che
     """Which of the habits a connection more shows as well: what is shown once is an accident, and no setting."""
     found: dict[str, Any] = {}
     for key, value in habits.items():
-        if await _first_answer(site, {other: habits[other] for other in habits if other != key}) is None:
+        try:
+            without = await _first_answer(site, {other: habits[other] for other in habits if other != key})
+        except DriverError as error:
+            sentence = f"{_HABITS[key]}: not confirmed, as another connection failed ({error}); nothing is set"
+            steps.append(warning("habit", sentence))
+            continue
+        if without is None:
             found[key] = value
             steps.append(warning("habit", f"{_HABITS[key]}: {_toml(key, value)} in [device] of the device file"))
         else:
@@ -134,13 +140,16 @@ async def _confirm_habits(site: Site, habits: Mapping[str, Any], steps: list[Che
     # An answer that took long, and no other one did: the device was silent at first, and is not slow.
     first, slowest = facts.pop("seconds_to_first", 0.0), facts.get("round_trip_ms", {}).get("max", 0.0) / 1e3
     if first > max(UNREQUESTED_WAIT_S, 4 * slowest):
-        again = await _first_answer(site, found)
+        try:
+            again, other = await _first_answer(site, found), "brought none"
+        except DriverError as error:
+            again, other = None, f"failed ({error})"
         if again is not None and again > max(UNREQUESTED_WAIT_S, 4 * slowest):
             pause = found["pause_after_connect"] = 0.1 * ceil(10 * max(first, again))
             sentence = f"answers nothing for up to {pause:.1f} s after connecting: pause_after_connect = {pause:.1f}"
             steps.append(warning("habit", sentence))
         else:
-            other = "brought none" if again is None else f"took {again:.1f} s for it"
+            other = other if again is None else f"took {again:.1f} s for it"
             steps.append(
                 ok("habit", f"the first answer took {first:.1f} s, and another connection {other}: nothing is set")
             )
@@ -149,7 +158,10 @@ async def _confirm_habits(site: Site, habits: Mapping[str, Any], steps: list[Che
 
 
 async def _first_answer(site: Site, habits: Mapping[str, Any]) -> float | None:
-    """Seconds to the first answer over a connection of its own; None where nothing is answered."""
+    """Seconds to the first answer over a connection of its own; None where none comes that fits what is asked.
+
+    Raises DriverError where the connection itself fails, which says nothing of a habit.
+    """
     patience = site.target.settings.get("connect_timeout", CONNECT_S)
     register = first_register(site.target)
     try:
@@ -157,7 +169,9 @@ async def _first_answer(site: Site, habits: Mapping[str, Any]) -> float | None:
             with suppress(DeviceException):  # a refusal is an answer
                 await survey.read(register.table, register.number, 1)
             return survey.statistics().get("seconds_to_first", 0.0)
-    except DriverError:
+    except NotAsked:
+        raise
+    except (ReplyTimeout, ReplyMismatch):
         return None
 
 
@@ -352,7 +366,7 @@ async def _facts(
         return
     facts["round_trip_ms"] = {"min": min(times), "median": median(times), "max": max(times)}
     sentence = ", ".join(f"{name} {value:.2f}" for name, value in facts["round_trip_ms"].items())
-    steps.append(ok("round trip", f"{ROUND_TRIPS} requests, ms: {sentence}"))
+    steps.append(ok("round trip", f"{len(times)} requests, ms: {sentence}"))
     facts["seconds_to_first"] = survey.statistics().get("seconds_to_first", 0.0)
     timeout, attempts = propose_timeout(facts["round_trip_ms"]["max"] / 1e3)
     facts["proposed"] = {"timeout": timeout, "attempts": attempts}

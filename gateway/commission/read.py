@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import click
+from click.core import ParameterSource
 
 from drivers.codec import register_count
 from drivers.driver import Explains, PlanKind
@@ -214,6 +215,9 @@ def read(
 
         watch(given, what, how, period, seconds)
         return
+    source = click.get_current_context().get_parameter_source
+    if any(source(name) is not ParameterSource.DEFAULT for name in ("period", "seconds")):
+        raise click.UsageError("--period and --seconds belong to --watch")
     arguments = {"what": list(what), "type": dtype, "order": order, "scale": scale, "offset": offset, "count": count}
     perform(given, "read", arguments, lambda site: read_tags(site, what, how), _view)
 

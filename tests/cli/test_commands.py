@@ -82,11 +82,14 @@ def test_emulate_plays_an_export_of_ones_own_by_its_column_map(tmp_path: Path, m
     )
     called: list[list[str]] = []
     monkeypatch.setattr("gateway.cli.setup.emulate.os.execv", lambda _, words: called.append(words))
+    (tmp_path / "temporary").mkdir()
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "temporary"))
     assert decanter("emulate", "--trace", export, "--columns", column_map, "--port", 0).exit_code == 0
     ((*_, option, path, port, number),) = called
     assert (option, port, number) == ("--trace", "--port", "0")
+    assert list((tmp_path / "temporary").iterdir()) == [] and os.get_inheritable(int(Path(path).name))
     table = read_trace(Path(path))
-    Path(path).unlink()
+    os.close(int(Path(path).name))
     assert {name: list(column) for name, column in table.columns.items()} == {"T": [40.5, 41.5, 42.5], "On": [0, 1, 0]}
     refused(decanter("emulate", "--columns", column_map), 2, "give --trace FILE, too")
 

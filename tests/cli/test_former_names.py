@@ -107,8 +107,9 @@ def test_a_command_of_several_works_is_completed_by_its_words_and_the_options_of
         (("--port", "1502"), ("--host", "127.0.0.1:1502")),
         (("--timeout", "0.25"), ("--set", "timeout=0.25")),
         (("--tls", "my certificates"), ("--set", "certificates=my certificates")),
+        (("--tls", "2024"), ("--set", "certificates=2024")),
     ],
-    ids=lambda words: words[0],
+    ids=lambda words: " ".join(words),
 )
 def test_a_former_option_does_what_it_did_and_says_what_to_type(
     old: tuple[str, str], now: tuple[str, str], tmp_path: Path

@@ -26,6 +26,14 @@ FAN = ("Lüfter_Betrieb", "Motorleistung", "T_Lager_AS", "T_Lager_BS", "Ölpumpe
         (FAN, "Lagertemperatur [°C]", None),
         (FAN, "Leistung Motor [kW]", None),
         (("T_Palier_CA", "Moteur_Puissance"), "Puissance du moteur", "Moteur_Puissance"),
+        (("Pump1Run",), "Pump 12 running", None),
+        (("Pump1Run",), "Pump 1 running", "Pump1Run"),
+        (("BearingTemp1", "BearingTemp2"), "Bearing temp 10", None),
+        (("TT101",), "TT-1011", None),
+        (("MotorCurrent",), "Motor current limit", None),
+        (("MotorCurrent", "MotorCurrentLimit"), "Motor current limit", "MotorCurrentLimit"),
+        (PUMP, "Pump running hours", None),
+        (("FeedFlow",), "Feed flow totalizer", None),
         (("TCuscinettiRiduttore",), "Linea2.TCuscinettiRiduttore [°C]", "TCuscinettiRiduttore"),
     ],
 )
@@ -35,6 +43,25 @@ def test_a_column_is_the_tag_whose_words_it_has(tags: tuple[str, ...], header: s
 
 def test_of_two_columns_that_one_tag_might_be_neither_is_taken() -> None:
     assert match_columns(["Pump A running", "Pump B running"], PUMP) == {}
+    assert match_columns(["Flow 1 in", "Flow 1 out"], ["Flow1"]) == {}
+    assert match_columns(["Flow 1", "Flow 11", "Flow 1 mean"], ["Flow1"]) == {"Flow 1": "Flow1"}
+
+
+def test_an_event_that_is_no_tag_is_said_of_the_map_that_is_written(tmp_path: Path) -> None:
+    (tmp_path / "io.csv").write_text(
+        "Tag,Address,Type,Unit\nMotorCurrent,30101,REAL,A\nBearingTemp2,30103,REAL,degC\nPump1Run,10004,BOOL,\n",
+        "utf-8",
+    )
+    rows = [
+        f"{1_700_000_000 + 5 * row},{20 + row / 10},90,{row // 30 % 2 * 80 + row % 3},{row // 30 % 2}"
+        for row in range(200)
+    ]
+    header = "time,Bearing temp 2,Motor current limit,Motor current,Pump 12 running"
+    (tmp_path / "export.csv").write_text("\n".join([header, *rows]) + "\n", "utf-8")
+    words = ("init", tmp_path / "p", "--host", "192.0.2.1", "--list", tmp_path / "io.csv", "--heartbeat", "Pump1Run")
+    done = decanter(*words, "--trace", tmp_path / "export.csv", "--rename", "Motor current limit=MotorCurrent")
+    assert done.exit_code == 0, done.output
+    assert "'Motor current' of the trace is no tag of the device" in " ".join(done.stderr.split())
 
 
 def test_where_no_column_is_called_as_the_temperature_is_the_rename_that_helps_is_said(tmp_path: Path) -> None:

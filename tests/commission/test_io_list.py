@@ -62,6 +62,15 @@ def test_an_english_list_with_commas_and_functions_is_read_too(tmp_path: Path) -
     assert keys(found, "Run") == {"address": "discrete:7", "dtype": "bool"}
 
 
+@pytest.mark.parametrize(
+    ("header", "length"), [("Length", 128), ("Bits", 16), ("Bit length", 16), ("Size", None), ("Größe", None)]
+)
+def test_a_texts_length_has_the_unit_that_its_column_says(tmp_path: Path, header: str, length: int | None) -> None:
+    found = listed(tmp_path, f"Tag;Address;Type;{header}\nName;40101;STRING;128\n")
+    assert [tag.keys["length"] for tag in found.tags] == ([] if length is None else [length])
+    assert ["bytes, characters or bits?" in problem for problem in found.problems] == [True] * (length is None)
+
+
 def test_a_workbook_gives_the_same_as_its_csv(tmp_path: Path) -> None:
     book = Workbook()
     page = book.active

@@ -128,6 +128,12 @@ def test_a_watch_off_a_terminal_is_a_line_for_each_change(device: tuple[Process,
     assert "80.5" in next(line for line in lines if "Assorbimento" in line)
 
 
+@pytest.mark.parametrize("option", [("--period", "1.0"), ("--seconds", "60")])
+def test_what_only_a_watch_has_is_refused_without_one(tmp_path: Path, option: tuple[str, str]) -> None:
+    result = plc(tmp_path, "read", "holding:0", "--host", "127.0.0.1:1", *option)
+    assert result.exit_code == 2 and "--period and --seconds belong to --watch" in result.stderr
+
+
 def test_a_watch_gives_extremes_and_counts_as_json(device: tuple[Process, Path], tmp_path: Path) -> None:
     data = answer(
         tmp_path,

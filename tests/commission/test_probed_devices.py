@@ -11,7 +11,7 @@ from typing import Any, cast
 
 import pytest
 
-from drivers.errors import ReplyTimeout
+from drivers.errors import LinkDown, ReplyTimeout
 from drivers.survey import ReadWords
 from gateway.commission import probe
 from tests.commission.bench import Handler, answer, plc, server
@@ -112,6 +112,8 @@ class Scripted:
     async def registers(self, *, connect_timeout: float, **habits: Any) -> AsyncIterator["Scripted"]:
         self.asked.append(habits)
         self.first = next(self.firsts)
+        if self.first == "refused":
+            raise LinkDown("refused: it serves one client")
         yield self
 
     async def read(self, *_: object) -> ReadWords:
@@ -149,6 +151,34 @@ async def test_a_habit_is_what_two_connections_show(
     assert next(site.firsts, None) is None
     told = next(step for step in result.data["steps"] if step["step"] == "habit")
     assert (told["state"] == "ok") is not bool(habits) and ("nothing is set" in told["sentence"]) is not bool(habits)
+
+
+@pytest.mark.parametrize("firsts", [("another", 0.0, "refused"), (1000.0, "refused")], ids=["an id", "a pause"])
+async def test_a_connection_that_fails_confirms_no_habit(
+    firsts: tuple[float | str, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(probe, "mention_gateway", lambda site: None)
+    result = await probe.probe_device(cast(Any, Scripted(*firsts)))
+    assert not result.complaint and "habits" not in result.data
+    told = next(step for step in result.data["steps"] if step["step"] == "habit")
+    assert "failed (refused: it serves one client)" in told["sentence"] and "nothing is set" in told["sentence"]
+
+
+async def test_the_round_trip_counts_what_was_answered(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Forgetful(Scripted):
+        asked_for = 0
+
+        async def read(self, *place: object) -> ReadWords:
+            self.asked_for += 1
+            if self.asked_for > 5 and self.asked_for % 3:
+                raise ReplyTimeout("nothing came")
+            return await super().read(*place)
+
+    monkeypatch.setattr(probe, "mention_gateway", lambda site: None)
+    result = await probe.probe_device(cast(Any, Forgetful(0.0)))
+    told = {step["step"]: step["sentence"] for step in result.data["steps"]}
+    answered = int(told["round trip"].split()[0])
+    assert answered < probe.ROUND_TRIPS and told["answers"].startswith(f"10 of {10 + answered} requests")
 
 
 def test_a_device_that_hangs_up_after_some_answers_is_probed_to_the_end(tmp_path: Path) -> None:

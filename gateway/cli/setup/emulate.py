@@ -43,14 +43,19 @@ def emulate(trace: Path | None, columns: str | None, arguments: tuple[str, ...])
 
 
 def _plain_trace(export: Path, columns: str) -> Path:
-    """The export as the PLC replays traces, in a temporary file. Raises TraceError; ValueError for several traces."""
+    """The export as the PLC replays traces: a file without a name, which is gone when the PLC's process ends.
+
+    Raises TraceError; ValueError for several traces.
+    """
     from gateway.console import shipped_file
     from sim.lab.recordings import load_map, load_traces, write_trace
 
     traces, _ = load_traces(export, load_map(shipped_file("traces", columns)))
     if len(traces) != 1:
         raise ValueError(f"{export}: has {len(traces)} traces by {columns}; the PLC replays one: give its file alone")
-    handle, path = tempfile.mkstemp(prefix=f"{traces[0].name}-", suffix=".csv")
-    os.close(handle)
-    write_trace(traces[0], path)
-    return Path(path)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "trace.csv"
+        write_trace(traces[0], path)
+        descriptor = os.open(path, os.O_RDONLY)
+    os.set_inheritable(descriptor, True)
+    return Path("/dev/fd") / str(descriptor)

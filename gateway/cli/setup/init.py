@@ -6,6 +6,7 @@ import unicodedata
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import accumulate
 from pathlib import Path
 from typing import Any
 
@@ -313,12 +314,18 @@ def _column_map(
             )
         if tag:
             names[header] = tag
-        elif header not in drafted.derived:
+    final = ask_map(trace, answers, names)
+    made = parse_map(final.text, str(trace))
+    # With the tags' names another column may be the current than before: what is said is of the map that is written.
+    of_parts = [name for name in made.signals if made.signal_names(name)[0] in (final.current, final.running)]
+    for signal in dict.fromkeys([made.temperature, *of_parts, *(each.signal for each in made.alphabet.channels)]):
+        if signal not in known and signal not in made.derived:
+            header = made.signal_names(signal)[0]
             open_points.append(
                 f"{header!r} of the trace is no tag of the device: a model learned with it cannot run here; "
                 f"say which tag it is: --overwrite --rename {header!r}=TAG"
             )
-    return ask_map(trace, answers, names).text, open_points
+    return final.text, open_points
 
 
 def _only_tag(part: str, unit: str, tags: Sequence[str], numbers: Mapping[str, str]) -> str:
@@ -358,35 +365,58 @@ def match_columns(headers: Sequence[str], tags: Sequence[str]) -> dict[str, str]
     """header -> tag, of those that are called alike.
 
     That is the longest tag whose letters and digits the header's contain, else the only one each of whose words begins
-    one of the header's, where no other header has it: PumpRun is "Pump 3 running".
+    one of the header's: PumpRun is "Pump 3 running". Of several headers of one tag it is the one that is exactly it, or
+    none; a limit, an alarm, a total or a count is no tag that does not say so.
     """
-    named = {header: tag for header in headers if (tag := _tag_within(header, tags))}
-    left = [tag for tag in tags if tag not in named.values()]
-    fitting = {
-        header: [tag for tag in left if _begin_alike(_words(tag), _words(header))]
-        for header in headers
-        if header not in named
+    from sim.lab.recordings.mapping import named_otherwise, split_unit  # as above
+
+    choices = {
+        header: [tag for tag in tags if not named_otherwise(_parted(header), _parted(tag))] for header in headers
     }
-    counts = Counter(tag for tags_of in fitting.values() for tag in tags_of)
-    alike = {header: mine[0] for header, mine in fitting.items() if len(mine) == 1 and counts[mine[0]] == 1}
-    return named | alike
+    claims = {header: tag for header in headers if (tag := _tag_within(header, choices[header]))}
+    left = set(tags) - set(claims.values())
+    for header in headers:
+        fitting = [tag for tag in choices[header] if tag in left and _begin_alike(_words(tag), _words(header))]
+        if header not in claims and len(fitting) == 1:
+            claims[header] = fitting[0]
+    exact = {header: tag for header, tag in claims.items() if _letters(split_unit(header)[0]) == _letters(tag)}
+    counts, exact_counts = Counter(claims.values()), Counter(exact.values())
+    return {
+        header: tag
+        for header, tag in claims.items()
+        if counts[tag] == 1 or (header in exact and exact_counts[tag] == 1)
+    }
+
+
+def _parted(name: str) -> str:
+    """The name, and its words apart: Temp_SP says SP."""
+    return f"{name} {' '.join(_words(name))}"
 
 
 def _tag_within(header: str, tags: Sequence[str]) -> str:
     """The longest tag whose letters and digits the header's contain from the beginning of a word on; "" for none.
 
-    DE_Temp is in "DE temperature", and not in "NDE temperature".
+    DE_Temp is in "DE temperature", and not in "NDE temperature"; Temp1 is not in "Temp 10".
     """
     words = _words(header)
-    rests = ["".join(words[place:]) for place in range(len(words))]
-    fitting = [tag for tag in tags if len(_letters(tag)) > 2 and any(rest.startswith(_letters(tag)) for rest in rests)]
-    return max(fitting, key=len, default="")
+
+    def holds(letters: str) -> bool:
+        for place in range(len(words)):
+            rest = "".join(words[place:])
+            ends = set(accumulate(map(len, words[place:])))
+            if rest.startswith(letters) and (len(letters) in ends or not rest[len(letters)].isdigit()):
+                return True
+        return False
+
+    return max((tag for tag in tags if len(_letters(tag)) > 2 and holds(_letters(tag))), key=len, default="")
 
 
 def _begin_alike(words: Sequence[str], header: Sequence[str]) -> bool:
-    """Whether there are two words at least, single letters aside, and each begins a word of the header."""
+    """Whether there are two words at least besides letters, and each begins one of the header's, or is its number."""
     words = [word for word in words if len(word) > 1 or word.isdigit()]
-    return len(words) > 1 and all(any(other.startswith(word) for other in header) for word in words)
+    return len(words) > 1 and all(
+        word in header if word.isdigit() else any(other.startswith(word) for other in header) for word in words
+    )
 
 
 def _words(text: str) -> list[str]:

@@ -33,6 +33,8 @@ from gateway.commission.files.io_units import CountFactor, parse_factor, parse_r
 from gateway.commission.files.io_words import (
     COLUMNS,
     KNOWN_TYPES,
+    LENGTHS_IN_BITS,
+    LENGTHS_OF_NO_UNIT,
     ORDERS,
     TABLES,
     WIDTHS,
@@ -649,7 +651,7 @@ def _type(row: _ListedRow, cell: TypeCell, place: ListedPlace, address: str) -> 
         return "uint16", 0
     dtype, length = cell.dtype, cell.length
     if dtype == "string":
-        length = length or place.length or _whole(line, "length") or 2 * count
+        length = length or place.length or _text_length(row) or 2 * count
         if length <= 0:
             raise RowError("dtype", "a string needs its length in bytes: write STRING[16], or give a column Length")
         return dtype, length
@@ -677,6 +679,18 @@ def _type(row: _ListedRow, cell: TypeCell, place: ListedPlace, address: str) -> 
     if size is not None and not cell.wide and size not in (16, 32) and (size, dtype) != (4, "float32"):
         raise RowError("length", f"is {size}, of registers or bytes, and {text!r} says no width; write INT16 or INT32")
     return dtype, length
+
+
+def _text_length(row: _ListedRow) -> int:
+    """The bytes of a text by the length's column; 0 where it says none. Raises RowError where it may mean others."""
+    size, header = _whole(row.line, "length") or 0, row.header("length")
+    if size and header in LENGTHS_OF_NO_UNIT:
+        raise RowError("length", f"is {size}, of bytes, characters or bits? Write STRING[n] with n bytes")
+    if header not in LENGTHS_IN_BITS:
+        return size
+    if size % 8:
+        raise RowError("length", f"is {size} bits, which are no whole bytes; a text has 8 bits a byte")
+    return size // 8
 
 
 def _order(row: _ListedRow, cell: TypeCell, dtype: str, place: ListedPlace) -> tuple[str | None, str]:

@@ -127,6 +127,10 @@ COLUMNS: Mapping[str, tuple[str, ...]] = {
 }
 """Column -> the headers by which it is recognised, as `cells.header_key` writes them; the first that fits wins."""
 
+LENGTHS_IN_BITS = frozenset({"bits", "bit length", "no of bits", "bitlange"})
+LENGTHS_OF_NO_UNIT = frozenset({"size", "data size", "grosse", "groesse", "dimensione", "taille", "tamano"})
+"""A number's width shows which unit such a length has; a text's does not."""
+
 _STRING = re.compile(r"(?:w?string|stringa|char|testo|text)\s*[\[( ]?\s*(\d*)")
 
 _TYPES: Mapping[str, str] = {

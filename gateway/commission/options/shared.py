@@ -129,6 +129,12 @@ _RANGES: dict[str | None, Any] = {
     if isinstance(option.type, click.IntRange | click.FloatRange | click.Choice)
 }
 """What a setting may be, for a value that is wrong before any device is asked."""
+_TEXTS = frozenset(
+    option.name
+    for option in _collect_params(_FORMER_OPTIONS)
+    if isinstance(option.type, click.Path | click.types.StringParamType)
+)
+"""Settings that are text, whatever else TOML may read in it: a folder called 2024."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -258,6 +264,8 @@ def _other(text: str) -> tuple[str, Any]:
         setting = parse_toml(f"value = {value}")["value"]
     except tomllib.TOMLDecodeError:
         setting = value.strip()
+    if key in _TEXTS and not isinstance(setting, str):
+        return key, value.strip()
     if key not in _RANGES:
         return key, setting
     try:

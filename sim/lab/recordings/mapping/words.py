@@ -85,6 +85,11 @@ _SETPOINT = re.compile(
     r"set.?point|sollwert|\bsp\b|consigne|soglia|limit|target|alarm|threshold|schwelle|seuil|umbral|ref\b|设定",
     re.IGNORECASE,
 )
+_COUNT = re.compile(
+    r"hours|stunden|\bore\b|contaore|heures|horas|counter|\bcounts?\b|zähler|zaehler|contatore|compteur|contador",
+    re.IGNORECASE,
+)
+"""What counts hours or pieces: it goes on rising, and says of no moment whether the machine runs."""
 _FEED = re.compile(r"feed|zulauf|ingresso|alimentazion|fango|slurry|entrada", re.IGNORECASE)
 _AMBIENT = re.compile(
     r"ambient|(?:^|[^a-z])amb(?![a-z])|outside|outdoor|aussen|außen|umgebung|hallen|esterna|extérieur|exterior|"
@@ -222,6 +227,11 @@ def named_remainder(name: str) -> bool:
 def named_total(name: str) -> bool:
     """Whether a load's name says that others are parts of it."""
     return _TOTAL.search(name) is not None
+
+
+def named_otherwise(name: str, other: str) -> bool:
+    """Whether `name` says set point, alarm, total or count, and `other`, which it may be another name of, does not."""
+    return any(word.search(name) and not word.search(other) for word in (_SETPOINT, _ALARM, _TOTAL, _COUNT))
 
 
 def running_score(name: str) -> int:
