@@ -30,6 +30,7 @@ from sim.lab.recordings.mapping.decide import (
     COLDEST,
     HOTTEST,
     Parts,
+    check_scale,
     check_temperature,
     choose_clock,
     choose_parts,
@@ -153,9 +154,11 @@ def draft_map(path: Path, answers: Answers, names: Mapping[str, str] | None = No
         decimal=decimal,
         derived=derived,
     )
-    # The current's levels, the usual step and the codes are those of all rows, which the map itself reads.
+    # The current's levels, the usual step, the codes and changes of the unit are those of all rows: the map reads them.
     traces, report = _load_draft(path, _text(found))
     coded = [_with_codes(column, traces, slow=column.name == parts.temperature.name) for column in columns]
+    running = derived if parts.running is None else parts.running.name
+    check_scale(path, coded[columns.index(parts.temperature)], running, traces, answers)
     if any(now is not before for now, before in zip(coded, columns, strict=True)):
         found = replace(found, columns=coded)
         traces, report = _load_draft(path, _text(found))
