@@ -279,7 +279,8 @@ def _check_marks(table: FoundTable, column: FoundColumn, place: int) -> None:
 
 def _with_codes(column: FoundColumn, traces: Sequence[Trace], *, slow: bool) -> FoundColumn:
     """With the codes of all rows, which the sample may not have; a temperature's also with what no bearing reaches."""
-    read = [trace.signals[column.name] for trace in traces if column.name in trace.signals]
+    known = [trace for trace in traces if column.name in trace.signals]
+    read = [trace.signals[column.name] for trace in known]
     if column.kind != "number" or not read:
         return column
     if slow and (beyond := int(sum(np.sum((own < COLDEST) | (own > HOTTEST)) for own in read))):
@@ -287,7 +288,11 @@ def _with_codes(column: FoundColumn, traces: Sequence[Trace], *, slow: bool) -> 
         column = replace(column, beyond=beyond) if beyond <= _RARE * every else column
     if (column.scale, column.offset) != (1.0, 0.0):
         return column
-    codes = {code for own in read for code in find_codes(own, slow=slow)}
+    codes = {
+        code
+        for trace, own in zip(known, read, strict=True)
+        for code in find_codes(own, slow_at=trace.times if slow else None)
+    }
     if codes <= set(column.bad):
         return column
     return replace(column, bad=(*column.bad, *sorted(codes - set(column.bad))))
