@@ -36,7 +36,8 @@ def plant(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
         for trace in of_machine(name, offset, 100 + seed, cycles=4):
             write_trace(trace, own / f"{trace.name}.csv")
     text = (ROOT / "config/traces/decanter.toml").read_text(encoding="utf-8")
-    (folder / "map.toml").write_text(text.replace("TCuscinettiRiduttore", "T"), encoding="utf-8")
+    roles = '\n[effects]\ncurrent = "Assorbimento"\n'
+    (folder / "map.toml").write_text(text.replace("TCuscinettiRiduttore", "T") + roles, encoding="utf-8")
     with pytest.MonkeyPatch.context() as patch:
         without_bands(patch)
         patch.setattr(study, "learn_bins", partial(learn_bins, candidates=CANDIDATES[:1]))
@@ -63,6 +64,7 @@ def test_the_odd_machine_is_found_and_each_has_its_own_targets_in_the_types_mode
     assert said["machines"][0]["corrected"] < 0.5 * said["machines"][0]["type"]
     model = read_model(Path(said["model"]))
     assert set(model.machines) == set(OFFSETS)
+    assert model.roles == {"current": "Assorbimento"}, "a diagnosis of it knows the signals as the map said them"
     assert of_the_type(model, "odd").sha.high > model.sha.high
     with (plant / "out/fleet.csv").open(encoding="utf-8") as file:
         assert sorted(row["machine"] for row in csv.DictReader(file)) == sorted(OFFSETS)

@@ -10,7 +10,7 @@ import pytest
 
 from sim.lab.recordings import load_map
 from sim.lab.recordings.clock_words import plain_time
-from sim.lab.recordings.mapping.words import current_score, named_time, split_unit, surely_machine
+from sim.lab.recordings.mapping.words import ROLE_WORDS, current_score, named_time, split_unit, surely_machine
 from tests.traces.exports import recording, wide, written
 from tests.traces.test_dialects import is_the_plant, mapped
 
@@ -169,3 +169,27 @@ def test_whole_rows_of_which_nothing_repeats_are_rows_and_gaps(tmp_path: Path) -
     header = "Time,Bearing temperature,Motor current,Flow,Pressure"
     (trace,), _, said = mapped(written(tmp_path / "a.csv", header, rows), tmp_path / "m.toml")
     assert "stored" not in said["text"] and trace.times.size == len(kept)
+
+
+def test_a_role_is_drafted_for_what_its_name_says_as_a_word_and_not_for_another_part_of_the_plant() -> None:
+    plays = {
+        "ambient": [
+            "TAmbiente",
+            "AMB_TEMP",
+            "Hallentemperatur",
+            "Umgebungstemperatur",
+            "Room temperature",
+            "T_outside",
+        ],
+        "feed": ["TFango", "Feed temperature", "Temperatura ingresso fango", "Zulauf Temperatur"],
+        "vibration": ["Vibration DE", "Schwinggeschwindigkeit"],
+        "": [
+            *("Chamber temperature", "Mushroom temperature", "Control room temperature", "Feed pump winding temp"),
+            *("Cooling water inlet temperature", "Oil inlet temperature", "Température armoire alimentation"),
+            *("Vibration threshold", "Ambient temperature setpoint", "Kühlwasser Zulauf Temperatur"),
+        ],
+    }
+    for role, names in plays.items():
+        for name in names:
+            unit = "" if "ibration" in name or "Schwing" in name else "degC"
+            assert [each for each, said in ROLE_WORDS.items() if said(name, unit)] == ([role] if role else []), name

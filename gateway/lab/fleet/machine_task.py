@@ -92,7 +92,8 @@ def _judge_traces(task: FleetTask, read: Sequence[Trace]) -> MachineResult:
     corrected = of_machine(replace(model, machines=machines), name) if machines else model
     candidates, own = {"type": model, "corrected": corrected}, None
     if task.own:
-        own = learn_bins(first, model.alphabet, model.temperature, seed=task.seed, name=name).model
+        learned = learn_bins(first, model.alphabet, model.temperature, seed=task.seed, name=name).model
+        own = replace(learned, roles=model.roles)
         candidates["own"] = own
     found: dict[str, Any] = {}
     if task.diagnosis:

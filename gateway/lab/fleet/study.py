@@ -147,10 +147,11 @@ def type_model(request: FleetRequest, kept: KeptType | None, progress: Progress)
     alphabet = with_thresholds(request.column_map.alphabet, traces)
     traces = [replace(trace, name=f"{trace.machine} {trace.name}", events=()) for trace in traces]
     learned = learn_bins(traces, alphabet, request.temperature, seed=request.seed, name="type")
-    write_model_directory(folder, learned.model, learned.values)
+    model = replace(learned.model, roles=request.column_map.roles)
+    write_model_directory(folder, model, learned.values)
     key = _sample_key(request, order, left_out)
     keep_type(request.out / RESULTS, key, learned.spread.between, left_out)
-    return TypeModel(learned.model, learned.spread.between, left_out)
+    return TypeModel(model, learned.spread.between, left_out)
 
 
 def _sample(

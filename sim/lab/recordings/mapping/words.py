@@ -81,8 +81,22 @@ _TOTAL = re.compile(
     r"total|overall|(?:^|[^a-z])sum(?![a-z])|summe|gesamt|insgesamt|somma|totale|complessiv|somme|suma\b|总",
     re.IGNORECASE,
 )
-_SETPOINT = re.compile(r"set.?point|sollwert|\bsp\b|consigne|soglia|limit|target|alarm|ref\b|设定", re.IGNORECASE)
-_FEED = re.compile(r"feed|inlet|zulauf|ingresso|alimentazion|fango|alimentation|entrada", re.IGNORECASE)
+_SETPOINT = re.compile(
+    r"set.?point|sollwert|\bsp\b|consigne|soglia|limit|target|alarm|threshold|schwelle|seuil|umbral|ref\b|设定",
+    re.IGNORECASE,
+)
+_FEED = re.compile(r"feed|zulauf|ingresso|alimentazion|fango|slurry|entrada", re.IGNORECASE)
+_AMBIENT = re.compile(
+    r"ambient|(?:^|[^a-z])amb(?![a-z])|outside|outdoor|aussen|außen|umgebung|hallen|esterna|extérieur|exterior|"
+    r"(?:^|[^a-z])room|raum|室外|环境",
+    re.IGNORECASE,
+)
+_OF_OTHER_PARTS = re.compile(
+    r"water|wasser|acqua|\beau\b|oil|öl|olio|huile|cool|kühl|raffredd|motor|winding|wickl|pump|control|panel|cabinet|"
+    r"schalt|schrank|quadro|armoire",
+    re.IGNORECASE,
+)
+"""What is neither a machine's feed nor what stands around it, whatever else the name says."""
 _VIBRATION = re.compile(r"vibra|schwing", re.IGNORECASE)
 LOAD_UNITS = frozenset({"W", "kW", "MW", "rpm", "Nm", "Hz"})
 """Units of what loads a machine, besides those of a current."""
@@ -163,11 +177,12 @@ def named_surroundings(name: str) -> bool:
 def _measured_aside(name: str, unit: str) -> bool:
     """Whether it is a temperature that is measured, and no bearing's."""
     of_degrees = unit in ("degC", "degF", "K") or (not unit and _TEMPERATURE.search(name) is not None)
-    return of_degrees and not (named_bearing(name) or _SETPOINT.search(name) or _ALARM.search(name))
+    others = (_SETPOINT, _ALARM, _OF_OTHER_PARTS)
+    return of_degrees and not (named_bearing(name) or any(words.search(name) for words in others))
 
 
 def _plays_ambient(name: str, unit: str) -> bool:
-    return _measured_aside(name, unit) and named_surroundings(name)
+    return _measured_aside(name, unit) and _AMBIENT.search(name) is not None
 
 
 def _plays_feed(name: str, unit: str) -> bool:
