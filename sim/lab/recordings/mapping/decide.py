@@ -582,10 +582,9 @@ def _changed_unit(times: Array, read: Array, starts: Array, stops: Array) -> tup
     low, high = np.minimum(read[:-1], read[1:]), np.maximum(read[:-1], read[1:])
     for factor, offset, how in ((1.8, 32.0, "in degC and in degF"), (1.0, 273.15, "in degC and in kelvin")):
         off = np.abs((high - offset) / factor - low)
-        changes = jumps & (off <= 1.0 + _UNIT_SLACK)
+        changes = jumps & (off <= max(habit, 1.0) + _UNIT_SLACK)
         usual = float(steps[close & ~changes].max(initial=0.0))
-        slack = min(usual, 1.0) + _UNIT_SLACK
-        changes &= (steps > _TIMES_USUAL_STEP * usual) & (off <= slack)
+        changes &= steps > _TIMES_USUAL_STEP * usual
         for turns, ways in ((starts, moves > 0), (stops, moves < 0)):
             made = times[1:][changes & ways]
             if turns.size and made.size and all(np.abs(made - turn).min() <= follows for turn in turns.tolist()):
@@ -597,10 +596,14 @@ def _changed_unit(times: Array, read: Array, starts: Array, stops: Array) -> tup
                 continue
             other = course[_LEAST_BESIDE:] if moves[place] > 0 else course[:_LEAST_BESIDE]
             other[:] = (other - offset) / factor
-            before, after = course[_LEAST_BESIDE - 1 :: -1], course[_LEAST_BESIDE:]
-            own = max(habit, float(np.median(np.abs(np.diff(course)))))
-            reach = slack + own * np.arange(_LEAST_BESIDE)
-            if np.all(np.abs(after - before[0]) <= reach) and np.all(np.abs(before - after[0]) <= reach):
+            # In one unit the step is as those beside it are, but for how much these differ from one another.
+            moved = np.diff(course)
+            beside = np.delete(moved, _LEAST_BESIDE - 1)
+            expected = (moved[_LEAST_BESIDE - 2] + moved[_LEAST_BESIDE]) / 2
+            # A lone reading is followed by another change.
+            if np.abs(beside).max() > usual + _UNIT_SLACK:
+                continue
+            if abs(moved[_LEAST_BESIDE - 1] - expected) <= np.abs(np.diff(beside)).max() + _UNIT_SLACK:
                 return place, how
     return None
 
@@ -609,7 +612,7 @@ _LEAST_BESIDE = 5
 """Readings on either side of a step that may be a change of the unit."""
 _TIMES_USUAL_SPAN = 3.0
 """Times the usual time between readings, up to which one follows the other: beyond it is a pause."""
-_TIMES_USUAL_STEP = 5.0
+_TIMES_USUAL_STEP = 3.0
 """Times the largest other step, from which on a step is of another kind."""
 _USUAL_SHARE = 0.95
 """Share of the steps that are usual ones: changes of the unit are fewer than the others."""
