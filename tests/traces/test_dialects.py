@@ -345,6 +345,44 @@ def test_a_unit_that_changes_half_way_is_asked_for(
     assert "rows are in degC and in degF" in asked(units, tmp_path / "n.toml", "--yes")
 
 
+@pytest.mark.parametrize(("first", "last"), [(21600, 24000), (100, 140), (20000, 20500)])
+def test_a_unit_that_changes_behind_the_sample_or_for_a_while_is_asked_for(
+    first: int, last: int, tmp_path: Path
+) -> None:
+    plant = recording(times=1 if last < 240 else 100)
+    heat = plant.heat.copy()
+    heat[first:last] = (heat[first:last] * 1.8 + 32).round(2)
+    said = asked(wide(tmp_path / "a.csv", of=replace(plant, heat=heat)), tmp_path / "m.toml", "--yes")
+    assert f"at reading {first + 1} and goes on there, which is the same in degC and in degF" in said
+
+
+@pytest.mark.parametrize("kind", ["weekend", "machines", "hours", "spike"])
+def test_a_pause_another_machine_a_start_and_a_spike_change_no_unit(kind: str, tmp_path: Path) -> None:
+    noise = np.random.default_rng(0).normal(0, 0.05, 200)
+    hot, cold = (68.0 + noise).round(1), (20.0 + noise).round(1)
+    hot[-1], cold[0] = 68.0, 20.0
+    heat = np.concatenate((hot, cold))
+    seconds = 10.0 * np.arange(400)
+    running = np.repeat([1, 0], 200)
+    whose = ["A"] * 400
+    if kind == "weekend":
+        seconds[200:] += 200000.0
+    elif kind == "machines":
+        seconds[200:], whose[200:] = seconds[:200], ["B"] * 200
+    elif kind == "hours":
+        seconds *= 360
+    else:
+        heat, running = np.concatenate((cold, cold)), np.ones(400, dtype=int)
+        heat[150] = 68.0
+    rows = [
+        f"{datetime(2024, 3, 13) + timedelta(seconds=at)},{own},{value},{120 * on},{on}"
+        for at, own, value, on in zip(seconds.tolist(), whose, heat.tolist(), running.tolist(), strict=True)
+    ]
+    header = "Time,Machine,Bearing temperature [°C],Motor current [A],Running"
+    traces, _, _ = mapped(written(tmp_path / "a.csv", header, rows), tmp_path / "m.toml", "--yes")
+    assert sum(trace.times.size for trace in traces) == 400
+
+
 def test_counts_of_a_converter_are_no_tenths_of_a_degree(tmp_path: Path) -> None:
     counts = replace(recording(), heat=(recording().heat / 150 * 27648).round())
     said = asked(wide(tmp_path / "a.csv", of=counts), tmp_path / "m.toml", "--yes")
@@ -369,6 +407,35 @@ def test_a_clock_that_goes_forward_in_spring_leaves_no_gap(zone: str, begin: dat
         wide(tmp_path / "b.csv", clock=lambda at: wall(at).replace("-03-", "-05-")), tmp_path / "n.toml"
     )
     assert np.ptp(trace.times) == 3600 + STEP * 239 and not any("goes forward" in line for line in said["report"])
+
+
+@pytest.mark.parametrize("column", ["Tag", "Machine"])
+def test_summer_time_begins_for_each_tag_and_machine(column: str, tmp_path: Path) -> None:
+    plant, begin = recording(), datetime(2024, 3, 31, 0, 40, tzinfo=UTC)
+    rows = []
+    for at, *values in zip(plant.seconds.tolist(), plant.heat, plant.current, plant.running, strict=True):
+        wall = f"{(begin + timedelta(seconds=at)).astimezone(ZoneInfo('Europe/Rome')):%Y-%m-%d %H:%M:%S}"
+        tags = zip(("Bearing temperature", "Motor current", "Running"), values, strict=True)
+        machines = [f"{wall},{name},{','.join(map(str, values))}" for name in "AB"]
+        rows += [f"{wall},{tag},{value}" for tag, value in tags] if column == "Tag" else machines
+    header = f"Time,{column},{'Value' if column == 'Tag' else 'Bearing temperature,Motor current,Running'}"
+    traces, _, _ = mapped(written(tmp_path / "a.csv", header, rows), tmp_path / "m.toml", "--yes")
+    assert traces
+    for trace in traces:
+        is_the_plant(trace, tmp_path / "m.toml")
+
+
+def test_a_recorder_that_is_off_for_an_hour_each_sunday_is_off_in_the_night_of_summer_time_too(tmp_path: Path) -> None:
+    moments = [datetime(2024, 3, 17) + timedelta(minutes=10 * at) for at in range(21 * 144)]
+    heat, current, running = recording().heat, recording().current, recording().running
+    rows = [
+        f"{moment},{heat[at % 240]},{current[at % 240]},{running[at % 240]}"
+        for at, moment in enumerate(moments)
+        if (moment.weekday(), moment.hour) != (6, 2)
+    ]
+    export = written(tmp_path / "a.csv", "Time,Bearing temperature,Motor current,Running", rows)
+    (trace,), _, said = mapped(export, tmp_path / "m.toml")
+    assert (np.diff(trace.times) == 4200.0).sum() == 3 and not any("goes forward" in line for line in said["report"])
 
 
 def test_a_temperature_that_passes_85_is_no_code(tmp_path: Path) -> None:

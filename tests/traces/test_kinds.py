@@ -196,6 +196,12 @@ def test_a_quality_file_of_each_tag_judges_its_own(of_quality: str, header: str,
     (trace,), _, _ = mapped(export, tmp_path / "m.toml", "--temperature", "TI101/Value", "--current", "II101.PV/Value")
     for signal, bad in (("TI10", 7), ("TI101", 8), ("II101.PV", 9)):
         assert np.array_equal(np.flatnonzero(np.isnan(trace.signals[signal])), np.arange(bad, 240, 40))
+    # One whose tag is not there judges no other.
+    (export / "TI10.csv").unlink()
+    (trace,), report = load_traces(export, load_map(tmp_path / "m.toml"))
+    for signal, bad in (("TI101", 8), ("II101.PV", 9)):
+        assert np.array_equal(np.flatnonzero(np.isnan(trace.signals[signal])), np.arange(bad, 240, 40))
+    assert sum("its quality judges nothing" in line for line in report.warnings) == 1
 
 
 def test_a_quality_that_is_named_after_one_tag_is_not_taken_for_that_of_all(tmp_path: Path) -> None:

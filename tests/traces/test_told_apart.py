@@ -35,6 +35,19 @@ def test_pascals_of_what_rests_at_0_are_no_codes() -> None:
     assert find_codes(pressure + np.sin(np.arange(600))) == {1.70141e38: 60}
 
 
+def test_a_cold_that_a_pause_ends_is_no_code_and_a_jump_to_it_is() -> None:
+    warm = 20.0 + np.sin(np.arange(900))
+    cold = np.full(30, -40.0)
+    times = 10.0 * np.arange(933)
+    values = np.concatenate((cold, [np.nan] * 3, warm))
+    assert find_codes(values, slow_at=times) == {}
+    values[400:405] = -40.0
+    assert find_codes(values, slow_at=times) == {-40.0: 35}
+    # Every other row is of another signal.
+    rows = np.insert(np.concatenate((warm[:400], cold, warm[400:])), np.arange(930), np.nan)
+    assert find_codes(rows, slow_at=5.0 * np.arange(1860)) == {-40.0: 30}
+
+
 def test_a_switch_is_not_the_machines_where_another_is_on_all_the_while(tmp_path: Path) -> None:
     early = np.maximum(PLANT.running, np.append(PLANT.running[8:], [0] * 8))
     columns = zip(PLANT.moments, PLANT.heat, PLANT.current, early, PLANT.running, strict=True)

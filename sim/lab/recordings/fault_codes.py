@@ -29,18 +29,21 @@ _MAX_CODES = 3
 _TEMPERATURE_CODES = (0.0, -1.0, -40.0, -50.0, -55.0)
 """What programs write for a temperature that they do not have, and where its sensors' ranges begin.
 
-It passes these numbers, and does not jump to them.
+It passes these numbers, and does not jump to them; in a pause it may come to them.
 """
+_TIMES_USUAL_SPAN = 3.0
+"""Times the usual time between readings, beyond which there is a pause between them."""
 _MAX_CODED_SHARE = 0.5
 """Share of the readings beyond which a value is what the plant does."""
 
 
-def find_codes(values: Array, *, slow: bool = False) -> dict[float, int]:
+def find_codes(values: Array, *, slow_at: Array | None = None) -> dict[float, int]:
     """The codes among readings in the order of time, and how often: values of the table that jump out of the others.
 
-    `slow` readings, as of a temperature, have codes that others reach in one step.
+    `slow_at` are the times of slow readings, as of a temperature, which have codes that others reach in one step.
     """
-    finite = values[np.isfinite(values)]
+    read = np.isfinite(values)
+    finite = values[read]
     found: dict[float, int] = {}
     least, most = finite.min(initial=np.inf), finite.max(initial=-np.inf)
     known = np.zeros(finite.shape, dtype=bool)
@@ -50,7 +53,7 @@ def find_codes(values: Array, *, slow: bool = False) -> dict[float, int]:
         moved = sizes[(sizes > 0.0) & (sizes <= _MAX_QUANTITY)]
         absurd = sizes > _MAX_TIMES_USUAL * max(1.0, float(np.median(moved)) if moved.size else 0.0)
         known |= absurd if np.unique(finite[absurd]).size <= _MAX_CODES else absurd & (sizes > _MAX_QUANTITY)
-    for code in (*CODES, *(_TEMPERATURE_CODES if slow else ())):
+    for code in (*CODES, *(_TEMPERATURE_CODES if slow_at is not None else ())):
         width = _EQUAL_TOLERANCE * max(1.0, abs(code))
         if least - width <= code <= most + width:
             known |= np.abs(finite - code) <= width
@@ -63,9 +66,18 @@ def find_codes(values: Array, *, slow: bool = False) -> dict[float, int]:
     at = np.searchsorted(where, np.flatnonzero(known))
     left, right = others[(at - 1).clip(min=0)], others[at.clip(max=others.size - 1)]
     away = np.minimum(np.abs(finite[known] - left), np.abs(finite[known] - right))
+    follows = np.zeros(finite.size + 1, dtype=bool)
+    if slow_at is not None:
+        spans = np.diff(slow_at[read])
+        follows[1:-1] = spans <= _TIMES_USUAL_SPAN * np.median(spans)
+    # The first of some codes in a row follows a reading, or a reading follows the last of them.
+    begins, ends = np.append(0, where + 1)[at], np.append(where, finite.size)[at]
+    jumped = follows[begins] | follows[ends]
     varied = np.unique(others).size >= _MIN_DISTINCT
     for code in np.unique(finite[known]).tolist():
         own = finite[known] == code
+        if code in _TEMPERATURE_CODES and slow_at is not None and not jumped[own].any():
+            continue
         possible = (
             code in AMBIGUOUS_CODES or code in _TEMPERATURE_CODES or (-1000.0 < code < 0.0 and others.min() < 0.0)
         )

@@ -248,8 +248,8 @@ def _quality_places(path: Path, chunk: _Chunk, column_map: ColumnMap, report: Fi
 def judged(readings: FileReadings, files: Sequence[FileReport]) -> FileReadings:
     """The readings without those that a quality in a file of its own calls bad; its word holds until the next one.
 
-    It is of the file that it is named after, or of all. What stands before its first word is judged by none, and is not
-    good.
+    It is of the file that it is named after, or of all where it is the only one. What stands before its first word is
+    judged by none, and is not good.
     """
     quality = readings.series.get(_OF_OTHERS)
     if quality is None:
@@ -260,6 +260,9 @@ def judged(readings: FileReadings, files: Sequence[FileReport]) -> FileReadings:
     not_good = np.zeros(readings.times.size, dtype=bool)
     for judge in judges:
         owner = named_after(names[judge], [name for index, name in names.items() if index not in judges])
+        if not owner and len(judges) > 1:
+            files[judge].warn("its quality judges nothing: it is named after no file, and other files have a quality")
+            continue
         said, words = readings.times[quality.rows][of_rows == judge], quality.values[of_rows == judge]
         order = np.argsort(said, kind="stable")
         at = np.searchsorted(said[order], readings.times, "right")

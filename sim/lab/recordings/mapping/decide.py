@@ -51,7 +51,7 @@ from sim.lab.recordings.mapping.words import (
     split_unit,
     temperature_score,
 )
-from sim.sha import Array, Mask
+from sim.sha import Array, Mask, Trace
 
 _KELVIN_REST_RANGE = (240.0, 330.0)
 """Where a temperature that nobody calls kelvin rests if it is; no bearing rests at 240 degC."""
@@ -513,15 +513,6 @@ def check_temperature(
             [f"{header}={unit}" for unit in choices],
             guess=f"{header}={likely}" if likely else "",
         )
-    if change := _changed_unit(temperature.values):
-        row, before, after, how = change
-        raise Undecided(
-            where,
-            f"{header!r} goes from {before:g} to {after:g} at reading {row + 1} of the file and stays there, which is "
-            f"the same {how}: export what stands before and behind it apart, or say that it is in one unit",
-            "unit",
-            [f"{header}=degC"],
-        )
     for twin in columns:
         if twin is temperature or twin.kind != "number" or twin.values.shape != temperature.values.shape:
             continue
@@ -541,34 +532,90 @@ def check_temperature(
                 )
 
 
-def _changed_unit(values: Array) -> tuple[int, float, float, str] | None:
-    """(row, the reading before it, its own, how they are one) of the one step in which a temperature changes its unit.
+def check_scale(
+    where: object, temperature: FoundColumn, running: str, traces: Sequence[Trace], answers: Answers
+) -> None:
+    """Raises Undecided for a temperature that is in another unit from some reading on, for good or for a while.
 
-    None where no step is one. It is no other step's size, and the readings stay above it.
+    All rows are looked at, those of each machine and session for themselves. `running` is the switch of the machine.
     """
-    at = np.flatnonzero(np.isfinite(values))
-    read = values[at]
+    if (temperature.scale, temperature.offset) != (1.0, 0.0) or temperature.measured:
+        return
+    if any(text.startswith(f"{temperature.header}=") for text in answers.unit):
+        return
+    for trace in traces:
+        if temperature.name not in trace.signals:
+            continue
+        values = trace.signals[temperature.name]
+        at = np.flatnonzero(np.isfinite(values) & ~np.isin(values, temperature.bad))
+        switch = trace.signals.get(running, np.zeros(0))
+        said = np.flatnonzero(np.isfinite(switch))
+        turned, turns = trace.times[said][1:], np.diff(switch[said])
+        if change := _changed_unit(trace.times[at], values[at], turned[turns > 0], turned[turns < 0]):
+            place, how = change
+            before, after = values[at[place]], values[at[place + 1]]
+            raise Undecided(
+                where,
+                f"{temperature.header!r} goes from {before:g} to {after:g} at reading {place + 2}"
+                f"{f' of {trace.name}' if len(traces) > 1 else ''} and goes on there, which is the same {how}: export "
+                "what is in one unit and what is in the other apart, or say that it is in one",
+                "unit",
+                [f"{temperature.header}=degC"],
+            )
+
+
+def _changed_unit(times: Array, read: Array, starts: Array, stops: Array) -> tuple[int, str] | None:
+    """(place of the reading before it, how both are one) of the first step in which a temperature changes its unit.
+
+    It is of another kind than the steps that change none, leads to where the readings go on, and is none that each of
+    the machine's `starts` (or `stops`) makes. None where no step is one.
+    """
     if read.size < 2 * _LEAST_BESIDE:
         return None
-    steps = np.abs(np.diff(read))
-    place = int(steps.argmax())
-    if not _LEAST_BESIDE <= place + 1 <= read.size - _LEAST_BESIDE:
+    spans, moves = np.diff(times), np.diff(read)
+    follows = _TIMES_USUAL_SPAN * float(np.median(spans))
+    close, steps = spans <= follows, np.abs(moves)
+    if not close.any():
         return None
-    usual = float(np.partition(steps, -2)[-2])
-    before, after = read[place - _LEAST_BESIDE + 1 : place + 1], read[place + 1 : place + 1 + _LEAST_BESIDE]
-    low, high = sorted((float(before[-1]), float(after[0])))
-    if high - low <= _TIMES_USUAL_STEP * usual:
-        return None
+    habit = float(np.quantile(steps[close], _USUAL_SHARE, method="lower"))
+    jumps = close & (steps > _TIMES_USUAL_STEP * max(habit, _UNIT_SLACK))
+    low, high = np.minimum(read[:-1], read[1:]), np.maximum(read[:-1], read[1:])
     for factor, offset, how in ((1.8, 32.0, "in degC and in degF"), (1.0, 273.15, "in degC and in kelvin")):
-        if abs(factor * low + offset - high) <= factor * min(usual, 1.0) + _UNIT_SLACK:
-            return int(at[place + 1]), float(before[-1]), float(after[0]), how
+        off = np.abs((high - offset) / factor - low)
+        changes = jumps & (off <= max(habit, 1.0) + _UNIT_SLACK)
+        usual = float(steps[close & ~changes].max(initial=0.0))
+        changes &= steps > _TIMES_USUAL_STEP * usual
+        for turns, ways in ((starts, moves > 0), (stops, moves < 0)):
+            made = times[1:][changes & ways]
+            if turns.size and made.size and all(np.abs(made - turn).min() <= follows for turn in turns.tolist()):
+                changes &= ~ways
+        for place in np.flatnonzero(changes).tolist():
+            around = slice(max(place + 1 - _LEAST_BESIDE, 0), place + 1 + _LEAST_BESIDE)
+            course = read[around].copy()
+            if course.size < 2 * _LEAST_BESIDE or not close[around][:-1].all():
+                continue
+            other = course[_LEAST_BESIDE:] if moves[place] > 0 else course[:_LEAST_BESIDE]
+            other[:] = (other - offset) / factor
+            # In one unit the step is as those beside it are, but for how much these differ from one another.
+            moved = np.diff(course)
+            beside = np.delete(moved, _LEAST_BESIDE - 1)
+            expected = (moved[_LEAST_BESIDE - 2] + moved[_LEAST_BESIDE]) / 2
+            # A lone reading is followed by another change.
+            if np.abs(beside).max() > usual + _UNIT_SLACK:
+                continue
+            if abs(moved[_LEAST_BESIDE - 1] - expected) <= np.abs(np.diff(beside)).max() + _UNIT_SLACK:
+                return place, how
     return None
 
 
 _LEAST_BESIDE = 5
 """Readings on either side of a step that may be a change of the unit."""
-_TIMES_USUAL_STEP = 5.0
+_TIMES_USUAL_SPAN = 3.0
+"""Times the usual time between readings, up to which one follows the other: beyond it is a pause."""
+_TIMES_USUAL_STEP = 3.0
 """Times the largest other step, from which on a step is of another kind."""
+_USUAL_SHARE = 0.95
+"""Share of the steps that are usual ones: changes of the unit are fewer than the others."""
 _UNIT_SLACK = 0.1
 """degC by which two readings beside each other may differ in their last digit."""
 

@@ -35,6 +35,7 @@ from sim.lab.recordings.mapping.decide import (
     COLDEST,
     HOTTEST,
     Parts,
+    check_scale,
     check_temperature,
     choose_clock,
     choose_parts,
@@ -167,9 +168,11 @@ def draft_map(path: Path, answers: Answers, names: Mapping[str, str] | None = No
         marks=marks,
         derived=derived,
     )
-    # The current's levels, the usual step and the codes are those of all rows, which the map itself reads.
+    # The current's levels, the usual step, the codes and changes of the unit are those of all rows: the map reads them.
     traces, report = _load_draft(path, _text(found))
     coded = [_with_codes(column, traces, slow=column.name == parts.temperature.name) for column in columns]
+    running = derived if parts.running is None else parts.running.name
+    check_scale(path, coded[columns.index(parts.temperature)], running, traces, answers)
     if any(now is not before for now, before in zip(coded, columns, strict=True)):
         found = replace(found, columns=coded)
         traces, report = _load_draft(path, _text(found))
@@ -347,7 +350,8 @@ def _without_unclear(
 
 def _with_codes(column: FoundColumn, traces: Sequence[Trace], *, slow: bool) -> FoundColumn:
     """With the codes of all rows, which the sample may not have; a temperature's also with what no bearing reaches."""
-    read = [trace.signals[column.name] for trace in traces if column.name in trace.signals]
+    known = [trace for trace in traces if column.name in trace.signals]
+    read = [trace.signals[column.name] for trace in known]
     if column.kind != "number" or not read:
         return column
     if slow and (beyond := int(sum(np.sum((own < COLDEST) | (own > HOTTEST)) for own in read))):
@@ -355,7 +359,11 @@ def _with_codes(column: FoundColumn, traces: Sequence[Trace], *, slow: bool) -> 
         column = replace(column, beyond=beyond) if beyond <= _RARE * every else column
     if (column.scale, column.offset) != (1.0, 0.0):
         return column
-    codes = {code for own in read for code in find_codes(own, slow=slow)}
+    codes = {
+        code
+        for trace, own in zip(known, read, strict=True)
+        for code in find_codes(own, slow_at=trace.times if slow else None)
+    }
     if codes <= set(column.bad):
         return column
     return replace(column, bad=(*column.bad, *sorted(codes - set(column.bad))))

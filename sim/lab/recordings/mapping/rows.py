@@ -252,7 +252,9 @@ def _zone(times: Array, local: Mask, inside: Array) -> str:
 def _zone_of_spring(times: Array, local: Mask, inside: Array) -> tuple[str, str]:
     """The zone in whose spring the clock goes forward, and when: by an hour more than its step, which that zone leaves
     out. "" where nothing does."""
-    steps = np.where(np.diff(inside) == 0, np.diff(times), np.nan)
+    order = np.argsort(inside, kind="stable")
+    times, local = times[order], local[order]
+    steps = np.where(np.diff(inside[order]) == 0, np.diff(times), np.nan)
     rising = steps[steps > 0]
     usual = float(np.median(rising)) if rising.size else np.inf
     places = np.flatnonzero(np.abs(steps - 3600.0 - usual) <= 0.5 * usual)
@@ -260,9 +262,9 @@ def _zone_of_spring(times: Array, local: Mask, inside: Array) -> tuple[str, str]
         return "", ""
     for zone in _ZONES:
         utc = to_utc(times, local, zone)
-        joined = places[np.abs(np.diff(utc)[places] - usual) <= 0.5 * usual]
-        if np.isfinite(utc).all() and joined.size:
-            return zone, f"{datetime.fromtimestamp(float(times[joined[0]]), UTC):%Y-%m-%d %H:%M}"
+        # A recorder that is off for this hour on other days, too, is off on that one.
+        if np.isfinite(utc).all() and np.all(np.abs(np.diff(utc)[places] - usual) <= 0.5 * usual):
+            return zone, f"{datetime.fromtimestamp(float(times[places[0]]), UTC):%Y-%m-%d %H:%M}"
     return "", ""
 
 
