@@ -91,7 +91,7 @@ def test_every_command_has_said_how_many_threads_before_numpy_is_loaded(
     answers = json.loads(done.stdout)
     loading = {command: answer for command, answer in answers.items() if answer != "not loaded"}
     assert {command: answer for command, answer in loading.items() if answer != wanted} == {}
-    assert {"decanter_gateway diagnose", "gateway.cli.main diagnose", "demo", "emulate", "model learn"} <= set(loading)
+    assert {"decanter_gateway diagnose", "gateway.cli.main diagnose", "emulate", "model learn"} <= set(loading)
     assert len(answers) > 60
     # What answers at once: numpy alone takes half of the 0.2 s that the help has.
     assert {answers["decanter_gateway"], answers["gateway.cli.main"]} == {"not loaded"}

@@ -367,8 +367,7 @@ def test_a_note_stands_on_the_time_axis_of_the_trends(page: Page, gateway: Serve
     over = page.locator("#trend .u-over")
     expect(over).to_be_visible()
     # What is pointed at is the moment that the note is about.
-    box = over.bounding_box()
-    assert box is not None
+    box = eventually(over.bounding_box)  # none while the chart is drawn anew
     page.mouse.click(box["x"] + 0.5 * box["width"], box["y"] + 40)
     button = page.locator(".notes [data-act=note]")
     expect(button).to_have_attribute("data-at", re.compile(r"\d+"))

@@ -84,13 +84,15 @@ class Plant:
     async def start_node(self) -> None:
         """Have a master start the CANopen node, as the plant's own would; so nothing is refused for its state alone."""
         device = device_of("canopen")
-        settings = {**device.settings, **LINKS["canopen"].settings(self.folder, self.plc.ready)}
-        driver = open_driver("canopen", settings, clock=time.time)
-        await driver.open()
-        try:
-            await read_until_good(driver, device.by_name["PlcHeartbeat"])
-        finally:
-            await driver.close()
+        starting = {**device.settings, **LINKS["canopen"].settings(self.folder, self.plc.ready)}
+        # What a master sends last has no answer. A reading after it has one: then the PLC has taken all before it.
+        for settings in (starting, {**device.settings, **self.settings("canopen")}):
+            driver = open_driver("canopen", settings, clock=time.time)
+            await driver.open()
+            try:
+                await read_until_good(driver, device.by_name["PlcHeartbeat"])
+            finally:
+                await driver.close()
 
 
 def _reads(identifier: int, data: bytes) -> bool:
