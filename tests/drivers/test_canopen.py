@@ -49,6 +49,7 @@ async def opened(bus: Path, tmp_path: Path) -> AsyncIterator[Open]:
 
     async def open_(write_map: Sequence[Tag] = (), *, wait: bool = True, **settings: Any) -> CanopenDriver:
         fixed = {"interface": "hub", "channel": str(bus), "node": NODE, "heartbeat_timeout": 0.2}
+        fixed["connect_timeout"] = 20.0  # a busy machine brings a node up late; tests of the deadline give their own
         merged = {**fixed, "eds": str(tmp_path / "node.eds"), **settings}
         driver = open_canopen(merged, clock=time.time, write_map=write_map)
         drivers.append(driver)
@@ -323,7 +324,7 @@ async def test_another_device_than_that_of_the_eds_is_not_read(bus: Path, opened
     node = ScriptedNode(bus, {1: 125, 2: 7, 3: 2}, vendor=0x9999)
     node.start()
     try:
-        driver = await opened(wait=False)
+        driver = await opened(wait=False, connect_timeout=1.0)
         sentence, deadline = "", time.monotonic() + 120.0
         # On a busy machine the first answers may come later than `connect_timeout`; the driver goes on trying.
         while "another device" not in sentence and time.monotonic() < deadline:
@@ -434,7 +435,7 @@ async def test_another_node_than_the_pinned_one_is_not_read_and_not_written(bus:
     node = ScriptedNode(bus, {1: 125, 2: 7, 3: 2})
     node.start()
     try:
-        driver = await opened(wait=False, identity={"serial": 0x1268, "product": 0x77})
+        driver = await opened(wait=False, connect_timeout=1.0, identity={"serial": 0x1268, "product": 0x77})
         sentence, deadline = "", time.monotonic() + 120.0
         while "another device" not in sentence and time.monotonic() < deadline:
             with pytest.raises(LinkDown) as caught:

@@ -37,6 +37,8 @@ NODE, SDO_REQUEST = 1, 0x601
 SDO_READS = {0x40, 0x60, 0x70, 0x80, 0xA0, 0xA1, 0xA2, 0xA3}
 """First bytes of SDO requests that read: initiate and segments of an upload, abort, block upload."""
 RAW_WRITES = 0x201, 0x280, 0x281
+CONNECT_DEADLINE_S = 20.0
+"""For opening a link where only its coming is asked: a busy machine brings a node up late."""
 PATIENT_S = 5.0
 """A reply's deadline where only its coming is asked."""
 
@@ -76,7 +78,7 @@ class Plant:
         return requests, list(found.blocks), frames
 
     def settings(self, link: str) -> dict[str, Any]:
-        given = dict(LINKS[link].settings(self.folder, self.plc.ready))
+        given = {**LINKS[link].settings(self.folder, self.plc.ready), "connect_timeout": CONNECT_DEADLINE_S}
         given.pop("configure", None)  # what else a master writes at the start is its communication parameters
         given.pop("sync_period", None)
         return given
@@ -84,7 +86,11 @@ class Plant:
     async def start_node(self) -> None:
         """Have a master start the CANopen node, as the plant's own would; so nothing is refused for its state alone."""
         device = device_of("canopen")
-        starting = {**device.settings, **LINKS["canopen"].settings(self.folder, self.plc.ready)}
+        starting = {
+            **device.settings,
+            **LINKS["canopen"].settings(self.folder, self.plc.ready),
+            "connect_timeout": CONNECT_DEADLINE_S,
+        }
         # What a master sends last has no answer. A reading after it has one: then the PLC has taken all before it.
         for settings in (starting, {**device.settings, **self.settings("canopen")}):
             driver = open_driver("canopen", settings, clock=time.time)
