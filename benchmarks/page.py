@@ -1,6 +1,6 @@
 """What the page costs: first paint, an update's way to the screen, twenty clients, and what a scan notices of them.
 
-    python -m benchmarks.page [--seconds 20] [--clients 20] [--json]
+    python -m benchmarks.page [--seconds 20] [--clients 20] [--trends] [--json]
 
 One gateway with a model on a device in memory, one scan a second, as a process of its own; the browser is headless
 Chromium. An update's latency is from the reading's own time to the frame in which the browser shows it. What the
@@ -18,7 +18,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from itertools import pairwise
 from math import sin
@@ -142,34 +142,50 @@ def browser(port: int, seconds: float) -> dict[str, Any]:
     return {"first_paint_ms": paints, "shown": shown, "heap_mb": heap / 1e6}
 
 
-def week_of_trends() -> dict[str, float]:
-    """Seconds until a trend is there, by what it spans, from a week of one reading a second (the median of five)."""
+SPANS = {"1 min": 60, "1 h": 3600, "1 d": 86_400, "7 d": 7 * 86_400, "90 d": 90 * 86_400}
+
+
+def time_trends(days: int, period: int, labels: Sequence[str]) -> dict[str, float]:
+    """Seconds until a trend is there, by what it spans, from days of a reading each `period` s (median of five)."""
     with tempfile.TemporaryDirectory() as name:
-        path, begin, count = Path(name) / "history.sqlite", 1_700_000_000.0, 7 * 86_400
+        path, begin, count = Path(name) / "history.sqlite", 1_700_000_000.0, days * 86_400
         tag = Tag("T", "holding:0", unit="degC")
         store, view = one_machine(path, [tag])
-        for first in range(0, count, 20_000):
-            times = [begin + second for second in range(first, min(first + 20_000, count))]
+        for first in range(0, count, 20_000 * period):
+            times = [begin + second for second in range(first, min(first + 20_000 * period, count), period)]
             view.put("scans", [(time_, 0.01, 0) for time_ in times])
             view.put("samples", [("T", time_, 50.0 + 10.0 * sin(time_ / 3000.0), 0, time_) for time_ in times])
             store.flush(60.0)
         store.close()
 
         async def ask() -> dict[str, float]:
-            reader, found = HistorianReader(path, 15.0), {}
+            reader, found = HistorianReader(path, 15.0 * period), {}
             end = begin + count
             await reader.trend("decanter", "T", end - 60.0, end)  # the process begins
-            for label, span in (("7 d", count), ("1 d", 86_400), ("1 h", 3600), ("1 min", 60)):
+            for label in labels:
                 took = []
                 for place in range(5):
                     begun = time.perf_counter()
-                    await reader.trend("decanter", "T", end - span - place, end - place)
+                    await reader.trend("decanter", "T", end - SPANS[label] - place, end - place)
                     took.append(time.perf_counter() - begun)
                 found[label] = round(percentile(took, 0.5), 3)
             await reader.close()
             return found
 
         return asyncio.run(ask())
+
+
+def measure_trends() -> list[Figure]:
+    """Trends of a week by the second and of ninety days by the minute, of one tag."""
+    week = [
+        Figure(f"trend of {span}", took, "s")
+        for span, took in time_trends(7, 1, ("7 d", "1 d", "1 h", "1 min")).items()
+    ]
+    long = [
+        Figure(f"trend of {span}, read each minute", took, "s", "goal", 0.2)
+        for span, took in time_trends(90, 60, ("90 d", "7 d", "1 d")).items()
+    ]
+    return week + long
 
 
 def measure(seconds: float, clients: int) -> list[Figure]:
@@ -219,16 +235,16 @@ def measure(seconds: float, clients: int) -> list[Figure]:
 @click.option("--seconds", type=click.FloatRange(5.0), default=20.0, show_default=True, help="Of each stretch.")
 @click.option("--clients", type=click.IntRange(1, 60), default=20, show_default=True)
 @click.option("--json", "as_json", is_flag=True, help="One JSON object.")
+@click.option("--trends", is_flag=True, help="Of trends alone.")
 @click.option("--serve", type=click.Path(path_type=Path, file_okay=False), hidden=True)
-def main(seconds: float, clients: int, as_json: bool, serve: Path | None) -> None:
+def main(seconds: float, clients: int, trends: bool, as_json: bool, serve: Path | None) -> None:
     """What the page costs, and what a scan notices of it."""
     if serve is not None:
         sys.setswitchinterval(SWITCH_SECONDS)
         asyncio.run(gateway(serve))
         return
-    figures = measure(seconds, clients)
-    figures += [Figure(f"trend of {span}", took, "s") for span, took in week_of_trends().items()]
-    give("page", figures, as_json=as_json)
+    figures = [] if trends else measure(seconds, clients)
+    give("page", figures + measure_trends(), as_json=as_json)
 
 
 if __name__ == "__main__":

@@ -26,6 +26,9 @@ from gateway.store.schema import APPLICATION_ID, FOLLOWED, NAMES, PACKED, VERSIO
 from gateway.store.sqlite_file import key_range
 from sim.sha import Array, Event, Mask, Trace, holds_roughly
 
+GOOD_CODES = frozenset(int(quality) for quality in Quality if quality.is_good)
+"""The qualities of good readings, as they are stored."""
+
 MOST_STRETCHES = 20_000
 """More stretches than any picture shows: a trend by the minute goes back a fortnight, beyond that it is by the hour."""
 SPANS = {"d": 86_400.0, "h": 3600.0, "m": 60.0, "s": 1.0}
@@ -447,7 +450,7 @@ def to_trace(
             if not rows:
                 continue
             kept = np.array([row[0] for row in rows], dtype=float)
-            good = np.array([Quality(row[2]).is_good for row in rows])
+            good = np.array([row[2] in GOOD_CODES for row in rows])
             values = np.where(good, np.array([number(row[1]) for row in rows]), nan)
             # The sample in force at each scan is the last one kept; before the first one there is no reading, and its
             # place -1 would be numpy's last sample, so these rows are put right here.
@@ -528,7 +531,7 @@ def trend(
             np.array([row[0] for row in _rows(connection, whose, "scans", ("time",), start=since, end=until)])
         )
         rows = _SampleReader(connection, whose).rows(found, since - 3600.0, until)
-        good = np.array([number(row[1]) if Quality(row[2]).is_good else nan for row in rows])
+        good = np.array([number(row[1]) if row[2] in GOOD_CODES else nan for row in rows])
         parts.append(means(scans, np.array([row[0] for row in rows]), good, width))
     columns = np.hstack(parts)
     columns = merge_rows(columns[:, (columns[0] >= begin) & (columns[0] < end)])

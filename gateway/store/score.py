@@ -59,7 +59,8 @@ class WriteScore:
 @dataclass(frozen=True, slots=True)
 class Scorecard:
     """`scans` and `samples` (kept) and `events` are counts; `free_run` and `one_step` the errors of the two ways to
-    predict; `forecasts` one score a horizon, ascending; `guards` what the model's guards last said: reviews, clamps."""
+    predict; `forecasts` one score a horizon, ascending; `guards` what the model's guards last said: reviews, clamps;
+    `by_location` the errors one step ahead while the model was in each location."""
 
     scans: int
     samples: int
@@ -70,6 +71,7 @@ class Scorecard:
     forecasts: tuple[HorizonScore, ...]
     writes: WriteScore
     guards: Mapping[str, Any] = field(default_factory=dict)
+    by_location: Mapping[str, Error] = field(default_factory=dict)
 
 
 def scorecard(
@@ -99,6 +101,7 @@ def scorecard(
             guards = json.loads(reports[-1][1]) or {} if reports else {}
     seen = history(path, start, end, machine=machine, temperature=temperature)
     forecasts = mature_forecasts(path, machine=machine, temperature=temperature, start=start, end=end)
+    places = np.array(seen.locations)
     known = np.isfinite(seen.mean) & np.isfinite(seen.measured)
     band90 = coverage(seen.low[known], seen.high[known], seen.measured[known]) if known.any() else nan
     return Scorecard(
@@ -111,6 +114,11 @@ def scorecard(
         forecasts=tuple(_horizon_score(one) for _, one in sorted(forecasts.items())),
         writes=WriteScore(verdicts, percentile(latencies, 0.5), percentile(latencies, 0.99)),
         guards=guards,
+        by_location={
+            name: error(seen.mean[here], seen.measured[here])
+            for name in dict.fromkeys(seen.locations)
+            if (here := places == name).any()
+        },
     )
 
 

@@ -29,7 +29,7 @@ from sim.sha.flows import (
 from sim.sha.kinds import Indices, OfKind, by_kind
 from sim.sha.model import Correction, MachineCorrection, Model, PlainMember, Provenance, Stay, plain_model
 from sim.sha.semi_markov import MAX_STAYS, Chain, Paths, compile_chain, draw_paths, input_moments, known_paths
-from sim.sha.switches import SwitchLocations, switch_locations
+from sim.sha.switches import SwitchLocations, level_of_locations, switch_locations
 from sim.sha.trace import (
     EARLY_SHARE,
     UNKNOWN,

@@ -38,6 +38,7 @@ def test_errors_forecasts_and_writes_are_those_that_were_put_in(tmp_path: Path) 
     assert (card.scans, card.samples, card.events) == (60, 0, 1)
     assert (card.one_step.rmse, card.one_step.mae, card.one_step.count) == pytest.approx((0.5, 0.5, 59))
     assert (card.free_run.rmse, card.free_run.mae, card.free_run.count) == pytest.approx((2.0, 2.0, 54))
+    assert {name: (one.mae, one.count) for name, one in card.by_location.items()} == {"on": (pytest.approx(0.5), 59)}
     assert card.band90 == pytest.approx(1.0)
     (ten,) = card.forecasts
     assert (ten.horizon, ten.count) == (10.0, 4), "one has no reading at its start, one not yet its time"

@@ -1,11 +1,13 @@
 """The REST interface over real sockets: what is read, who may change what, and that it is on record."""
 
+import csv
 import http.client
 import json
 import ssl
 import time
 from collections.abc import Iterator
 from dataclasses import replace
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +23,7 @@ from sim.artefacts import VERDICT_FILE, JudgedCriterion, ModelVerdict, promote
 from sim.lab.formats import save
 from sim.sha import Distribution, Flow
 from tests.discrepancy_report.made_diagnoses import of
-from tests.gateway.support import TEMPERATURE, config_in, logged, two_modes
+from tests.gateway.support import CURRENT, TEMPERATURE, config_in, logged, two_modes
 from tests.page.served import PAGE, PASSWORD, PERIOD, Client, Served, eventually, served
 
 ACCOUNTS = {
@@ -62,6 +64,7 @@ def test_all_that_the_page_shows_can_be_asked_for(gateway: Served) -> None:
         "/api/machine": "machine=decanter",
         "/api/trend": f"machine=decanter&tag={TEMPERATURE}&start={now - 60}&end={now}",
         "/api/forecasts": f"machine=decanter&temperature={TEMPERATURE}&horizon=60&start={now - 60}&end={now + 60}",
+        "/api/forecast": f"machine=decanter&temperature={TEMPERATURE}&at={now}",
         "/api/alarms": "machine=decanter",
         "/api/rates": "days=1",
         "/api/scorecard": f"machine=decanter&temperature={TEMPERATURE}",
@@ -89,6 +92,41 @@ def test_a_trend_is_the_readings_themselves_when_near_and_tiers_when_far(gateway
     eventually(near)
     assert client.ask("GET", f"{query}{now - 86400}")[1]["width"] == 60
     assert client.ask("GET", f"{query}{now - 90 * 86400}")[1]["width"] == 3600
+
+
+def test_a_trend_is_a_file_too_and_the_forecast_of_a_moment_is_the_one_made_last(gateway: Served) -> None:
+    client = Client(gateway.port)
+    now = client.ask("GET", "/api/plant")[1]["machines"]["decanter"]["status"]["time"]
+    path = f"/api/table.csv?machine=decanter&tags={TEMPERATURE}%0A{CURRENT}&start={now - 60}&end={now}"
+
+    def rows() -> list[list[str]]:
+        status, headers, body = client.raw("GET", path)
+        assert status == 200 and headers["content-type"].startswith("text/csv")
+        assert headers["content-disposition"] == 'attachment; filename="trend.csv"'
+        found = list(csv.reader(body.decode().splitlines()))
+        return found if len(found) > 1 else []
+
+    head, *lines = eventually(rows)
+    assert head == ["time", TEMPERATURE, CURRENT]
+    assert lines[-1][1:] == ["45.0", "150.0"] and datetime.fromisoformat(lines[-1][0]).utcoffset() == timedelta(0)
+    far_path = path.replace(f"start={now - 60}", f"start={now - 86400}")
+    far = client.raw("GET", far_path)[2].decode().splitlines()[0]
+    assert far.split(",")[:4] == ["time", TEMPERATURE, f"{TEMPERATURE} min", f"{TEMPERATURE} max"]
+    for tags, said in (("%0A", "names 0 tags"), ("%0A".join("abcdefghi"), "names 9 tags"), ("nobody", "no tag")):
+        status, _, body = client.raw("GET", far_path.replace(f"{TEMPERATURE}%0A{CURRENT}", tags))
+        assert status in (404, 422) and said in json.loads(body)["reason"]
+    asked = f"/api/forecast?machine=decanter&temperature={TEMPERATURE}&at="
+    made = eventually(lambda: found if (found := client.ask("GET", f"{asked}{now + 3600}")[1])["made"] else None)
+    assert [time - made["made"] for time in made["times"]] == [0.0, 60.0, 900.0]
+    assert made["low"][0] == made["mean"][0] == made["high"][0] and made["low"][2] < made["mean"][2] < made["high"][2]
+    # One that was made later is not what was said then.
+    assert client.ask("GET", f"{asked}{made['made'] - 7200}")[1] == {
+        "made": None,
+        "times": [],
+        "low": [],
+        "mean": [],
+        "high": [],
+    }
 
 
 @pytest.mark.parametrize(
@@ -195,7 +233,9 @@ def test_a_version_of_the_models_store_is_proven_and_runs_once_a_person_says_so(
         assert enzo.ask("POST", "/api/promote", {**asked, "version": "0009-00000000"})[0] == 404
         status, refused = enzo.ask("POST", "/api/promote", {**asked, "version": third})
         assert status == 409 and "is not promoted" in refused["reason"]
-        assert runs()["verdicts"] == {fourth: {"word": "unfit", "sentence": unfit.sentence}}
+        score = "worse than the last reading held"
+        assert runs()["verdicts"] == {fourth: {"word": "unfit", "sentence": unfit.sentence, "score": score}}
+        assert runs()["origins"][second]["method"] == "by hand"
         status, refused = enzo.ask("POST", "/api/promote", {**asked, "version": fourth})
         assert status == 409 and "it is unfit: worse than the last reading held" in refused["reason"]
         assert enzo.ask("POST", "/api/promote", {**asked, "version": second}) == (200, {"version": second})

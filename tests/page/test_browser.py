@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
-from urllib.parse import quote
+from urllib.parse import parse_qsl, quote, urlsplit
 
 import pytest
 
@@ -23,7 +23,7 @@ from sim.artefacts import promote
 from sim.lab.formats import save
 from tests.discrepancy_report.made_diagnoses import of
 from tests.gateway.status_picture import alarm, picture, tag
-from tests.gateway.support import EPOCH, MAP, TEMPERATURE, two_modes
+from tests.gateway.support import CURRENT, EPOCH, MAP, TEMPERATURE, two_modes
 from tests.page.served import PAGE, PASSWORD, Served, eventually, page_views, served
 
 playwright = pytest.importorskip("playwright.sync_api")
@@ -402,6 +402,89 @@ def test_two_days_are_laid_over_one_another(page: Page) -> None:
     assert (start - before, end - until) == (86_400.0, 86_400.0)
 
 
+def test_trends_read_the_nearest_numbers_and_move_by_keys_buttons_and_fingers_and_are_files(page: Page) -> None:
+    asked = list[tuple[float, float]]()
+
+    def trend(route: Route) -> None:
+        found = dict(parse_qsl(urlsplit(route.request.url).query))
+        start, end, other = float(found["start"]), float(found["end"]), found["tag"] == CURRENT
+        if not other:
+            asked.append((start, end))
+        # Each line has times of its own, by a rounding or by a part of a step.
+        times = [start + (end - start) * (place + 0.3 * other) / 10 for place in range(11)]
+        values = [(150.0 if other else 40.0) + place for place in range(11)]
+        route.fulfill(json={"width": 0, "times": times, "low": values, "mean": values, "high": values})
+
+    page.goto("/#/trends")
+    expect(page.locator("#trend .u-over")).to_be_visible()
+    page.route("**/api/trend*", trend)
+    page.locator(f'[data-tag="{CURRENT}"]').check()
+    # A unit is an axis of its own, with its name.
+    expect(page.locator("#trend .u-axis")).to_have_count(3)
+    page.locator("#trend-earlier").select_option(label="1 d earlier")
+    numbers = page.locator("#trend .u-legend .u-value")
+    expect(numbers).to_have_count(5)
+
+    def read() -> bool:
+        box = page.locator("#trend .u-over").bounding_box()
+        if box is not None:  # none while it is drawn anew
+            page.mouse.move(box["x"] + 0.52 * box["width"], box["y"] + 50)
+        return numbers.all_inner_texts()[1:] == ["45.00", "155.00", "45.00", "155.00"]
+
+    eventually(lambda: read() or page.wait_for_timeout(50))
+    start, end = asked[-2]
+    page.locator("#trend").focus()
+    page.keyboard.press("ArrowLeft")
+    eventually(lambda: (start - (end - start) / 4, end - (end - start) / 4) in asked or page.wait_for_timeout(20))
+    page.get_by_role("button", name="Back").click()
+    page.get_by_role("button", name="Closer").click()
+    eventually(lambda: abs(asked[-2][1] - asked[-2][0] - (end - start) / 2) < 1 or page.wait_for_timeout(20))
+    # Two fingers that go apart to twice their distance show half of the time.
+    expect(page.locator("#trend .u-over")).to_be_visible()
+    page.evaluate(PINCH)
+    eventually(lambda: abs(asked[-2][1] - asked[-2][0] - (end - start) / 4) < 30 or page.wait_for_timeout(20))
+    with page.expect_download() as picture:
+        page.get_by_role("button", name="Picture (PNG)").click()
+    assert Path(picture.value.path()).read_bytes()[:4] == b"\x89PNG"
+    with page.expect_download() as table:
+        page.get_by_role("link", name="Data (CSV)").click()
+    assert Path(table.value.path()).read_text(encoding="utf-8").startswith(f"time,{TEMPERATURE},{CURRENT}")
+
+
+PINCH = """() => {
+  const over = document.querySelector("#trend .u-over"), box = over.getBoundingClientRect();
+  const touch = (share, identifier) =>
+    new Touch({ identifier, target: over, clientX: box.left + share * box.width, clientY: box.top + 50 });
+  const tell = (type, ...places) =>
+    over.dispatchEvent(new TouchEvent(type, { touches: places.map(touch), cancelable: true, bubbles: true }));
+  tell("touchstart", 0.375, 0.625);
+  tell("touchmove", 0.25, 0.75);
+  tell("touchend");
+}"""
+
+
+def test_the_forecast_of_a_past_moment_is_shown_as_it_was_made(page: Page, gateway: Served) -> None:
+    gateway.put(TEMPERATURE, 45.0)
+    page.goto("/#/trends")
+    expect(page.locator("#trend .u-over")).to_be_visible()
+    moments = list[float]()
+
+    def forecast(route: Route) -> None:
+        at = float(dict(parse_qsl(urlsplit(route.request.url).query))["at"])
+        moments.append(at)
+        lines = {name: [45.0, value] for name, value in (("low", 44.0), ("mean", 46.0), ("high", 48.0))}
+        route.fulfill(json={"made": at - 2.0, "times": [at - 2.0, at + 898.0], **lines})
+
+    page.route("**/api/forecast?*", forecast)
+    page.locator("#trend-horizon").select_option("made")
+    expect(page.locator("main")).to_contain_text("Forecast made ")
+    expect(page.locator("#trend .u-legend")).to_contain_text("as made at the moment pointed at")
+    page.locator("#trend").focus()
+    page.keyboard.press("Shift+ArrowLeft")
+    page.keyboard.press("Shift+ArrowLeft")
+    eventually(lambda: moments[-1] < moments[0] - 60.0 or page.wait_for_timeout(20))
+
+
 def test_a_log_in_says_whom_to_ask_for_an_account(page: Page) -> None:
     for language, said in (
         ("en", "whoever looks after it"),
@@ -440,9 +523,84 @@ def test_an_automaton_of_many_moves_is_drawn_by_those_that_are_taken_often(page:
     expect(page.locator("main")).to_contain_text("12 of 132 moves are drawn")
     row = page.locator("tbody tr").nth(2)
     expect(row).to_contain_text("ON/200-300")
-    expect(row.locator("td")).to_have_text(["42.0 °C", "100 s", "10 min", "ON/300-400 90 %"])
+    expect(row.locator("td")).to_have_text(["42.0 °C", "100 s", "10 min", "–", "ON/300-400 90 %"])
     page.locator("[data-share]").select_option(label="all")
     expect(page.locator(".automaton .move")).to_have_count(132)
+
+
+def test_an_automaton_lies_by_running_and_load_and_a_version_says_what_comes_of_running_it(page: Page) -> None:
+    found = page.request.get("/api/model?machine=decanter").json()
+    model = found["temperatures"][TEMPERATURE]
+    on = next(place for place in model["locations"] if place["name"] == "on")
+    assert (on["runs"], next(place for place in model["locations"] if place["name"] == "off")["runs"]) == (True, False)
+    places = [
+        on | {"name": f"{'ON' if runs else 'OFF'}/{load}", "load": load, "runs": runs}
+        for runs in (False, True)
+        for load in (2, 0, 1)
+    ]
+    verdict = {"word": "fit", "sentence": "fit", "score": "it is 40 % better than persistence"}
+    origin = {"written": EPOCH, "method": "lsha", "traces": 7, "synthetic": False}
+    found["temperatures"][TEMPERATURE] = model | {
+        "locations": places,
+        "edges": [{"source": "ON/0", "target": "OFF/0", "symbols": ["x"], "share": 0.5}],
+        "versions": ["0001-a", "0002-b", "0003-c"],
+        "version": "0002-b",
+        "verdicts": {"0003-c": verdict},
+        "origins": {"0003-c": origin},
+        "criteria": [{"criterion": "seen", "kept": None, "sentence": "1 of 9 was never seen", "next_step": "learn"}],
+    }
+    page.route("**/api/model*", lambda route: route.fulfill(json=found))
+    log_in(page, "ada")
+    page.goto("/#/model")
+    circles = page.locator(".automaton .place circle")
+    expect(circles).to_have_count(6)
+    at = circles.evaluate_all(
+        "nodes => nodes.map((node) => [Number(node.getAttribute('cx')), Number(node.getAttribute('cy'))])"
+    )
+    (off_2, off_0, off_1), (on_2, on_0, on_1) = at[:3], at[3:]
+    assert off_0[0] == on_0[0] < off_1[0] == on_1[0] < off_2[0] == on_2[0], "a column is a load"
+    assert max(y for _, y in (on_0, on_1, on_2)) < min(y for _, y in (off_0, off_1, off_2)), "what runs lies above"
+    versions = page.locator(".versions > li")
+    for text in ("0003-c", "fit for use: it is 40 % better than persistence", "Learned by lsha", "recordings: 7"):
+        expect(versions.first).to_contain_text(text)
+    expect(page.locator(".criterion")).to_contain_text("1 of 9 was never seen")
+    versions.last.get_by_role("button", name="Go back to it").click()
+    dialog = page.get_by_role("dialog")
+    expect(dialog).to_contain_text("0001-a foresees in place of 0002-b")
+
+
+def test_a_plant_without_a_machine_says_what_to_do_and_a_figure_what_it_means(page: Page) -> None:
+    page.goto("/#/machine/decanter")
+    confidence = page.locator(".help").filter(has_text="Confidence").first
+    expect(confidence.locator("p")).to_be_hidden()
+    confidence.locator("summary").focus()
+    page.keyboard.press("Enter")
+    expect(confidence.locator("p")).to_contain_text("whether readings follow the model")
+    nothing = json.dumps({"order": [], "machines": {}})
+    body = f"retry: 500\ndata: {nothing}\n\n"
+    page.route("**/api/live*", lambda route: route.fulfill(content_type="text/event-stream", body=body))
+    page.reload()
+    expect(page.locator("main")).to_contain_text("No machine is set up yet")
+    expect(page.locator("main code")).to_have_text("decanter machine add")
+
+
+def test_an_alarm_sounds_where_somebody_asked_for_it_until_it_is_acknowledged(page: Page) -> None:
+    page.add_init_script(COUNT_TONES)
+    page.goto("/#/alarms")
+    show(page, **as_shown("en", alarm_summary=[hot("over limit")]))
+    expect(page.locator("li.entry")).to_have_count(1)
+    assert page.evaluate("window.tones") == 0, "no page sounds by itself"
+    page.get_by_role("button", name="Sound for priority 1").click()
+    eventually(lambda: page.evaluate("window.tones") or page.wait_for_timeout(50))
+    expect(page.locator("#nav a", has_text="Alarms")).to_contain_text("♪")
+    page.get_by_role("button", name="Sound for priority 1").click()
+    expect(page.get_by_role("button", name="Sound for priority 1")).to_have_attribute("aria-pressed", "false")
+
+
+COUNT_TONES = """
+window.tones = 0;
+window.OscillatorNode = class { connect() {} start() { window.tones++; } stop() {} };
+"""
 
 
 def test_rows_are_updated_and_not_built_anew(page: Page, gateway: Served) -> None:

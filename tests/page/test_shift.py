@@ -8,11 +8,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from drivers.supervision import Supervisor
 from drivers.tag import Quality, Tag
-from gateway.machine.alarms import BY_PERSONS, GATEWAY, JournalRow
+from gateway.machine.alarms import BY_PERSONS, GATEWAY, AlarmState, JournalRow
 from gateway.outside.texts import LANGUAGES, all_words
 from gateway.outside.web.access import AccountRole
 from gateway.outside.web.readings import notes_between
@@ -26,6 +27,7 @@ from gateway.outside.web.shift import (
     nearest_limit,
     read_people,
     read_shift,
+    select_open,
 )
 from gateway.outside.web.shift_text import shift_text
 from gateway.store import AuditEntry, open_audit
@@ -128,6 +130,25 @@ def test_of_long_records_no_alarm_is_held_against_all_others() -> None:
     found = alarm_episodes(rows, EPOCH, END)
     assert {one["limit_after"] for one in found if one["warning"]} == {1.0}
     assert looked["tag"] < 10 * len(rows)
+
+
+def test_what_is_left_unread_of_a_journal_changes_no_report() -> None:
+    rng, unread = np.random.default_rng(5), 0
+    states = [str(state) for state in AlarmState]
+    alarms = ("over limit T", "rising T", "over limit U", "predicted over limit", "link")
+    for _ in range(60):
+        rows = [
+            change(EPOCH + float(time), str(rng.choice(alarms)), str(rng.choice(states)), str(rng.choice(["", "olga"])))
+            for time in np.sort(rng.integers(0, 300, 60))
+        ]
+        stored = [(row.time, row.alarm, row.tag, row.priority, row.state, row.value, row.by) for row in rows]
+        start, end = EPOCH + 200.0, EPOCH + 300.0
+        kept = select_open(stored, start=start)
+        by_row = dict(zip(map(id, stored), rows, strict=True))
+        found = alarm_episodes([by_row[id(row)] for row in kept], start, end)
+        assert found == alarm_episodes(rows, start, end)
+        unread += len(stored) - len(kept)
+    assert unread > 300
 
 
 def test_the_least_time_to_the_limit_is_that_of_the_median_line() -> None:

@@ -7,7 +7,7 @@ from sim.doors import lazy_getattr
 if TYPE_CHECKING:
     from gateway.machine.alarms.board import GATEWAY, AlarmBoard, AlarmError
     from gateway.machine.alarms.conditions import acknowledge_words, alarm_name, make_conditions, suppressing_tags
-    from gateway.machine.alarms.journal import JournalRow, read_journal
+    from gateway.machine.alarms.journal import JournalRow, StoredRow, read_journal
     from gateway.machine.alarms.picture import diagram, state_table, transition_table
     from gateway.machine.alarms.rates import FLOOD_BEGIN_COUNT, PRIORITIES, TEN_MINUTES, alarm_rates
     from gateway.machine.alarms.sensors import SensorWatch, without_faulty

@@ -1,9 +1,11 @@
 """The journal of alarms as the historian has it: every change of a state, by whom and why."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import inf
+from operator import itemgetter
 from pathlib import Path
+from typing import Any
 
 from gateway.settings import alarm_subject
 from gateway.store import machines, reading, stored_rows
@@ -33,10 +35,22 @@ class JournalRow:
         return alarm_subject(self.alarm, self.tag, self.machine)
 
 
-def read_journal(path: Path, *, machine: str | None = None, start: float = -inf, end: float = inf) -> list[JournalRow]:
+StoredRow = tuple[Any, ...]
+"""A row as it is stored: COLUMNS."""
+COLUMNS = ("time", "condition", "tag", "priority", "state", "value", "acknowledged_by")
+
+
+def read_journal(
+    path: Path,
+    *,
+    machine: str | None = None,
+    start: float = -inf,
+    end: float = inf,
+    select: Callable[[list[StoredRow]], list[StoredRow]] = list,
+) -> list[JournalRow]:
     """The rows with start <= time < end of one machine, or of all, in the order of their times.
 
-    Raises HistorianError.
+    `select` picks those that are wanted of a machine's rows, in this order. Raises HistorianError.
     """
     found: list[JournalRow] = []
     with reading(path) as connection:
@@ -45,14 +59,7 @@ def read_journal(path: Path, *, machine: str | None = None, start: float = -inf,
             # A file of before there were several machines has one without a name.
             found += _of_machine(
                 each,
-                stored_rows(
-                    connection,
-                    "alarms",
-                    ("time", "condition", "tag", "priority", "state", "value", "acknowledged_by"),
-                    start,
-                    end,
-                    machine=each,
-                ),
+                select(sorted(stored_rows(connection, "alarms", COLUMNS, start, end, machine=each), key=itemgetter(0))),
                 stored_rows(connection, "audit", ("time", "what", "reason"), start, end, machine=each),
             )
     return sorted(found, key=lambda row: row.time)

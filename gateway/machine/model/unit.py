@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+import json
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import asdict, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,10 +24,18 @@ from gateway.machine.model.virtual_sensor import VirtualReading, VirtualSensor
 from gateway.machine.reading import Scan
 from gateway.settings import ANOMALY_FLOOR, Config
 from gateway.store import HistorianView, saved_state
-from sim.artefacts import is_store, read_finding, read_verdict, version_directory, versions
+from sim.artefacts import (
+    FORECAST_CRITERION,
+    MODEL_FILE,
+    is_store,
+    read_finding,
+    read_verdict,
+    version_directory,
+    versions,
+)
 from sim.files import ArtefactError
 from sim.forecast import Z90, Forecast
-from sim.sha import Location, Model, mean
+from sim.sha import Bins, Location, Model, level_of_locations, mean, switch_locations
 
 if TYPE_CHECKING:
     from structlog.typing import FilteringBoundLogger
@@ -299,9 +309,11 @@ class ModelUnit:
         """The automaton, the present location (None where it is not known), and where the model comes from.
 
         `store` is that which it is promoted in, with its `versions`, oldest first; None and none for a model by itself.
-        By version `findings` has what a diagnosis that proposed it found, `verdicts` whether it may be used. A location
-        has a `target` and a `time_constant` (s) where its flow goes to one, its mean `stay` (s); an edge the `share`
-        of the moves from its source that take it. What the model does not know is None.
+        By version `findings` has what a diagnosis that proposed it found, `verdicts` whether it may be used and what it
+        foresaw, `origins` when it was written and what it was learned from. A location has a `target` and a
+        `time_constant` (s) where its flow goes to one, its mean `stay` (s), whether the machine `runs` there and the
+        `load` there, counted from 0 in the levels of the first one; an edge the `share` of the moves from its source
+        that take it. What the model does not know is None. `criteria` are those of the model's own verdict.
         """
         model, sha, now = self.loaded.model, self.loaded.model.sha, self.prediction
         path = self.config.model.path
@@ -311,6 +323,7 @@ class ModelUnit:
             known = () if store is None else versions(store)
         findings: dict[str, dict[str, Any]] = {}
         verdicts: dict[str, dict[str, str]] = {}
+        origins: dict[str, dict[str, Any]] = {}
         for name in known:
             # A file that was damaged costs its own words only: the version can be run without them.
             with suppress(ArtefactError, OSError):
@@ -318,17 +331,26 @@ class ModelUnit:
                     findings[name] = finding.plain()
             with suppress(ArtefactError, OSError):
                 if store is not None and (verdict := read_verdict(version_directory(store, name))) is not None:
-                    verdicts[name] = {"word": verdict.word, "sentence": verdict.sentence}
+                    foreseen = [each.sentence for each in verdict.criteria if each.criterion == FORECAST_CRITERION]
+                    verdicts[name] = {"word": verdict.word, "sentence": verdict.sentence, "score": "; ".join(foreseen)}
+        for name in known[-MOST_ORIGINS:]:
+            with suppress(ArtefactError, OSError, ValueError, LookupError, TypeError):
+                if store is not None:
+                    file = version_directory(store, name) / MODEL_FILE
+                    origins[name] = _origin(file, file.stat().st_mtime)
         edges: dict[tuple[str, str], list[str]] = {}
         for edge in sha.edges:
             edges.setdefault((edge.source, edge.target), []).append(edge.symbol)
+        where = _layout(model)
         return {
             **self.report(),
             "store": None if store is None else str(store.absolute()),
             "versions": list(known),
             "findings": findings,
             "verdicts": verdicts,
-            "locations": [_describe_location(model, place) for place in sha.locations],
+            "origins": origins,
+            "criteria": [] if self.loaded.verdict is None else [asdict(each) for each in self.loaded.verdict.criteria],
+            "locations": [_describe_location(model, place) | where[place.name] for place in sha.locations],
             "edges": [
                 {"source": a, "target": b, "symbols": symbols, "share": _move_share(model, a, b)}
                 for (a, b), symbols in edges.items()
@@ -415,6 +437,37 @@ def _describe_location(model: Model, place: Location) -> dict[str, Any]:
         else None,
         "time_constant": 1.0 / place.flow.params["k"] if relaxes else None,
         "stay": None if stay is None else mean(stay.law),
+    }
+
+
+def _layout(model: Model) -> dict[str, dict[str, Any]]:
+    """By location, whether the machine runs there (None: either, or there is no switch), and the level of the load."""
+    switches = switch_locations(model.sha, model.alphabet)
+    switch = next((switches[each.signal] for each in model.alphabet.channels if each.signal in switches), None)
+    bins = next((each for each in model.alphabet.channels if isinstance(each, Bins)), None)
+    levels = {} if bins is None else level_of_locations(model.sha, bins)
+    return {
+        place.name: {
+            "runs": None if switch is None or place.name in switch.either else place.name in switch.on,
+            "load": levels.get(place.name),
+        }
+        for place in model.sha.locations
+    }
+
+
+MOST_ORIGINS = 6
+"""Of how many versions, the newest, it is told what they were learned from: a model is read for it."""
+
+
+@lru_cache(maxsize=64)
+def _origin(file: Path, written: float) -> dict[str, Any]:
+    """What a version's model, `written` then (s UTC), was learned from. Raises what a file that is damaged does."""
+    made = json.loads(file.read_bytes())["provenance"]
+    return {
+        "written": written,
+        "method": str(made["method"]),
+        "traces": len(made["traces"]),
+        "synthetic": bool(made["synthetic"]),
     }
 
 

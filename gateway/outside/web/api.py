@@ -38,6 +38,8 @@ BODY_TIMEOUT_S = 10.0
 """How long a request's body may take to come."""
 MOST_QUERY = 2_000
 MAX_TIME_S = 1e10
+MOST_COLUMNS = 8
+"""How many tags a table of trends has; as many as the page shows at a time."""
 COOKIE = "decanter_session"
 TOKEN_HEADER = "x-csrf-token"  # noqa: S105 - the name of a header
 
@@ -84,6 +86,7 @@ class Endpoint:
     gives: type[Section] | None = None
     role: AccountRole | None = None
     open: bool = False
+    media_type: str = "application/json"
 
 
 class _None(Section):
@@ -244,6 +247,15 @@ class _ForecastQuery(_TimeSpanQuery):
     horizon: float = Field(gt=0, le=86_400, description="one of the forecast's horizons, in seconds")
 
 
+class _OneForecastQuery(_OfMachine):
+    temperature: TagName
+    at: Time
+
+
+class _TableQuery(_TimeSpanQuery):
+    tags: str = Field(min_length=1, max_length=MOST_QUERY, description="names of tags, a line each")
+
+
 class _AlarmQuery(_OfMachine):
     most: int = Field(100, ge=1, le=1000, description="how many, 1 to 1000")
 
@@ -281,6 +293,21 @@ async def _trend(call: Call) -> Any:
 async def _forecasts(call: Call) -> Any:
     g = call.given
     return await call.page.reader.forecasts(g.machine, g.temperature, g.horizon, *_check_order(g))
+
+
+async def _forecast(call: Call) -> Any:
+    g = call.given
+    return await call.page.reader.forecast(g.machine, g.temperature, g.at)
+
+
+async def _table(call: Call) -> Any:
+    g = call.given
+    tags = list(dict.fromkeys(tag for tag in g.tags.split("\n") if tag))
+    if not 0 < len(tags) <= MOST_COLUMNS:
+        reason = f"the query: tags: names {len(tags)} tags; name 1 to {MOST_COLUMNS}, a line each"
+        raise Refused(HTTPStatus.UNPROCESSABLE_ENTITY, reason)
+    text = await call.page.reader.table(g.machine, tags, *_check_order(g))
+    return Response(text, headers={"content-disposition": 'attachment; filename="trend.csv"'}, media_type="text/csv")
 
 
 def _check_order(given: Any) -> tuple[float, float]:
@@ -550,6 +577,21 @@ ENDPOINTS: Sequence[Endpoint] = (
         summary="What was said a horizon before each moment: the 5, 50 and 95 % quantiles as they were made.",
         answer=_forecasts,
         gives=_ForecastQuery,
+    ),
+    Endpoint(
+        method="GET",
+        path="/api/forecast",
+        summary="The newest forecast up to a moment as it was made: the 5, 50 and 95 % quantiles at its horizons.",
+        answer=_forecast,
+        gives=_OneForecastQuery,
+    ),
+    Endpoint(
+        method="GET",
+        path="/api/table.csv",
+        summary="Tags over time as a file: least, mean and greatest value by times in UTC.",
+        answer=_table,
+        gives=_TableQuery,
+        media_type="text/csv",
     ),
     Endpoint(
         method="GET",

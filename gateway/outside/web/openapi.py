@@ -62,7 +62,11 @@ def _operation(endpoint: "Endpoint") -> dict[str, Any]:
         "responses": {
             "200": {
                 "description": endpoint.summary,
-                "content": {"application/json": {"schema": {"type": "object"}}},
+                "content": {
+                    endpoint.media_type: {
+                        "schema": {"type": "object" if endpoint.media_type == "application/json" else "string"}
+                    }
+                },
             },
             **refused,
         },

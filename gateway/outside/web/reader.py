@@ -3,7 +3,7 @@
 import asyncio
 import json
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -121,6 +121,16 @@ class HistorianReader:
             end=end,
             gap=self._gap,
         )
+
+    async def forecast(self, machine: str, temperature: str, at: float) -> bytes:
+        """See `gateway.outside.web.readings.read_forecast`."""
+        return await self._quick.ask("forecast", machine=machine, temperature=temperature, at=at)
+
+    async def table(self, machine: str, tags: Sequence[str], start: float, end: float) -> str:
+        """See `gateway.outside.web.readings.read_table`."""
+        keys = {"machine": machine, "tags": list(tags), "start": start, "end": end}
+        text: str = json.loads(await self._quick.ask("table", gap=self._gap, **keys))["text"]
+        return text
 
     async def alarms(self, machine: str, most: int) -> bytes:
         """See `gateway.outside.web.readings.alarm_rows`."""

@@ -4,13 +4,16 @@ These functions run in a process of their own (`gateway.outside.web.reader_proce
 """
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
+from datetime import UTC, datetime
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from drivers.csv_rows import write_rows
 from drivers.tag import Quality
 from gateway.machine.alarms import alarm_rates, read_journal
 from gateway.outside.web.shift import read_people, read_shift
@@ -91,6 +94,71 @@ def read_forecasts(
     return {"horizon": horizon, **_series(times, low, median, high, width=0.0, gap=max(gap, 3.0 * usual))}
 
 
+LONGEST_LOOK_BACK_S = 3600.0
+"""How long before a moment the newest forecast may have been made that is shown as the one of that moment."""
+
+
+def read_forecast(path: Path, at: float, *, machine: str, temperature: str) -> dict[str, Any]:
+    """The newest forecast made up to `at` (s UTC), as it was made: quantiles (5, 50, 95 %) at each of its horizons.
+
+    The first point is the reading then. `made` is None where there is none in the hour before. Raises HistorianError.
+    """
+    columns = ("time", "horizon", "levels", "quantiles", "measured")
+    with reading(path) as connection:
+        rows = stored_rows(
+            connection,
+            "forecasts",
+            columns,
+            at - LONGEST_LOOK_BACK_S,
+            float(np.nextafter(at, np.inf)),
+            machine=machine,
+            temperature=temperature,
+        )
+    made = max((row[0] for row in rows), default=None)
+    newest = sorted((row for row in rows if row[0] == made), key=lambda row: row[1])
+    points = [(row[0] + row[1], dict(zip(json.loads(row[2]), json.loads(row[3]), strict=True))) for row in newest]
+    if newest and newest[0][4] is not None:
+        points.insert(0, (newest[0][0], dict.fromkeys((0.05, 0.5, 0.95), newest[0][4])))
+    quantiles = {
+        name: [quantile.get(level) for _, quantile in points]
+        for name, level in (("low", 0.05), ("mean", 0.5), ("high", 0.95))
+    }
+    plain: dict[str, Any] = strict({"made": made, "times": [time for time, _ in points], **quantiles})
+    return plain
+
+
+def read_table(
+    path: Path, *, machine: str, tags: Sequence[str], start: float, end: float, gap: float
+) -> dict[str, Any]:
+    """What trends of some tags show from `start` to `end` (s UTC), as CSV: a row a time, in UTC.
+
+    Of a trend that is no reading itself the least and the greatest of each stretch stand beside the mean; nothing
+    stands where a tag has no value at that time. Raises HistorianError, ValueError.
+    """
+    heads, columns = ["time"], list[dict[float, float]]()
+    for tag in tags:
+        seen = read_trend(path, tag, start, end, machine=machine, gap=gap)
+        names = {"mean": tag} | ({"low": f"{tag} min", "high": f"{tag} max"} if seen["width"] else {})
+        for name, head in names.items():
+            heads.append(head)
+            values = zip(seen["times"], seen[name], strict=True)
+            columns.append({time: value for time, value in values if value is not None and start <= time <= end})
+    sink = StringIO(newline="")
+    moments = sorted(set().union(*columns))
+    write_rows(sink, [heads])
+    write_rows(
+        sink,
+        (
+            [
+                datetime.fromtimestamp(time, UTC).isoformat(timespec="milliseconds"),
+                *(each.get(time) for each in columns),
+            ]
+            for time in moments
+        ),
+    )
+    return {"text": sink.getvalue()}
+
+
 def alarm_rows(path: Path, *, machine: str, most: int) -> dict[str, Any]:
     """The newest changes of alarms, the newest first, with their kinds; `of_plant` are those not of the machine alone.
 
@@ -154,6 +222,8 @@ def shift_report(path: Path, **asked: Any) -> dict[str, Any]:
 QUESTIONS: Mapping[str, Callable[..., Mapping[str, Any]]] = {
     "trend": read_trend,
     "forecasts": read_forecasts,
+    "forecast": read_forecast,
+    "table": read_table,
     "alarms": alarm_rows,
     "rates": rates_of_alarms,
     "scorecard": scores_by_week,

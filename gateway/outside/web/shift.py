@@ -7,6 +7,7 @@ import json
 from bisect import bisect_left
 from collections import Counter, defaultdict
 from collections.abc import Collection, Mapping, Sequence
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from drivers.tag import Quality
-from gateway.machine.alarms import ACTIVE, GATEWAY, HIDDEN, AlarmState, JournalRow, read_journal
+from gateway.machine.alarms import ACTIVE, GATEWAY, HIDDEN, AlarmState, JournalRow, StoredRow, read_journal
 from gateway.settings import parse_kind
 from gateway.store import (
     ARMED,
@@ -136,7 +137,11 @@ def _of_machine(
         forecasts = {tag: rows_of("forecasts", columns, tag) for tag in followed}
         states = [rows_of("predictions", ("time", "location", "known"), tag) for tag in followed[:1]]
     return {
-        "alarms": alarm_episodes(read_journal(path, machine=machine, end=end) if known else (), start, end),
+        "alarms": alarm_episodes(
+            read_journal(path, machine=machine, end=end, select=partial(select_open, start=start)) if known else (),
+            start,
+            end,
+        ),
         "temperatures": [
             {
                 "tag": tag,
@@ -150,6 +155,18 @@ def _of_machine(
         "unwatched": _unwatched(path, machine, limits if known else (), start=start, end=end, gap=gap),
         "writes": dict(Counter(str(verdict) for _, verdict in writes)),
     }
+
+
+def select_open(rows: Sequence[StoredRow], *, start: float) -> list[StoredRow]:
+    """Of an alarm journal in the order of its times those rows that a report from `start` (s UTC) is made of: of each
+    alarm what came after it was last normal before, and the limits of those temperatures of which a warning stood."""
+    normal = {
+        row[1]: place for place, row in enumerate(rows) if row[0] < start and row[4] == AlarmState.NORMAL
+    }  # the last one of each
+    kinds = {alarm: parse_kind(alarm) for alarm in {row[1] for row in rows}}
+    kept = [place > normal.get(row[1], -1) for place, row in enumerate(rows)]
+    warned = {row[2] for row, keep in zip(rows, kept, strict=True) if keep and kinds[row[1]] in WARNINGS}
+    return [row for row, keep in zip(rows, kept, strict=True) if keep or (row[2] in warned and kinds[row[1]] == LIMIT)]
 
 
 def alarm_episodes(rows: Sequence[JournalRow], start: float, end: float) -> list[dict[str, Any]]:

@@ -23,6 +23,11 @@ const shape = (svg) => (tag, attributes, ...children) =>
 export const h = shape(false);
 export const s = shape(true);
 
+export const fact = (label, ...what) => h("div", { class: "fact" }, h("dt", {}, label), h("dd", {}, what));
+
+// The name of a figure, which says what it means to whoever opens it: by the mouse, a finger or the keyboard.
+export const explained = (name, help = name.split(".")[1]) => h("details", { class: "help" }, h("summary", {}, say(name)), h("p", {}, say(`help.${help}`)));
+
 const isShape = (part) => part !== null && typeof part === "object" && !(part instanceof Node);
 // An attribute's text; null for one that is not there.
 const written = (value) => (value === true ? "" : value === false || value === null || value === undefined ? null : String(value));
@@ -97,9 +102,11 @@ function morphChildren(node, wanted) {
 
 // ---------------------------------------------------------------- numbers, times
 
+// To make one is dear, and a page writes a hundred numbers a second.
+const formats = [];
 export function number(value, digits = 1) {
   if (value === null || value === undefined || !Number.isFinite(value)) return "–";
-  return new Intl.NumberFormat(language, { minimumFractionDigits: digits, maximumFractionDigits: digits, useGrouping: false }).format(value);
+  return (formats[digits] ??= new Intl.NumberFormat(language, { minimumFractionDigits: digits, maximumFractionDigits: digits, useGrouping: false })).format(value);
 }
 export function shown(value) {
   if (value === null || value === undefined) return "–";
@@ -124,10 +131,13 @@ export function bytes(count) {
 // English as plants write it: days before months, twenty-four hours.
 const places = language === "en" ? "en-GB" : language;
 const two = { hour: "2-digit", minute: "2-digit", second: "2-digit", hourCycle: "h23" };
-export const clock = (time) => new Date(time * 1000).toLocaleTimeString(places, two);
-export const day = (time) => new Date(time * 1000).toLocaleDateString(places, { day: "2-digit", month: "2-digit" });
-export const moment = (time) =>
-  new Date(time * 1000).toLocaleString(places, { year: "numeric", month: "2-digit", day: "2-digit", ...two });
+const times = (options) => {
+  const format = new Intl.DateTimeFormat(places, options);
+  return (time) => format.format(time * 1000);
+};
+export const clock = times(two);
+export const day = times({ day: "2-digit", month: "2-digit" });
+export const moment = times({ year: "numeric", month: "2-digit", day: "2-digit", ...two });
 
 // ---------------------------------------------------------------- asking
 

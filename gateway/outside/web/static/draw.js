@@ -38,6 +38,9 @@ export function recent(machine, tag) {
   return rows;
 }
 
+// How high a picture reaches: to the limit where it is near; far above it would make every line flat.
+export const withLimit = (low, high, limit) => (limit < high + 2 * Math.max(high - low, 5) ? Math.max(high, limit) : high);
+
 const LEVELS = [0.05, 0.25, 0.5, 0.75, 0.95];
 
 // The fan as points: from the newest reading on, one of `levels` quantiles at each horizon; [] where none is usable.
@@ -63,8 +66,7 @@ export function sparkline(machine, row, forecast, speed) {
   const numbers = [...line.map(([, value]) => value), ...points.flatMap((point) => point.q)].filter((v) => v !== null);
   if (!numbers.length) return h("div", { class: "spark none" });
   let low = Math.min(...numbers), high = Math.max(...numbers);
-  // The limit is drawn where it is near: far above it would make every line flat.
-  if (row.limit < high + 2 * Math.max(high - low, 5)) high = Math.max(high, row.limit);
+  high = withLimit(low, high, row.limit);
   const space = Math.max((high - low) * 0.12, 0.5);
   [low, high] = [low - space, high + space];
   const x = (time) => (((time - from) / (to - from)) * width).toFixed(1);
@@ -102,7 +104,7 @@ export const COLOURS = matchMedia("(prefers-color-scheme: dark)").matches
 const axis = (extra) => ({ stroke: INK, grid: { stroke: GRID, width: 1 }, ticks: { stroke: GRID }, font: "12px system-ui", ...extra });
 
 // uPlot in `place`, as wide as it; gives the chart.
-export function chart(place, { series, bands = [], height = 300, hooks = {}, scales = {}, select = false }, data) {
+export function chart(place, { series, bands = [], height = 300, hooks = {}, scales = {}, axes = [{}], cursor = {} }, data) {
   const options = {
     width: Math.max(place.clientWidth, 240),
     height,
@@ -111,9 +113,9 @@ export function chart(place, { series, bands = [], height = 300, hooks = {}, sca
     scales: { x: { time: true }, ...scales },
     axes: [
       axis({ values: (u, ticks) => ticks.map((tick) => label(tick, u.scales.x.max - u.scales.x.min)), space: 70 }),
-      axis({ size: 52, values: (_, ticks) => ticks.map((tick) => number(tick, Number.isInteger(tick) ? 0 : 1)) }),
+      ...axes.map((own) => axis({ size: 52, values: (_, ticks) => ticks.map((tick) => number(tick, Number.isInteger(tick) ? 0 : 1)), ...own })),
     ],
-    cursor: { drag: { x: true, y: false, setScale: !select } },
+    cursor: { drag: { x: true, y: false }, ...cursor },
     legend: { live: true },
     hooks,
   };

@@ -1,11 +1,11 @@
 // What is inside: the model, the links, the computer.
-import { ask, bytes, clock, duration, h, moment, number, s, say, shown } from "./dom.js";
+import { ask, bytes, clock, duration, explained, fact, h, moment, number, s, say, shown } from "./dom.js";
 import { isCut, state } from "./live.js";
 import { badge, linkWord } from "./plant.js";
 import { can } from "./records.js";
 import { strip } from "./draw.js";
+import { scoreOf } from "./scores.js";
 
-const fact = (label, ...what) => h("div", { class: "fact" }, h("dt", {}, label), h("dd", {}, what));
 const grid = (heads, rows) => h("div", { class: "scroll", tabindex: "0" }, h("table", {},
   h("thead", {}, h("tr", {}, heads.map((text) => h("th", { scope: "col" }, text)))),
   h("tbody", {}, rows.map(([first, ...rest]) => h("tr", {}, h("th", { scope: "row" }, first), rest.map((cell) => h("td", {}, cell)))))));
@@ -24,7 +24,7 @@ export function modelView() {
     const known = models.get(name);
     return temperatures.map((row) => h("section", { class: "card", "data-key": `${name} ${row.tag}` }, h("h2", {}, `${label}: ${row.label}`),
       known.error ? h("p", { class: "error" }, known.error) : !known.temperatures ? h("p", { class: "quiet" }, say("word.loading"))
-        : [versionList(known.temperatures[row.tag], name, row.tag), modelCard(known.temperatures[row.tag], row.unit, [status, ...status.further].find((one) => one.temperature === row.tag)?.prediction)]));
+        : [versionList(known.temperatures[row.tag], name, row.tag), modelCard(known.temperatures[row.tag], row.unit, row.predicted && scoreOf(name, row.tag).weeks?.[0]?.card.by_location, [status, ...status.further].find((one) => one.temperature === row.tag)?.prediction)]));
   }));
 }
 
@@ -32,15 +32,20 @@ export function modelView() {
 const NEWEST = 6;
 function versionList(model, machine, temperature) {
   if (!model?.versions.length) return null;
-  return h("ul", { class: "versions" }, [...model.versions].reverse().slice(0, NEWEST).map((version) => h("li", {}, h("code", {}, version), " ",
-    version === model.version ? h("span", { class: "key present" }, say("model.runs"))
-      : can("engineer") && h("button", { "data-act": "promote", "data-machine": machine, "data-of": temperature, "data-version": version }, say("model.promote")),
-    verdictText(model.verdicts[version]), findingText(model.findings[version]))));
+  const { versions, version: runs } = model;
+  return h("ul", { class: "versions" }, [...versions].reverse().slice(0, NEWEST).map((version) => h("li", {}, h("code", {}, version), " ",
+    version === runs ? h("span", { class: "key present" }, say("model.runs"))
+      : can("engineer") && h("button", { "data-act": "promote", "data-machine": machine, "data-of": temperature, "data-version": version, "data-runs": runs },
+        say(versions.indexOf(version) < versions.indexOf(runs) ? "model.back" : "model.promote")),
+    verdictText(model.verdicts[version]), originText(model.origins[version]), findingText(model.findings[version]))));
 }
+
+const originText = (origin) => origin && h("small", {}, `${say("model.written")} ${moment(origin.written)} · ${say("model.method")} ${origin.method}`,
+  origin.traces > 0 && ` · ${say("model.traces_count", { count: origin.traces })}`, origin.synthetic && ` · ${say("model.synthetic")}`);
 
 // Whether a version may be used, as it was judged where it was learned; the figures behind it in its own words.
 function verdictText(verdict) {
-  return verdict && h("small", { class: `verdict ${verdict.word.replace(" ", "-")}`, title: verdict.sentence }, " ", say(`judged.${verdict.word.replace(" ", "_")}`));
+  return verdict && h("small", { class: `verdict ${verdict.word.replace(" ", "-")}`, title: verdict.sentence }, " ", say(`judged.${verdict.word.replace(" ", "_")}`), verdict.score && `: ${verdict.score}`);
 }
 
 // What a diagnosis found missing, and the experiment that would confirm it, beside the version that has it.
@@ -52,19 +57,20 @@ function findingText(finding) {
       h("br"), h("small", {}, `${say("model.confirm")}: ${told(`experiment.${each.name}`, each.experiment)}`)))));
 }
 
-function modelCard(model, unit, prediction) {
+function modelCard(model, unit, errors, prediction) {
   if (!model) return h("p", { class: "quiet" }, say("model.none"));
   const from = model.provenance, present = prediction?.known ? prediction.location : null;
   return h("div", {},
     model.refused && h("p", { class: "error" }, `${say("model.refused")}: ${model.refused}`),
     model.verdict && h("p", {}, h("span", { class: `verdict ${model.verdict.replace(" ", "-")}` }, say(`judged.${model.verdict.replace(" ", "_")}`)), " ", h("small", {}, model.verdict_sentence.replace(`${model.verdict}: `, ""))),
+    criteriaList(model),
     h("dl", { class: "facts" },
       fact(say("model.runs"), model.name), fact(say("model.hash"), h("code", {}, model.hash.slice(0, 12))), model.version && fact(say("model.version"), model.version),
       model.written && fact(say("model.written"), moment(model.written)), fact(say("model.method"), from.method),
       from.traces.length > 0 && fact(say("model.traces"), from.traces.slice(0, 6).join(", ") + (from.traces.length > 6 ? " …" : ""), from.synthetic && h("small", {}, say("model.synthetic")))),
     h("h3", {}, say("model.automaton")),
     h("p", { class: "quiet" }, say("model.locations", { locations: model.locations.length, edges: model.edges.length }), " · ", h("span", { class: "key present" }, present ?? say("word.unknown")), ` ${say("model.present")}`),
-    shareChoice(model), automaton(model, present), stateTable(model, unit, present));
+    shareChoice(model), automaton(model, present), stateTable(model, unit, present, errors));
 }
 
 // Of many moves those are drawn that are taken often; where the model does not know how often, all.
@@ -83,42 +89,76 @@ function shareChoice(model) {
   h("span", { class: "quiet" }, say("model.drawn", { count: taken(model).length, all: moves.length })));
 }
 
-// Each state with where it leads to; the same in words as the picture has it.
-function stateTable(model, unit, present) {
+// Each state with where it leads to, and how far the model was off while in it; the same in words as the picture has it.
+function stateTable(model, unit, present, errors) {
   const next = (place) => taken(model).filter((edge) => edge.source === place.name && edge.share !== null).sort((a, b) => b.share - a.share)
     .map((edge) => `${edge.target} ${number(100 * edge.share, 0)} %`).join(", ");
-  return grid([say("word.state"), say("model.target"), say("model.time_constant"), say("model.stay"), say("model.next")], model.locations.map((place) => [
+  const off = (place) => (errors?.[place.name]?.count ? `${number(errors[place.name].mae, 2)} ${unit} (${errors[place.name].count})` : "–");
+  return grid([say("word.state"), say("model.target"), say("model.time_constant"), say("model.stay"), explained("model.error"), say("model.next")], model.locations.map((place) => [
     place.name === present ? h("span", { class: "key present" }, place.name) : place.name,
-    place.target === null ? "–" : `${number(place.target)} ${unit}`, duration(place.time_constant), duration(place.stay), next(place)]));
+    place.target === null ? "–" : `${number(place.target)} ${unit}`, duration(place.time_constant), duration(place.stay), off(place), next(place)]));
 }
 
-// The locations on a circle, the moves as arcs that keep to their right, so that there and back are two lines.
+// What a model was judged by where it was learned, in the judge's own words.
+function criteriaList(model) {
+  if (!model.criteria.length) return null;
+  return h("details", {}, h("summary", {}, say("model.criteria", { count: model.criteria.length })), h("ul", {}, model.criteria.map((one) =>
+    h("li", { class: "criterion" }, h("b", {}, one.kept === null ? "?" : one.kept ? "✓" : "✗", h("span", { class: "hidden" }, say(one.kept === null ? "word.unknown" : one.kept ? "word.yes" : "word.no"))), ` ${one.criterion}: ${one.sentence}`,
+      one.next_step && h("small", {}, one.next_step)))));
+}
+
+// Where the machine runs lies above where it may and where it rests; what is to the right has the greater load, or leads
+// to the higher temperature where the model tells no loads apart. States of one place stand below one another.
+const ROWS = [true, null, false], STEP_X = 150, STEP_Y = 96, EDGE = 70;
+function layOut(locations) {
+  const levels = new Set(locations.map((place) => place.load).filter((load) => load !== null));
+  const worth = (place) => (levels.size > 1 ? place.load : place.target) ?? -Infinity;
+  const columns = [...new Set(locations.map(worth))].sort((a, b) => a - b);
+  const rows = ROWS.filter((runs) => locations.some((place) => place.runs === runs));
+  const at = {}, heads = [];
+  let top = EDGE;
+  for (const runs of rows) {
+    const used = columns.map(() => 0);
+    for (const place of locations.filter((each) => each.runs === runs)) {
+      const column = columns.indexOf(worth(place));
+      // Every other column a little lower: a move along a row does not run through the states between.
+      at[place.name] = { x: EDGE + 60 + column * STEP_X, y: top + used[column]++ * STEP_Y + (column % 2) * 30 };
+    }
+    heads.push({ runs, y: top });
+    top += Math.max(...used) * STEP_Y + 50;
+  }
+  return { at, heads, width: 2 * EDGE + 60 + (columns.length - 1) * STEP_X, height: top, byLoad: levels.size > 1 };
+}
+
+// Moves are arcs that keep to their right, so that there and back are two lines, the wider the more often they are taken.
 function automaton(model, present) {
-  const count = model.locations.length, size = Math.max(420, 40 * count + 200), middle = size / 2, radius = middle - 92;
-  const at = Object.fromEntries(model.locations.map((place, index) => {
-    const angle = (2 * Math.PI * index) / count - Math.PI / 2;
-    return [place.name, { x: middle + radius * Math.cos(angle), y: middle + radius * Math.sin(angle), angle }];
-  }));
+  const few = model.locations.length <= 8, { at, heads, width, height, byLoad } = layOut(model.locations);
   const moves = taken(model).map((edge) => {
     const a = at[edge.source], b = at[edge.target], dx = b.x - a.x, dy = b.y - a.y, length = Math.hypot(dx, dy) || 1;
     const bend = 0.16 * length, cx = (a.x + b.x) / 2 + (dy / length) * bend, cy = (a.y + b.y) / 2 - (dx / length) * bend;
     const near = (from, to, by) => { const l = Math.hypot(to.x - from.x, to.y - from.y) || 1; return [from.x + ((to.x - from.x) / l) * by, from.y + ((to.y - from.y) / l) * by]; };
     const [x1, y1] = near(a, { x: cx, y: cy }, 24), [x2, y2] = near(b, { x: cx, y: cy }, 30);
-    const here = edge.source === present;
-    return s("g", { class: `move${here ? " here" : ""}` }, s("path", { d: `M${x1.toFixed(1)} ${y1.toFixed(1)} Q${cx.toFixed(1)} ${cy.toFixed(1)} ${x2.toFixed(1)} ${y2.toFixed(1)}`, "marker-end": "url(#tip)" }, s("title", {}, `${edge.source} → ${edge.target}: ${edge.symbols.join(", ")}`)),
-      count <= 8 && s("text", { x: ((x1 + 2 * cx + x2) / 4).toFixed(1), y: ((y1 + 2 * cy + y2) / 4).toFixed(1) }, edge.symbols.slice(0, 2).join(", ") + (edge.symbols.length > 2 ? " …" : "")));
+    const here = edge.source === present, often = edge.share === null ? "" : ` (${number(100 * edge.share, 0)} %)`;
+    return s("g", { class: `move${here ? " here" : ""}` }, s("path", { d: `M${x1.toFixed(1)} ${y1.toFixed(1)} Q${cx.toFixed(1)} ${cy.toFixed(1)} ${x2.toFixed(1)} ${y2.toFixed(1)}`, "stroke-width": (1 + 3 * (edge.share ?? 0.2)).toFixed(1), "marker-end": "url(#tip)" }, s("title", {}, `${edge.source} → ${edge.target}: ${edge.symbols.join(", ")}${often}`)),
+      few && s("text", { x: ((x1 + 2 * cx + x2) / 4).toFixed(1), y: ((y1 + 2 * cy + y2) / 4).toFixed(1) }, edge.symbols.slice(0, 2).join(", ") + (edge.symbols.length > 2 ? " …" : "")));
   });
   const places = model.locations.map((place) => {
     const { x, y } = at[place.name];
     return s("g", { class: `place${place.name === present ? " present" : ""}${place.borrowed ? " borrowed" : ""}` },
-      s("circle", { cx: x.toFixed(1), cy: y.toFixed(1), r: 22 }), s("text", { x: x.toFixed(1), y: (y + 36 * (y < middle - 1 ? -1 : 1) + 4).toFixed(1) }, place.name), s("title", {}, `${place.name} (${place.flow})${place.borrowed ? `, ${say("model.borrowed")}` : ""}`));
+      s("circle", { cx: x, cy: y, r: 22 }), place.target !== null && s("text", { class: "goal", x, y: y + 4 }, number(place.target, 0)),
+      s("text", { x, y: y + 38 }, place.name), s("title", {}, `${place.name} (${place.flow})${place.borrowed ? `, ${say("model.borrowed")}` : ""}`));
   });
-  return h("div", { class: "scroll automaton", tabindex: "0" }, s("svg", { viewBox: `0 0 ${size} ${size}`, role: "img", "aria-label": `${say("model.automaton")}: ${say("model.present")} ${present ?? say("word.unknown")}` },
-    s("defs", {}, s("marker", { id: "tip", viewBox: "0 0 8 8", refX: 6, refY: 4, markerWidth: 7, markerHeight: 7, orient: "auto" }, s("path", { d: "M0 0 L8 4 L0 8 z" }))),
-    moves, places));
+  const words = new Map([[true, "model.running"], [null, "model.either"], [false, "model.resting"]]);
+  return h("div", { class: "scroll automaton", tabindex: "0" }, s("svg", { viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": `${say("model.automaton")}: ${say("model.present")} ${present ?? say("word.unknown")}` },
+    s("defs", {}, s("marker", { id: "tip", viewBox: "0 0 8 8", refX: 6, refY: 4, markerWidth: 9, markerHeight: 9, markerUnits: "userSpaceOnUse", orient: "auto" }, s("path", { d: "M0 0 L8 4 L0 8 z" }))),
+    heads.length > 1 && heads.map(({ runs, y }) => s("text", { class: "side", x: 6, y: y + 4 }, say(words.get(runs)))),
+    s("text", { class: "side", x: 6, y: height - 8 }, `${say(byLoad ? "model.by_load" : "model.by_target")} →`), moves, places));
 }
 
 // ---------------------------------------------------------------- the links
+
+// A driver of an engineer's own has counters of its own.
+const counterName = (key) => (say(`counter.${key}`) === `counter.${key}` ? key.replaceAll("_", " ") : say(`counter.${key}`));
 
 export function communicationView() {
   return h("section", { class: "view" }, state.order.map((name) => {
@@ -130,8 +170,8 @@ export function communicationView() {
       h("dl", { class: "facts" }, fact(say("link.scans"), status.scan.count), fact(say("link.missed"), status.scan.missed), fact(say("link.period"), `${number(status.scan.period, 1)} s`), fact(say("word.writeback"), badge(status.writeback))),
       grid([say("word.link"), say("link.place"), say("link.active"), say("link.connected"), say("word.reason")], status.links.map((link) => [link.name, link.place, shown(link.active), shown(link.connected), link.reason || ""])),
       outages.length > 0 && [h("h3", {}, say("link.outages")), grid([say("link.begin"), say("link.end")], outages.map((each) => [clock(each.last_good), each.recovered_s === null ? say("link.lasts") : duration(each.recovered_s)]))],
-      Object.keys(status.driver).length > 0 && [h("h3", {}, say("link.counters")), grid([say("word.name"), say("word.count")], Object.entries(status.driver).map(([key, count]) => [key.replaceAll("_", " "), shown(count)]))],
-      Object.keys(status.writeback).includes("written") && grid([say("word.writeback"), say("word.count")], ["written", "accepted", "refused", "failed"].filter((key) => key in status.writeback).map((key) => [key, shown(status.writeback[key])])));
+      Object.keys(status.driver).length > 0 && [h("h3", {}, say("link.counters")), grid([say("word.name"), say("word.count")], Object.entries(status.driver).map(([key, count]) => [counterName(key), shown(count)]))],
+      Object.keys(status.writeback).includes("written") && grid([say("word.writeback"), say("word.count")], ["written", "accepted", "refused", "failed"].filter((key) => key in status.writeback).map((key) => [counterName(key), shown(status.writeback[key])])));
   }));
 }
 

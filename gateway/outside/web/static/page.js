@@ -6,6 +6,7 @@ import { alarmsView, scorecardView, waits } from "./records.js";
 import { boxView, communicationView, modelView } from "./inside.js";
 import { machineView, modeBadge, plantView, wallView } from "./plant.js";
 import { shiftView } from "./shift.js";
+import { soundAlarms, sounds, switchSound } from "./sound.js";
 import { trendsView } from "./trends.js";
 
 const VIEWS = {
@@ -57,7 +58,10 @@ function render() {
 function content(name, rest, cut) {
   rendered = null;
   if (!start.may_read) return h("p", { class: "lead" }, say("person.needed"));
-  if (!state.order.length) return h("p", { class: "lead" }, cut ? say("live.never") : say("word.loading"));
+  if (!state.order.length) {
+    if (state.arrived === null || cut) return h("p", { class: "lead" }, cut ? say("live.never") : say("word.loading"));
+    return h("section", { class: "card" }, h("h2", {}, say("live.empty")), h("p", {}, say("live.begin")), h("p", {}, h("code", {}, "decanter machine add")));
+  }
   const made = name === "machine" ? machineView(rest[0], cut) : VIEWS[name](rest, cut);
   if (!Array.isArray(made)) return made;
   rendered = made[1];
@@ -87,13 +91,14 @@ function showNav(name) {
     state.machines[each].alarms.filter(waits).map((alarm) => `${each} ${alarm.under || alarm.name}`))).size;
   const links = Object.keys(VIEWS).map((each) =>
     h("a", { href: `#/${each}`, "aria-current": each === name ? "page" : null },
-      say(`nav.${each}`), each === "alarms" && waiting > 0 && h("span", { class: "count" }, String(waiting))));
+      say(`nav.${each}`), each === "alarms" && sounds() && h("span", { title: say("alarm.sound") }, "♪"), each === "alarms" && waiting > 0 && h("span", { class: "count" }, String(waiting))));
   morph(document.getElementById("nav"), h("nav", { id: "nav", "aria-label": say("nav.main") }, links));
 }
 
 document.addEventListener("click", (event) => {
   const target = event.target.closest("[data-act]");
-  if (target) acts[target.dataset.act]?.(target, render);
+  if (target?.dataset.act === "sound") switchSound(), render();
+  else if (target) acts[target.dataset.act]?.(target, render);
 });
 document.addEventListener("change", (event) => {
   if (event.target.id === "language") location.search = `?lang=${event.target.value}`;
@@ -106,6 +111,7 @@ ask("GET", "/api/session")
   .finally(render);
 let waiting = false;
 follow(() => {
+  soundAlarms(); // a page that nobody looks at is heard all the same
   // Many pictures between two frames are drawn once; a hidden page is drawn when it is looked at.
   if (waiting || document.hidden) return;
   waiting = true;

@@ -82,10 +82,10 @@ export const acts = {
     });
   },
   promote(button, changed) {
-    const { machine, of: temperature, version } = button.dataset;
-    dialog(`${say("model.promote")}: ${version}`, [["reason", say("person.reason"), line]], say("model.promote"), async ({ reason }) => {
+    const { machine, of: temperature, version, runs } = button.dataset;
+    dialog(`${button.textContent}: ${version}`, [["reason", say("person.reason"), line]], button.textContent, async ({ reason }) => {
       await ask("POST", "/api/promote", { machine, temperature, version, reason }).catch((error) => expired(error, changed));
-    }, [h("p", { class: "quiet" }, say("model.proven"))]);
+    }, [h("p", {}, say("model.consequence", { version, runs })), h("p", { class: "quiet" }, say("model.proven"))]);
   },
   // About the moment that the button names, or about now.
   note(button, changed) {

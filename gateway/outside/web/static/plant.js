@@ -1,5 +1,5 @@
 // The plant (a row a temperature) and one machine.
-import { clock, duration, h, number, say, shown, unit } from "./dom.js";
+import { clock, duration, explained, fact, h, number, say, shown, unit } from "./dom.js";
 import { age, isCut, state } from "./live.js";
 import { fanChart, sparkline, strip } from "./draw.js";
 import { alarmTable, can } from "./records.js";
@@ -159,7 +159,6 @@ function stay(status) {
   return begun.whole ? duration(seconds) : say("word.at_least", { age: duration(seconds) });
 }
 
-const fact = (label, ...what) => h("div", { class: "fact" }, h("dt", {}, label), h("dd", {}, what));
 
 function temperatureCard(name, machine, row) {
   const one = forecastOf(machine, row.tag), status = machine.status, forecast = one.forecast, p = one.prediction;
@@ -169,15 +168,15 @@ function temperatureCard(name, machine, row) {
     h("p", { class: "lead" }, sign(row.level), sentence(row, name)[0]),
     h("p", { class: `validity ${row.valid}` }, `${say("word.validity")}: ${sentence(row, name)[1]}`),
     h("dl", { class: "facts" },
-      fact(say("word.measured"), h("b", { class: "big" }, value(row, name)), h("small", {}, `${isCut(name) ? say("word.unknown") : qualityWord(row.quality)} · ${duration((row.age ?? 0) + (age(name) || 0))}`)),
-      fact(say("word.limit"), `${number(row.limit)} ${row.unit}`),
-      p && fact(say("word.predicted"), present ? `${number(p.mean)} ${row.unit}` : "–", present && h("small", {}, `${say("word.band")} ${number(p.low)} – ${number(p.high)}`)),
-      p && fact(say("word.state"), present && p.known ? p.location : say("word.unknown"), h("small", {}, main && present && p.known && stay(status) && `${say("word.for")} ${stay(status)}`)),
-      p && fact(say("word.confidence"), h("span", { class: `zone ${present ? row.confidence.zone : ""}` }, present ? row.confidence.word : "–")),
-      row.familiarity && fact(say("familiarity.title"), h("span", { class: `zone ${present ? row.familiarity.zone : ""}` }, present ? row.familiarity.word : "–"), present && h("small", {}, [row.familiarity.sentence, row.familiarity.detail].filter(Boolean).join(" · "))),
-      forecast && fact(say("word.minutes_to_limit"), usable ? row.to_limit.median : "–", usable && row.to_limit.band && h("small", {}, row.to_limit.band)),
-      forecast && fact(say("word.p_limit"), forecast.horizons.map((horizon, place) => h("div", {}, `${say("word.in_minutes", { minutes: number(horizon / 60, 0) })}: ${usable ? `${number(100 * forecast.p_limit[place], 0)} %` : "–"}`))),
-      forecast && fact(say("word.coverage"), row.confidence ? row.confidence.coverage : "–"),
+      fact(explained("word.measured"), h("b", { class: "big" }, value(row, name)), h("small", {}, `${isCut(name) ? say("word.unknown") : qualityWord(row.quality)} · ${duration((row.age ?? 0) + (age(name) || 0))}`)),
+      fact(explained("word.limit"), `${number(row.limit)} ${row.unit}`),
+      p && fact(explained("word.predicted"), present ? `${number(p.mean)} ${row.unit}` : "–", present && h("small", {}, `${say("word.band")} ${number(p.low)} – ${number(p.high)}`)),
+      p && fact(explained("word.state"), present && p.known ? p.location : say("word.unknown"), h("small", {}, main && present && p.known && stay(status) && `${say("word.for")} ${stay(status)}`)),
+      p && fact(explained("word.confidence"), h("span", { class: `zone ${present ? row.confidence.zone : ""}` }, present ? row.confidence.word : "–")),
+      row.familiarity && fact(explained("familiarity.title", "familiarity"), h("span", { class: `zone ${present ? row.familiarity.zone : ""}` }, present ? row.familiarity.word : "–"), present && h("small", {}, [row.familiarity.sentence, row.familiarity.detail].filter(Boolean).join(" · "))),
+      forecast && fact(explained("word.minutes_to_limit"), usable ? row.to_limit.median : "–", usable && row.to_limit.band && h("small", {}, row.to_limit.band)),
+      forecast && fact(explained("word.p_limit"), forecast.horizons.map((horizon, place) => h("div", {}, `${say("word.in_minutes", { minutes: number(horizon / 60, 0) })}: ${usable ? `${number(100 * forecast.p_limit[place], 0)} %` : "–"}`))),
+      forecast && fact(explained("word.coverage"), row.confidence ? row.confidence.coverage : "–"),
     ),
     h("div", { class: "chart", "data-keep": "", "data-key": `${name} ${row.tag}`, "data-chart": `${name} ${row.tag}`, role: "img", "aria-label": row.sentence }));
 }

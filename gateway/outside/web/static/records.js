@@ -1,8 +1,9 @@
 // Alarms and the scorecard.
-import { ask, duration, h, moment, number, person, say, shown, start } from "./dom.js";
+import { ask, duration, explained, fact, h, moment, number, person, say, shown, start } from "./dom.js";
 import { state } from "./live.js";
 import { scoreOf } from "./scores.js";
 import { sign, stateKey, worstLevel } from "./plant.js";
+import { sounds } from "./sound.js";
 
 const ROLES = ["operator", "engineer", "administrator"];
 export const can = (role) => ROLES.indexOf(person.role) >= ROLES.indexOf(role);
@@ -73,7 +74,7 @@ function ratesFacts(rates) {
   if (!rates) return null;
   const facts = [["announced", rates.announced], ["average", `${number(rates.per_ten_minutes, 2)}`], ["peak", rates.peak], ["floods", rates.floods.length], ["chattering", Object.keys(rates.chattering).length], ["stale", Object.keys(rates.stale).length]];
   return [h("h2", {}, say("alarm.rates")),
-    h("dl", { class: "facts" }, facts.map(([key, found]) => h("div", { class: "fact" }, h("dt", {}, say(`rates.${key}`)), h("dd", {}, h("b", {}, String(found)))))),
+    h("dl", { class: "facts" }, facts.map(([key, found]) => fact(explained(`rates.${key}`), h("b", {}, String(found))))),
     rates.findings.length ? h("ul", {}, rates.findings.map((each) => h("li", {}, each))) : h("p", { class: "quiet" }, say("rates.ok"))];
 }
 
@@ -88,7 +89,7 @@ export function alarmsView() {
       .then((all) => (history.rows = all.flat().sort((a, b) => b.time - a.time).slice(0, 200)));
   }
   return h("section", { class: "view" },
-    h("h2", {}, say("nav.alarms")), alarmTable(state.order),
+    h("div", { class: "head" }, h("h2", {}, say("nav.alarms")), h("button", { "data-act": "sound", "aria-pressed": String(sounds()) }, say("alarm.sound"))), alarmTable(state.order),
     ratesFacts(history.rates),
     h("h2", {}, say("alarm.history")),
     !history.rows ? h("p", { class: "quiet" }, say("word.loading")) : !history.rows.length ? h("p", { class: "quiet" }, say("word.nothing"))
@@ -113,13 +114,13 @@ function scores({ start, end, card, warnings }, unit) {
   const blocks = Object.entries(card.writes.verdicts);
   return h("div", {}, h("h3", {}, `${moment(start).slice(0, 10)} – ${moment(end).slice(0, 10)}`),
     h("dl", { class: "facts" }, [["hits", warnings.hits], ["misses", warnings.misses], ["false_alarms", warnings.false_alarms], ["lead", duration(warnings.lead)]]
-      .map(([key, found]) => h("div", { class: "fact" }, h("dt", {}, say(`score.${key}`)), h("dd", {}, h("b", {}, String(found)))))),
+      .map(([key, found]) => fact(explained(`score.${key}`), h("b", {}, String(found))))),
     h("div", { class: "scroll", tabindex: "0" }, h("table", {},
       h("thead", {}, h("tr", {}, [say("score.horizon"), say("score.error"), say("score.persistence"), say("score.against"), say("word.coverage"), say("score.count")].map((text, place) => h("th", { scope: "col", class: place ? "number" : null }, text)))),
       h("tbody", {}, card.forecasts.map((each) => h("tr", {}, h("th", { scope: "row" }, `${number(each.horizon / 60, 0)} min`),
         h("td", { class: "number" }, each.count ? `${number(each.mae, 2)} ${unit}` : "–"), h("td", { class: "number" }, each.count ? `${number(each.persistence_mae, 2)} ${unit}` : "–"),
         h("td", { class: "number" }, each.count ? better(each.mae, each.persistence_mae) : "–"), h("td", { class: "number" }, each.count ? `${number(100 * each.coverage90, 0)} %` : "–"), h("td", { class: "number" }, each.count)))))),
     h("dl", { class: "facts" },
-      [["score.one_step", card.one_step], ["score.free_run", card.free_run]].map(([key, error]) => h("div", { class: "fact" }, h("dt", {}, say(key)), h("dd", {}, error.count ? `${number(error.mae, 2)} ${unit}` : "–"))),
-      blocks.length > 0 && h("div", { class: "fact" }, h("dt", {}, say("score.blocks")), h("dd", {}, blocks.map(([verdict, count]) => h("div", {}, `${say(`verdict.${stateKey(verdict)}`)}: ${count}`))))));
+      [["score.one_step", card.one_step], ["score.free_run", card.free_run]].map(([key, error]) => fact(explained(key), error.count ? `${number(error.mae, 2)} ${unit}` : "–")),
+      blocks.length > 0 && fact(say("score.blocks"), blocks.map(([verdict, count]) => h("div", {}, `${say(`verdict.${stateKey(verdict)}`)}: ${count}`)))));
 }

@@ -1,5 +1,5 @@
 // The report of a shift: what was told and what came of it, what was hottest, who did what. It is made to be printed.
-import { ask, clock, duration, h, moment, number, say } from "./dom.js";
+import { ask, clock, duration, fact, h, moment, number, say } from "./dom.js";
 import { isCut, state } from "./live.js";
 import { can, pastTitle } from "./records.js";
 import { stateKey } from "./plant.js";
@@ -62,10 +62,10 @@ function machineOf(name, { alarms, temperatures, states, unwatched, writes }) {
     h("dl", { class: "facts" }, temperatures.flatMap(({ tag, limit, hottest, nearest }) => {
       const unit = about(tag)?.unit ?? "", label = about(tag)?.label ?? tag;
       return [fact(`${label}: ${say("shift.hottest")}`, hottest ? [h("b", {}, `${number(hottest.value)} ${unit}`), at(hottest.time)] : "–", h("small", {}, `${say("word.limit")} ${number(limit)} ${unit}`)),
-        fact(`${label}: ${say("shift.nearest")}`, nearest.minutes === null ? (nearest.forecasts ? `> ${number(nearest.horizon / 60, 0)} min` : "–") : [h("b", {}, `${number(nearest.minutes, nearest.minutes < 10 ? 1 : 0)} min`), at(nearest.time)],
+        fact(`${label}: ${say("shift.nearest")}`, nearest.minutes === null ? (nearest.forecasts ? `> ${number(nearest.horizon / 60, 0)} min` : "–") : [h("b", {}, nearest.minutes < 1 ? "< 1 min" : `${number(nearest.minutes, nearest.minutes < 10 ? 1 : 0)} min`), at(nearest.time)],
           h("small", {}, nearest.forecasts ? say("shift.median") : say("shift.no_forecasts")))];
     }),
-      fact(say("shift.unwatched"), unwatched.count ? `${duration(unwatched.seconds)} (${unwatched.count})` : say("word.none")),
+      fact(say("shift.unwatched"), unwatched.count ? `${duration(unwatched.seconds)} (${unwatched.count} ×)` : say("word.none")),
       fact(say("score.blocks"), blocks.length ? blocks.map(([verdict, count]) => h("div", {}, `${say(`verdict.${stateKey(verdict)}`)}: ${count}`)) : say("word.none"))),
     h("h4", {}, say("nav.alarms")),
     alarms.length ? grid([say("word.time"), say("alarm.alarm"), say("alarm.priority"), say("shift.came"), say("alarm.acknowledged_by")], alarms.map((one) => [moment(one.raised), pastTitle({ ...one, condition: one.alarm }, labels, one.ended === null ? "kind" : "past"), one.priority, came(one), one.acknowledged ? `${one.by}, ${duration(one.acknowledged - one.raised)}` : say("shift.by_nobody")]))
@@ -75,7 +75,6 @@ function machineOf(name, { alarms, temperatures, states, unwatched, writes }) {
 }
 
 const leftOut = (count) => count > 0 && h("p", {}, say("shift.left_out", { count }));
-const fact = (label, ...what) => h("div", { class: "fact" }, h("dt", {}, label), h("dd", {}, what));
 
 // What came of an alarm; of a warning, whether the limit was passed while it stood.
 function came(one) {

@@ -1,16 +1,21 @@
 // Any tags over any time: what was measured, gaps as gaps, and beside it what had been said before.
-import { ask, duration, h, moment, number, say, unit } from "./dom.js";
+import { ask, duration, h, make, moment, number, say, unit } from "./dom.js";
 import { state } from "./live.js";
-import { chart, COLOURS, FAN, faint, INK, measuredSeries } from "./draw.js";
+import { chart, COLOURS, FAN, faint, INK, LIMIT, measuredSeries, withLimit } from "./draw.js";
 import { can } from "./records.js";
 
 const SPANS = [["90 d", 7776000], ["7 d", 604800], ["1 d", 86400], ["6 h", 21600], ["1 h", 3600], ["10 min", 600], ["1 min", 60]];
 // What went before is laid over what is shown: so many seconds before it.
 const EARLIER = [["1 h", 3600], ["1 d", 86400], ["7 d", 604800]];
+const LEAST_SPAN_S = 1, MOST_TAGS = 8;
+// How a stretch is changed, by buttons and by keys: by a quarter of itself, or to half or twice of it about its middle.
+const MOVES = { earlier_on: ["←", "ArrowLeft"], later_on: ["→", "ArrowRight"], closer: ["+", "+"], wider: ["−", "-"] };
 const now = (machine) => state.machines[machine].status.time;
+const again = () => dispatchEvent(new HashChangeEvent("hashchange"));
 
 // What is looked at: `past` are the stretches that were zoomed out of, `at` the moment that was pointed at.
 const look = { machine: null, tags: [], span: 3600, range: null, past: [], horizon: "", earlier: "", at: null, asked: "", data: null, error: "" };
+let drawn = null; // the chart that is there
 
 export function trendsView([wanted]) {
   const machine = look.machine && state.machines[look.machine] ? look.machine : (look.machine = wanted && state.machines[wanted] ? wanted : state.order[0]);
@@ -22,17 +27,22 @@ export function trendsView([wanted]) {
   const parts = h("section", { class: "view trends" },
     h("div", { class: "controls" },
       h("label", {}, h("span", {}, say("word.machine")), h("select", { id: "trend-machine" }, state.order.map((name) => h("option", { value: name, selected: name === machine }, state.machines[name].label)))),
-      h("div", { class: "spans", role: "group", "aria-label": say("trend.span") }, SPANS.map(([label, seconds]) => h("button", { "data-act": "span", "data-span": seconds, "aria-pressed": String(!look.range && look.span === seconds) }, label)),
+      h("div", { class: "spans", role: "group", "aria-label": say("trend.span") }, SPANS.map(([label, seconds]) => h("button", { "data-act": "span", "data-span": seconds, "aria-pressed": String(!look.range && look.span === seconds) }, label))),
+      h("div", { class: "spans", role: "group", "aria-label": say("trend.move") }, Object.entries(MOVES).map(([move, [sign]]) => h("button", { "data-act": "move", "data-move": move, title: say(`trend.${move}`), "aria-label": say(`trend.${move}`) }, sign)),
         h("button", { "data-act": "back", disabled: !look.past.length }, say("trend.back"))),
       h("label", {}, h("span", {}, say("trend.compare")), h("select", { id: "trend-earlier" }, h("option", { value: "" }, "–"),
         EARLIER.map(([label, seconds]) => h("option", { value: seconds, selected: String(seconds) === look.earlier }, say("trend.earlier", { age: label }))))),
       horizons.length > 0 && h("label", {}, h("span", {}, say("trend.forecasts")), h("select", { id: "trend-horizon" }, h("option", { value: "" }, "–"),
-        horizons.map((each) => h("option", { value: each, selected: String(each) === look.horizon }, say("trend.said_before", { minutes: number(each / 60, 0) })))))),
-    h("details", { class: "tags", open: innerWidth > 700 }, h("summary", {}, say("trend.signals")), names.map((name) =>
+        h("option", { value: "made", selected: look.horizon === "made" }, say("trend.of_moment")),
+        horizons.map((each) => h("option", { value: each, selected: String(each) === look.horizon }, say("trend.said_before", { minutes: number(each / 60, 0) }))))),
+      look.data && h("div", { class: "spans", role: "group", "aria-label": say("trend.file") }, h("button", { "data-act": "picture" }, say("trend.picture")),
+        h("a", { class: "button", href: `/api/table.csv?${new URLSearchParams({ machine, tags: look.tags.join("\n"), start: look.data.start, end: look.data.end })}`, download: "trend.csv" }, say("trend.table")))),
+    h("details", { class: "tags", open: innerWidth > 700 }, h("summary", {}, say("trend.signals")), h("div", { class: "several" }, names.map((name) =>
       h("label", {}, h("input", { type: "checkbox", value: name, "data-tag": name, checked: look.tags.includes(name) }),
-        h("span", {}, labels[name] ?? name, status.values[name].unit && ` (${unit(status.values[name].unit)})`, labels[name] && h("small", {}, name))))),
-    h("p", { class: look.error ? "error" : "quiet" }, look.error || `${say("trend.hint")} ${look.data ? say("trend.resolution", { width: look.data.width ? duration(look.data.width) : say("trend.readings") }) : ""}`),
-    h("div", { class: "chart", id: "trend", "data-keep": "", "data-key": "trend" }),
+        h("span", {}, labels[name] ?? name, status.values[name].unit && ` (${unit(status.values[name].unit)})`, labels[name] && h("small", {}, name)))))),
+    h("p", { class: look.error ? "error" : "quiet" }, look.error || `${say("trend.hint")} ${look.data ? say("trend.resolution", { width: look.data.width ? duration(look.data.width) : say("trend.readings") }) : ""}`,
+      look.data?.made && h("b", {}, ` ${say("trend.made", { time: moment(look.data.made) })}`)),
+    h("div", { class: "chart", id: "trend", "data-keep": "", "data-key": "trend", tabindex: "0", role: "group", "aria-label": say("nav.trends") }),
     notesOf(machine));
   return [parts, () => fetchOnce(machine, status)];
 }
@@ -52,24 +62,62 @@ addEventListener("change", (event) => {
   if (target.id === "trend-machine") Object.assign(look, { machine: target.value, tags: [], past: [], range: null });
   else if (target.id === "trend-horizon") look.horizon = target.value;
   else if (target.id === "trend-earlier") look.earlier = target.value;
-  else if (target.dataset?.tag) look.tags = target.checked ? [...new Set([...look.tags, target.value])].slice(-8) : look.tags.filter((tag) => tag !== target.value);
+  else if (target.dataset?.tag) look.tags = target.checked ? [...new Set([...look.tags, target.value])].slice(-MOST_TAGS) : look.tags.filter((tag) => tag !== target.value);
   else return;
-  dispatchEvent(new HashChangeEvent("hashchange"));
+  again();
 });
 addEventListener("click", (event) => {
-  const button = event.target.closest("[data-act=span], [data-act=back]");
+  const button = event.target.closest("[data-act=span], [data-act=back], [data-act=move], [data-act=picture]");
   if (!button) return;
-  if (button.dataset.act === "back") look.range = look.past.pop() ?? null;
-  else Object.assign(look, { span: Number(button.dataset.span), range: null, past: [] });
-  dispatchEvent(new HashChangeEvent("hashchange"));
+  const { act, span, move } = button.dataset;
+  if (act === "picture") savePicture();
+  else if (act === "move") changeStretch(move);
+  else if (act === "back") look.range = look.past.pop() ?? null;
+  else Object.assign(look, { span: Number(span), range: null, past: [] });
+  again();
 });
+addEventListener("keydown", (event) => {
+  if (event.target.id !== "trend" || event.ctrlKey || event.altKey || event.metaKey) return;
+  const move = Object.keys(MOVES).find((each) => MOVES[each][1] === event.key);
+  if (!move || !look.data) return;
+  event.preventDefault();
+  // With the shift key the moment that is pointed at is moved, else the stretch.
+  if (event.shiftKey && event.key.startsWith("Arrow")) point((move === "later_on" ? 1 : -1) / 50);
+  else changeStretch(move);
+  again();
+});
+
+function show(start, end) {
+  look.past.push(look.range);
+  look.range = [start, Math.max(end, start + LEAST_SPAN_S)];
+}
+
+function changeStretch(move) {
+  if (!look.data) return;
+  const { start, end } = look.data, span = end - start;
+  if (move === "earlier_on" || move === "later_on") {
+    const by = (move === "later_on" ? 1 : -1) * span / 4;
+    show(start + by, end + by);
+  } else {
+    const half = move === "closer" ? span / 4 : span;
+    show((start + end) / 2 - half, (start + end) / 2 + half);
+  }
+}
+
+// Point at a moment by a share of the stretch beside the last one, with its numbers in the legend.
+function point(by) {
+  const { start, end } = look.data, from = look.at !== null && look.at >= start && look.at <= end ? look.at : end;
+  look.at = Math.min(Math.max(from + by * (end - start), start), end);
+  drawn?.setCursor({ left: drawn.valToPos(look.at, "x"), top: drawn.over.clientHeight / 2 });
+}
 
 // Ask for what is looked at; what goes on until now is asked again as time passes, by a hundredth of the span.
 function fetchOnce(machine, status) {
   const step = Math.max(look.span / 100, 2);
   const end = look.range ? look.range[1] : Math.ceil(now(machine) / step) * step;
   const start = look.range ? look.range[0] : end - look.span;
-  const key = JSON.stringify([machine, look.tags, start, end, look.horizon, look.earlier]);
+  const ofMoment = look.horizon === "made", at = ofMoment ? Math.min(look.at ?? end, now(machine)) : null;
+  const key = JSON.stringify([machine, look.tags, start, end, look.horizon, look.earlier, ofMoment && look.at]);
   const place = document.getElementById("trend");
   if (!place || !window.uPlot) return;
   if (look.asked === key) {
@@ -77,17 +125,22 @@ function fetchOnce(machine, status) {
     return;
   }
   look.asked = key;
+  const limits = Object.fromEntries(state.machines[machine].temperatures.map((row) => [row.tag, row.limit]));
   const followed = [status.temperature, ...status.further.map((one) => one.temperature)];
   const shift = Number(look.earlier), shown = look.tags.length;
   const asks = look.tags.map((tag) => ask("GET", "/api/trend", { machine, tag, start, end }));
   if (shift) asks.push(...look.tags.map((tag) => ask("GET", "/api/trend", { machine, tag, start: start - shift, end: end - shift })));
-  const said = look.horizon && look.tags.find((tag) => followed.includes(tag));
-  if (said) asks.push(ask("GET", "/api/forecasts", { machine, temperature: said, horizon: look.horizon, start, end }));
+  const temperature = look.horizon && look.tags.find((tag) => followed.includes(tag));
+  if (temperature) asks.push(ofMoment ? ask("GET", "/api/forecast", { machine, temperature, at }) : ask("GET", "/api/forecasts", { machine, temperature, horizon: look.horizon, start, end }));
   Promise.all(asks).then((all) => {
     if (look.asked !== key) return;
     look.error = "";
-    const { labels } = state.machines[machine];
-    look.data = { width: all[0].width, start, end, notes: [], tags: look.tags.map((tag) => (labels[tag] ? `${labels[tag]} (${tag})` : tag)), trends: all.slice(0, shown), shift, earlier: shift ? all.slice(shown, 2 * shown) : [], said: said ? all.at(-1) : null };
+    const { labels } = state.machines[machine], said = temperature ? all.at(-1) : null;
+    look.data = {
+      width: all[0].width, start, end, notes: [], trends: all.slice(0, shown), shift, earlier: shift ? all.slice(shown, 2 * shown) : [],
+      tags: look.tags.map((tag) => (labels[tag] ? `${labels[tag]} (${tag})` : tag)), units: look.tags.map((tag) => unit(status.values[tag].unit)),
+      limits: look.tags.map((tag) => limits[tag]), said, saidOf: look.tags.indexOf(temperature), made: said?.made ?? null, title: state.machines[machine].label,
+    };
     draw(document.getElementById("trend") ?? place);
     // After what nobody waits longer for because of them.
     ask("GET", "/api/notes", { machine, start, end }).then(({ notes, left_out: leftOut }) => {
@@ -98,44 +151,68 @@ function fetchOnce(machine, status) {
   }, (error) => (look.error = error.message));
 }
 
+const usualStep = ({ width, times }) => width || times.slice(1).map((time, place) => time - times[place]).sort((a, b) => a - b)[(times.length - 1) >> 1] || 0;
+
 function draw(place) {
-  const { trends, tags, said, start, end, notes, shift, earlier } = look.data;
-  const tables = [], series = [], bands = [];
-  trends.forEach((seen, place) => {
-    const colour = COLOURS[place % COLOURS.length];
-    if (seen.width) {
-      tables.push([seen.times, seen.low, seen.high, seen.mean]);
-      series.push({ ...faint(`${tags[place]} min`, colour), width: 0 }, { ...faint(`${tags[place]} max`, colour), width: 0 });
-      bands.push({ series: [series.length, series.length - 1], fill: `${colour}30` });
-    } else tables.push([seen.times, seen.mean]);
-    series.push(measuredSeries(tags[place], colour));
+  const { trends, tags, units, limits, said, saidOf, notes, shift, earlier, start } = look.data;
+  const tables = [], series = [], bands = [], steps = [0];
+  // A unit has an axis of its own; on a narrow screen the first two alone, so that there is room for the lines.
+  const kinds = [...new Set(units)], scaleOf = (at) => `y${kinds.indexOf(units[at])}`;
+  const add = (seen, columns, at, ...lines) => {
+    tables.push([seen.times, ...columns]);
+    for (const line of lines) {
+      series.push({ ...line, scale: scaleOf(at) });
+      steps.push(usualStep(seen));
+    }
+  };
+  trends.forEach((seen, at) => {
+    const colour = COLOURS[at % COLOURS.length], line = measuredSeries(tags[at], colour);
+    if (!seen.width) return add(seen, [seen.mean], at, line);
+    // The mean comes last, so that its line lies on its band.
+    add(seen, [seen.low, seen.high, seen.mean], at, { ...faint(`${tags[at]} min`, colour), width: 0 }, { ...faint(`${tags[at]} max`, colour), width: 0 }, line);
+    bands.push({ series: [series.length - 1, series.length - 2], fill: `${colour}30` });
   });
-  earlier.forEach((seen, place) => {
-    tables.push([seen.times.map((time) => time + shift), seen.mean]);
+  earlier.forEach((seen, at) => {
     const label = EARLIER.find(([, seconds]) => seconds === shift)[0];
-    series.push({ ...measuredSeries(`${tags[place]}, ${say("trend.earlier", { age: label })}`, COLOURS[place % COLOURS.length]), width: 1, dash: [3, 3] });
+    add({ ...seen, times: seen.times.map((time) => time + shift) }, [seen.mean], at,
+      { ...measuredSeries(`${tags[at]}, ${say("trend.earlier", { age: label })}`, COLOURS[at % COLOURS.length]), width: 1, dash: [3, 3] });
   });
-  if (said) {
-    const colour = FAN;
-    tables.push([said.times, said.low, said.high, said.mean]);
-    series.push(faint("5 %", colour), faint("95 %", colour));
-    bands.push({ series: [series.length, series.length - 1], fill: `${FAN}33` });
-    series.push({ ...measuredSeries(say("trend.said_before", { minutes: number(said.horizon / 60, 0) }), colour), dash: [6, 4] });
+  if (said?.times.length) {
+    const label = said.made ? say("trend.of_moment") : say("trend.said_before", { minutes: number(said.horizon / 60, 0) });
+    add(said, [said.low, said.high, said.mean], saidOf, faint("5 %", FAN), faint("95 %", FAN), { ...measuredSeries(label, FAN), dash: [6, 4] });
+    bands.push({ series: [series.length - 1, series.length - 2], fill: `${FAN}33` });
   }
+  const seen = { start, end: Math.max(look.data.end, said?.made ? said.times.at(-1) : -Infinity) };
   // A null that stands for a gap is kept as one; a time that only another column has is none (uPlot's modes 2 and 1).
   const data = uPlot.join(tables, tables.map((table) => table.map((_, column) => (column ? 2 : 0))));
-  chart(place, {
-    height: 360, series, bands, select: true,
-    scales: { x: { time: true, range: () => [start, end] } },
-    hooks: { draw: [(u) => drawNotes(u, notes)], ready: [pointOut], setSelect: [(u) => {
+  const scales = Object.fromEntries(kinds.map((kind, at) => [`y${at}`, { range: (_, low, high) => (low === null ? [null, null]
+    : uPlot.rangeNum(low, limits.reduce((most, limit, tag) => (units[tag] === kind && limit !== undefined ? withLimit(low, most, limit) : most), high), 0.1, true)) }]));
+  drawn = chart(place, {
+    height: 360, series, bands,
+    axes: kinds.slice(0, place.clientWidth < 700 ? 2 : 4).map((kind, at) => ({ scale: `y${at}`, side: at ? 1 : 3, label: kind, labelSize: kind ? 18 : 0, labelFont: "12px system-ui", grid: { show: !at } })),
+    scales: { ...scales, x: { time: true, range: () => [seen.start, seen.end] } },
+    cursor: { drag: { x: true, y: false, setScale: false }, dataIdx: (u, line, at) => nearest(u.data, line, at, steps[line] / 2) },
+    hooks: { draw: [(u) => drawLimits(u, limits, scaleOf), (u) => drawNotes(u, notes)], ready: [pointOut, (u) => byTouch(u, seen)], setSelect: [(u) => {
       if (u.select.width < 8) return;
-      const from = u.posToVal(u.select.left, "x"), to = u.posToVal(u.select.left + u.select.width, "x");
-      look.past.push(look.range ?? null);
-      look.range = [from, to];
+      show(u.posToVal(u.select.left, "x"), u.posToVal(u.select.left + u.select.width, "x"));
       u.setSelect({ width: 0, height: 0 }, false);
-      dispatchEvent(new HashChangeEvent("hashchange"));
+      again();
     }] },
   }, data);
+}
+
+// Two lines share no time to the last digit: the reading of a line under the pointer is its nearest within half a step.
+function nearest([times, ...lines], line, at, reach) {
+  const values = line ? lines[line - 1] : times, from = times[at];
+  let found = at, space = Infinity;
+  for (const by of [-1, 1]) {
+    for (let place = at; place >= 0 && place < times.length && Math.abs(times[place] - from) <= reach; place += by) {
+      if (values[place] === null || values[place] === undefined) continue;
+      if (Math.abs(times[place] - from) < space) [found, space] = [place, Math.abs(times[place] - from)];
+      break;
+    }
+  }
+  return found;
 }
 
 // A click that is no drag points at a moment, of which a note may be written.
@@ -145,8 +222,77 @@ function pointOut(u) {
   u.over.addEventListener("click", (event) => {
     if (Math.abs(event.clientX - from) >= 8) return;
     look.at = u.posToVal(event.clientX - u.over.getBoundingClientRect().left, "x");
-    dispatchEvent(new HashChangeEvent("hashchange"));
+    again();
   });
+}
+
+// One finger reads the numbers under it, two move and stretch the time between them.
+function byTouch(u, seen) {
+  let held = null;
+  const places = (event) => [...event.touches].map((touch) => touch.clientX - u.over.getBoundingClientRect().left);
+  const options = { passive: false };
+  u.over.addEventListener("touchstart", (event) => (held = event.touches.length === 2 ? places(event).map((place) => u.posToVal(place, "x")) : null), options);
+  u.over.addEventListener("touchmove", (event) => {
+    const [one, other] = places(event);
+    if (other === undefined) u.setCursor({ left: one, top: u.over.clientHeight / 2 });
+    else if (held && Math.abs(one - other) > 8) {
+      event.preventDefault();
+      const perPixel = Math.abs((held[1] - held[0]) / (other - one));
+      seen.start = held[0] - one * perPixel;
+      seen.end = seen.start + u.over.clientWidth * perPixel;
+      u.setScale("x", { min: seen.start, max: seen.end });
+    }
+  }, options);
+  u.over.addEventListener("touchend", () => {
+    if (!held) return;
+    held = null;
+    show(seen.start, seen.end);
+    again();
+  });
+}
+
+// What is drawn with its title, its stretch of time and its lines' names, as a file.
+function savePicture() {
+  if (!drawn) return;
+  const plot = drawn.ctx.canvas, dots = devicePixelRatio, row = 18 * dots, names = drawn.series.slice(1).filter((line) => line.width !== 0);
+  const sheet = document.createElement("canvas"), ink = sheet.getContext("2d"), edge = 12 * dots;
+  Object.assign(sheet, { width: plot.width, height: plot.height + row * (names.length + 3) });
+  ink.fillStyle = getComputedStyle(document.getElementById("trend")).backgroundColor;
+  ink.fillRect(0, 0, sheet.width, sheet.height);
+  ink.drawImage(plot, 0, 2 * row);
+  Object.assign(ink, { fillStyle: INK, font: `${12 * dots}px system-ui`, textBaseline: "top" });
+  ink.fillText(`${look.data.title}  ${moment(look.data.start)} – ${moment(look.data.end)}`, edge, row / 2);
+  names.forEach((line, place) => {
+    const top = 2 * row + plot.height + place * row;
+    ink.fillStyle = line.stroke();
+    ink.fillRect(edge, top + row / 3, 2 * edge, 2 * dots);
+    ink.fillStyle = INK;
+    ink.fillText(line.label, 4 * edge, top);
+  });
+  sheet.toBlob((blob) => {
+    const address = URL.createObjectURL(blob);
+    make(h("a", { href: address, download: "trend.png" })).click();
+    setTimeout(() => URL.revokeObjectURL(address), 60000);
+  });
+}
+
+// The limit of each temperature, where it lies in the picture.
+function drawLimits(u, limits, scaleOf) {
+  const { ctx, bbox } = u, dots = devicePixelRatio;
+  ctx.save();
+  Object.assign(ctx, { strokeStyle: LIMIT, fillStyle: LIMIT, lineWidth: dots, font: `${12 * dots}px system-ui`, textAlign: "left", textBaseline: "bottom" });
+  ctx.setLineDash([3 * dots, 3 * dots]);
+  [...new Set(limits)].forEach((limit) => {
+    if (limit === undefined) return;
+    const y = Math.round(u.valToPos(limit, scaleOf(limits.indexOf(limit)), true));
+    if (!(y >= bbox.top && y <= bbox.top + bbox.height)) return;
+    ctx.beginPath();
+    ctx.moveTo(bbox.left, y);
+    ctx.lineTo(bbox.left + bbox.width, y);
+    ctx.stroke();
+    ctx.fillText(`${say("word.limit")} ${number(limit)}`, bbox.left + 4 * dots, y - 2 * dots);
+  });
+  ctx.restore();
 }
 
 // A line with its number for each note, in the order of the list below.
