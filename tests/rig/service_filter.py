@@ -14,6 +14,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+ROOT = Path(__file__).parents[2]
 LIBRARY = "libseccomp.so.2"
 ALLOW, REFUSE = 0x7FFF0000, 0x00050000 | errno.EPERM
 """SCMP_ACT_ALLOW and SCMP_ACT_ERRNO(EPERM) of libseccomp's seccomp.h."""
@@ -46,15 +47,21 @@ PROTECTIONS: dict[str, Bound] = {
 }
 
 
-def missing() -> str:
-    """What this computer lacks for it; "" if nothing."""
+def missing(unit: Path) -> str:
+    """What this computer lacks to run something under the unit's filter; "" if nothing."""
     if shutil.which("systemd-analyze") is None:
         return "systemd-analyze is not installed"
     try:
         ctypes.CDLL(LIBRARY)
     except OSError:
         return f"{LIBRARY} is not installed"
-    return ""
+    tried = subprocess.run([*runner(unit), "true"], capture_output=True, text=True, check=False, cwd=ROOT)
+    return tried.stderr.strip().rpartition("\n")[2]
+
+
+def runner(unit: Path) -> tuple[str, ...]:
+    """What stands before a command that is to run under the unit's filter, from the project's folder."""
+    return (sys.executable, "-m", "tests.rig.service_filter", str(unit))
 
 
 def allowed_calls(unit: Path) -> set[str]:
