@@ -149,7 +149,7 @@ function automaton(model, present) {
       s("text", { x, y: y + 38 }, place.name), s("title", {}, `${place.name} (${place.flow})${place.borrowed ? `, ${say("model.borrowed")}` : ""}`));
   });
   const words = new Map([[true, "model.running"], [null, "model.either"], [false, "model.resting"]]);
-  return h("div", { class: "scroll automaton", tabindex: "0" }, s("svg", { viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": `${say("model.automaton")}: ${say("model.present")} ${present ?? say("word.unknown")}` },
+  return h("div", { class: "scroll automaton", tabindex: "0" }, s("svg", { viewBox: `0 0 ${width} ${height}`, width, height, role: "img", "aria-label": `${say("model.automaton")}: ${say("model.present")} ${present ?? say("word.unknown")}` },
     s("defs", {}, s("marker", { id: "tip", viewBox: "0 0 8 8", refX: 6, refY: 4, markerWidth: 9, markerHeight: 9, markerUnits: "userSpaceOnUse", orient: "auto" }, s("path", { d: "M0 0 L8 4 L0 8 z" }))),
     heads.length > 1 && heads.map(({ runs, y }) => s("text", { class: "side", x: 6, y: y + 4 }, say(words.get(runs)))),
     s("text", { class: "side", x: 6, y: height - 8 }, `${say(byLoad ? "model.by_load" : "model.by_target")} →`), moves, places));
