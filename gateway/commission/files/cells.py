@@ -168,22 +168,49 @@ def _recognise_columns(
                 at
                 for word in words
                 for at, key in enumerate(keys)
-                if at not in taken.values() and key and _says(key, word, exactly=exactly)
+                if at not in taken.values() and key and _says(name, key, word, exactly=exactly)
             )
             if (place := next(places, None)) is not None:
                 taken[name] = place
     return dict(sorted(taken.items(), key=lambda item: item[1]))
 
 
-def _says(key: str, word: str, *, exactly: bool) -> bool:
-    """Whether a header is a synonym, written as one word or several, or has it within."""
+def _says(name: str, key: str, word: str, *, exactly: bool) -> bool:
+    """Whether a header is a synonym of a column, written as one word or several, or has it within."""
     if exactly:
         return key.replace(" ", "") == word.replace(" ", "")
-    return word not in _ALONE and f" {word} " in f" {key} "
+    words = key.split()
+    other = words.count(word) > 1 or not _NOT_BESIDE.get(name, frozenset()).isdisjoint(words)
+    return word not in _ALONE and not other and f" {word} " in f" {key} "
 
 
 _ALONE = frozenset({"anzahl", "cantidad", "quantity"})
 """Words that mean by themselves what they do not within others: `Anzahl Nachkommastellen`."""
+_PLACES = frozenset({
+    "register", "registers", "registro", "registri", "adresse", "address", "indirizzo", "direccion", "word", "words",
+    "wort", "byte", "bytes", "modbus", "protocol", "pdu", "start", "base", "based", "group",
+})  # fmt: skip
+_ALARMS = frozenset({
+    "alarm", "alarms", "alarme", "allarme", "allarmi", "preallarme", "alarma", "avviso", "warning", "warn",
+    "warnung", "vorwarnung", "trip", "blocco", "soglia", "schwelle", "seuil", "umbral", "setpoint", "sollwert",
+    "consigne", "consigna",
+})  # fmt: skip
+_TIMES = frozenset({
+    "age", "interval", "rate", "time", "delay", "period", "scan", "deadband", "hysteresis", "tempo", "ritardo",
+    "zeit", "dauer",
+})  # fmt: skip
+_NOT_BESIDE: Mapping[str, frozenset[str]] = {
+    **dict.fromkeys(("low", "high", "range"), _ALARMS | _TIMES | _PLACES | {"length", "gas"}),
+    "offset": _PLACES | {"memory", "db", "bit"},
+    "scale": frozenset({
+        "register", "registers", "address", "poll", "polling", "priority", "historian", "deadband", "sampling",
+        "adc", "display", "power", "turndown",
+    }),
+    "decimals": frozenset({"display", "displayed", "shown", "hmi", "anzeige"}),
+    "order": frozenset({"sort", "work", "tag", "display", "row", "scan"}),
+    "length": frozenset({"offset", "address", "order", "index", "max"}),
+}  # fmt: skip
+"""Words beside which a column's own mean something else: `High Alarm` is no end of a range, `Byte Offset` no offset."""
 
 
 def header_key(text: str) -> str:

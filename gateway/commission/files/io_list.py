@@ -413,6 +413,8 @@ def _numbering(sheet: ListSheet, how: Reading) -> Numbering:
     cells = [line.get("address").lower() for line in sheet.lines]
     bare = [cell for cell in cells if re.fullmatch(r"[0-9a-f]{1,4}", cell)]
     based = bool(header & {"based", "base", "from"})
+    if header & {"protocol", "pdu"} and not how.numbers:
+        return Numbering(False, 0, False)
     first = 1 if header & {"1", "one"} and based else 0
     if how.numbers or header & {"hex", "hexadecimal", "hexa", "esadecimale", "esa"}:
         hexadecimal = how.numbers == "hex" if how.numbers else not header & {"dec", "decimal", "decimale"}
@@ -556,17 +558,21 @@ def _scale(
         own = CountFactor(1 / own.number)
     elif own is not None and header & _MULTIPLIERS:
         own = CountFactor(own.number)
+    shown = ""
     if (decimals := _whole(line, "decimals")) is not None:
-        exponent = decimals if "expon" in row.header("decimals") or "espon" in row.header("decimals") else -decimals
-        own = _same(own, CountFactor(10.0**exponent), "decimals")
+        is_exponent = "expon" in row.header("decimals") or "espon" in row.header("decimals")
+        if is_exponent or dtype not in _FLOATS:
+            own = _same(own, CountFactor(10.0 ** (decimals if is_exponent else -decimals)), "decimals")
+        elif decimals:
+            shown = f"decimals ({decimals}) as they are shown: a {dtype} has its own point"
     if (by_hand := by_formula(line)[0]) is not None:
         own = _same(own, CountFactor(by_hand), "formula")
     if of_unit is not None:
         own = _same(own, of_unit, "unit")
     if own is None:
-        return None, ""
+        return None, shown
     if not own.either:
-        said = f"scale {own.number:g} from the unit" if of_unit is not None else ""
+        said = f"scale {own.number:g} from the unit" if of_unit is not None else shown
         return round(own.number, 12), said
     column = "unit" if of_unit is not None else "scale"
     # Of a negative one the range is upside down.
@@ -581,6 +587,9 @@ def _scale(
     if gain == "divide":
         return round(1 / own.number, 12), f"{row.sheet.columns.get(column)} {own.number:g} divides"
     return own.number, f"{row.sheet.columns.get(column)} {own.number:g} multiplies"
+
+
+_FLOATS = frozenset({DType.FLOAT32, DType.FLOAT64})
 
 
 def _same(own: CountFactor | None, other: CountFactor, column: str) -> CountFactor:

@@ -30,6 +30,7 @@ COLUMNS: Mapping[str, tuple[str, ...]] = {
             "registre",
         ),
         *("direccion", "direccion modbus"),
+        *("protocol offset", "protocol address", "pdu offset", "pdu address", "register offset", "address offset"),
     ),
     "table": (
         *("area", "tabella", "table", "tipo registro", "register type", "tipo di registro", "memory area"),
@@ -55,7 +56,8 @@ COLUMNS: Mapping[str, tuple[str, ...]] = {
     ),
     "count": (
         *("quantity", "qty", "registers", "number of registers", "no of registers", "n registers", "register count"),
-        *("words", "word count", "numero registri", "numero di registri", "n registri", "no of words", "num registers"),
+        *("words", "word count", "word span", "register span", "numero registri", "numero di registri"),
+        *("n registri", "no of words", "num registers"),
         *("anzahl register", "registeranzahl", "anzahl", "nombre de registres", "nb registres"),
         *("numero de registros", "cantidad de registros", "cantidad"),
     ),
@@ -93,6 +95,7 @@ COLUMNS: Mapping[str, tuple[str, ...]] = {
     "formula": ("formula", "formel", "espressione", "expression"),
     "unit_id": (
         *("deviceid", "device id", "slave", "slave id", "slave address", "unit id", "modbus id", "slaveid"),
+        *("unit address", "unit number", "unit no", "modbus unit", "unit identifier"),
         *("adresse esclave", "esclave", "no esclave", "numero esclave"),
     ),
     "negate": ("negate value", "negate"),
