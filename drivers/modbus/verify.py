@@ -89,6 +89,19 @@ def split_frames(stream: bytes) -> tuple[list[bytes], bytes]:
     return frames, stream
 
 
+def leaves_open(request: Asked, frame: bytes) -> bool:
+    """Whether the answer may still come behind a frame with the request's number: another unit's, or the request.
+
+    So it is with gateways that hand on what other units of their line say, and where something gives back what is sent.
+    """
+    return frame[6] != request.unit or _is_echo(request, frame[7], frame[8:])
+
+
+def _is_echo(request: Asked, function: int, body: bytes) -> bool:
+    is_read = function in _BITS or function in _REGISTERS
+    return is_read and function == request.function and body == struct.pack(">HH", request.address, request.count)
+
+
 def check_reply(request: Asked, reply: bytes) -> None:
     """Pass if the frame answers the request in unit, function, length and count or echo.
 
@@ -110,6 +123,8 @@ def check_reply(request: Asked, reply: bytes) -> None:
         raise DeviceException(body[0], f"{request}: exception {body[0]}, {sentence}")
     if function != request.function:
         raise ReplyMismatch(f"{request}: the reply is of function {function} and {request.function} was asked")
+    if _is_echo(request, function, body):  # before the counts: of 17 to 24 bits from 0x0300 on it looks like a reply
+        raise ReplyMismatch(f"{request}: what comes back is the request itself: something gives back what is sent")
     if function == IDENTIFY:
         if len(body) < 6 or body[0] != _MEI_IDENTITY:
             raise ReplyMismatch(f"{request}: the reply holds no identification")

@@ -10,6 +10,7 @@ from drivers.modbus.verify import (
     Asked,
     check_reply,
     exception_quality,
+    leaves_open,
     parse_request,
     split_frames,
     unpack_words,
@@ -31,6 +32,17 @@ def test_an_honest_reply_passes_and_any_byte_more_or_less_does_not(function: int
     for bent in (reply + b"\0", reply[:-1], reply[:8] + bytes([reply[8] ^ 1]) + reply[9:]):
         with pytest.raises(ReplyMismatch):
             check_reply(parse_request(sent), bent)
+
+
+@pytest.mark.parametrize(
+    ("function", "address", "count"), [(1, 0x0305, 20), (2, 0x0300, 17), (3, 0, 11), (4, 0x0300, 3)]
+)
+def test_a_read_that_is_given_back_is_no_reply(function: int, address: int, count: int) -> None:
+    # The first two have the byte count that was asked for.
+    sent = request(function, address, count)
+    with pytest.raises(ReplyMismatch, match="the request itself"):
+        check_reply(parse_request(sent), sent)
+    assert leaves_open(parse_request(sent), sent)
 
 
 @settings(max_examples=60)
