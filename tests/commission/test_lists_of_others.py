@@ -303,6 +303,7 @@ def test_two_numbers_that_lie_across_one_another_are_refused_and_one_in_another_
     assert [tag.name for tag in found.tags] == ["A", "C", "D", "E", "F"]
     (said,) = found.problems
     assert "line 3: 'B', float32 at '101', shares registers with 'A' of line 2, float32 at '100'" in said
+    assert "Enron" in said
 
 
 @pytest.mark.parametrize(("words", "table"), [("Read Input Registers", "input"), ("Read Holding Registers", "holding")])
@@ -433,3 +434,30 @@ def test_decimals_are_those_of_a_number_without_a_point(kind: str, scale: float 
     found = row(tmp_path, "Address;Type;Unit;Decimals", f"6;{kind};A;3")
     assert isinstance(found, dict), found
     assert found.get("scale") == scale and ("as they are shown" in found["how"]) == (scale is None)
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        "SF", "Dec", "DP", "Digits", "Div", "Mult", "LSB", "Slope", "Increment", "Conversion", "Umrechnung", "Bias",
+        "Intercept", "Signed", "Word Order 2",
+    ],
+)  # fmt: skip
+def test_a_column_that_may_change_readings_and_that_nobody_reads_refuses_the_list(header: str, tmp_path: Path) -> None:
+    kind = "" if header == "Signed" else "Type;"
+    with pytest.raises(ListError, match=f"column '{header}' may say"):
+        read(tmp_path, f"Name;Address;{kind}Byte Order;{header}\nT;100;{kind and 'REAL;'}ABCD;1\n")
+
+
+def test_a_column_is_told_by_its_words_where_no_header_tells_it(tmp_path: Path) -> None:
+    text = "Name;Type;Address;Data Type;Endian\nA;Input;100;REAL;Little\nB;Holding;100;REAL;Big\n"
+    assert [(tag.keys["address"], tag.keys["order"]) for tag in read(tmp_path, text).tags] == [
+        ("input:100", "DCBA"), ("holding:100", "ABCD"),
+    ]  # fmt: skip
+    (tag,) = read(tmp_path, "Name;Type;Address;Data Type\nA;Input;100;INT16\n").tags
+    assert tag.keys["address"] == "holding:100", "it may be a signal's direction"
+
+
+def test_a_scale_of_powers_of_ten_is_asked_about(tmp_path: Path) -> None:
+    said = row(tmp_path, "Address;Type;Scale (10^x)", "100;INT16;-1")
+    assert "power of ten" in said

@@ -8,7 +8,7 @@ import struct
 import unicodedata
 import zipfile
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -85,17 +85,23 @@ def read_sheet(
     *,
     given: Mapping[str, str] | None = None,
     sheet: str | None = None,
+    told_by: Mapping[str, Callable[[frozenset[str]], bool]] | None = None,
 ) -> ListSheet:
     """The list in `path`. The header is the first line that has every `needed` column.
 
-    `synonyms` has the words by which each column is recognised; `given` (column -> header) wins over them. Raises
-    ListError, in one sentence, for a file that cannot be read and for a header that is not found.
+    `synonyms` has the words by which each column is recognised; `given` (column -> header) wins over them. A column
+    that no header tells is the one whose cells are, by `told_by`, no other's. Raises ListError, in one sentence, for a
+    file that cannot be read and for a header that is not found.
     """
     rows = list(_rows(path, sheet))
     given = dict(given or {})
     for place, (number, cells) in enumerate(rows[:HEADER_WITHIN]):
         columns = _recognise_columns(cells, synonyms, given)
         if all(name in columns for name in (*needed, *given)):
+            below = [row for _, row in rows[place + 1 :]]
+            for name, tells in (told_by or {}).items():
+                if name not in columns and (at := _told_by(tells, set(columns.values()), cells, below)) is not None:
+                    columns[name] = at
             used = set(columns.values())
             ignored = tuple(cell.strip() for at, cell in enumerate(cells) if at not in used and cell.strip())
             lines = tuple(
@@ -143,6 +149,20 @@ def _by_content(name: str, columns: Sequence[int], rows: Sequence[Sequence[str]]
         numbers = sum(cell.isdecimal() for cell in told)
         apart = len(cells) > 1 and len(told) == len(cells)
         if apart and numbers == (len(told) if name == "address" else 0) and name in ("name", "address"):
+            return at
+    return None
+
+
+def _told_by(
+    tells: Callable[[frozenset[str]], bool],
+    used: Collection[int],
+    headers: Sequence[str],
+    rows: Sequence[Sequence[str]],
+) -> int | None:
+    """The first column that is not used, has a header, and whose cells tell what it is; None for none."""
+    for at, header in enumerate(headers):
+        told = frozenset(header_key(row[at]) for row in rows if at < len(row) and row[at].strip())
+        if at not in used and header.strip() and told and tells(told):
             return at
     return None
 

@@ -37,6 +37,7 @@ from gateway.commission.files.io_words import (
     LENGTHS_OF_NO_UNIT,
     ORDERS,
     TABLES,
+    TOLD_BY,
     WIDTHS,
     TypeCell,
     parse_tables,
@@ -99,7 +100,7 @@ def read_io_list(path: Path, how: Reading, columns: Mapping[str, str] | None = N
     if unknown := sorted(set(columns or {}) - set(COLUMNS)):
         raise ListError(f"--column {unknown[0]}=...: there is no such column; known are {', '.join(COLUMNS)}")
     sheet = _structured(path, how, page) or _of_units(
-        read_sheet(path, COLUMNS, ("name", "address"), given=columns, sheet=page), how
+        read_sheet(path, COLUMNS, ("name", "address"), given=columns, sheet=page, told_by=TOLD_BY), how
     )
     how, numbering = _of_the_layout(sheet, how), _numbering(sheet, how)
     how = replace(how, gain=how.gain or _gain_of_the_list(sheet))
@@ -157,20 +158,34 @@ def _polled(path: Path, how: Reading) -> ListSheet | None:
 _SCALES = re.compile(
     r"scal|factor|fattor|faktor|skalier|gain|multipl|divis|resol|risol"
     r"|coef|komma|dezim|decim|precis|prazis|echel|facteur|\bteil(?:er|ung)|divid|auflos|potenz|wertig"
+    r"|^(?:sf|dec|dp|digits|div|mult)$|\blsb\b|slope|quantum|increment|conver[st]|umrechn|pendenza|steigung|pente"
 )
+_UNREAD = (
+    (_SCALES, frozenset({"scale", "decimals", "raw_high", "formula"}), "scale", "how readings are scaled"),
+    (re.compile(r"\bbias\b|intercept"), frozenset({"offset"}), "offset", "what is added to readings"),
+    (
+        re.compile(r"\b(?:word|byte|register)s? order\b|endian|\bswap|wortfolge|bytefolge"),
+        frozenset[str](),
+        "order",
+        "the order of words or bytes",
+    ),
+    (re.compile(r"^signed$|^sign$|vorzeichen|con segno"), frozenset({"dtype"}), "dtype", "which numbers have a sign"),
+)
+"""Headers of columns that nobody reads, unless one of those columns is there; as which column, and what they may say."""
 
 
 def _of_units(sheet: ListSheet, how: Reading) -> ListSheet:
     """A table in this reader's words, and of several units the rows of the one that is meant.
 
-    Raises ListError for a column that nobody reads and that may say by how much readings are multiplied.
+    Raises ListError for a column that nobody reads and that may say what readings are made of.
     """
-    known = {"scale", "decimals", "raw_high", "formula"} & set(sheet.columns)
-    if odd := [] if known else [header for header in sheet.ignored if _SCALES.search(header_key(header))]:
-        raise ListError(
-            f"{sheet.path}: column {odd[0]!r} may say how readings are scaled, and is not understood: give --column "
-            f"scale={odd[0]!r}, or take it out"
-        )
+    for pattern, known, column, what in _UNREAD:
+        odd = next((header for header in sheet.ignored if pattern.search(header_key(header))), None)
+        if odd is not None and not known & set(sheet.columns):
+            raise ListError(
+                f"{sheet.path}: column {odd!r} may say {what}, and is not understood: give --column {column}={odd!r}, "
+                "or take it out"
+            )
     headers = {header_key(text) for text in (*sheet.columns.values(), *sheet.ignored)}
     own = is_iobroker(headers)
     rows = [replace(row, cells=of_iobroker(row.cells)) if own else row for row in sheet.lines]
@@ -464,6 +479,10 @@ _DIVISORS = frozenset(
 )
 
 
+_POWER = re.compile(r"\b10 (?:x|n|exp)\b|\bexponent\b|\bpower\b")
+"""A scale's header of powers of ten, `Scale (10^x)`."""
+
+
 def _scale_cell(line: ListRow) -> CountFactor | None:
     """The factor of the scale's column; None for none. Raises RowError."""
     text = line.get("scale")
@@ -550,6 +569,8 @@ def _scale(
     """(units per count, how it was taken), from the scale's cell, the unit's and the number of decimals."""
     line, header = row.line, set(row.header("scale").split())
     own = _scale_cell(line)
+    if own is not None and _POWER.search(row.header("scale")):
+        raise RowError("scale", f"{line.get('scale')!r} may be a power of ten: write the units per count, such as 0.1")
     if own is not None and own.number == 0:
         raise RowError("scale", "is 0, which would make every reading 0; give the units per count")
     if own is not None and line.get("exact"):
