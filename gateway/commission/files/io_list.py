@@ -171,7 +171,7 @@ _UNREAD = (
     ),
     (re.compile(r"^signed$|^sign$|vorzeichen|con segno"), frozenset({"dtype"}), "dtype", "which numbers have a sign"),
 )
-"""Headers of columns that nobody reads, unless one of those columns is there; as which column, and what they may say."""
+"""Headers of columns that nobody reads, unless one of those columns is there; as which column, what they may say."""
 
 
 def _of_units(sheet: ListSheet, how: Reading) -> ListSheet:
