@@ -10,6 +10,7 @@ same tests fail if they change.
 
 import asyncio
 import errno
+import os
 import re
 import socket
 import ssl
@@ -396,9 +397,16 @@ def discard(transport: asyncio.Transport, unanswered: Iterable[Asked]) -> None:
 
 def no_connection(place: str, error: Exception, secured: Secured | None) -> LinkDown:
     """A failed attempt to connect, with the system's own reason."""
-    plain = (error.strerror if isinstance(error, OSError) else None) or str(error)
-    reason = secured.sentence(error) if secured else plain
+    reason = secured.sentence(error) if secured else system_reason(error)
     return LinkDown(f"{place} does not connect: {reason}", fault=_connect_fault(error))
+
+
+def system_reason(error: Exception) -> str:
+    """The system's word for a failure; of asyncio's "Connect call failed (address)" what its number means."""
+    said = (error.strerror if isinstance(error, OSError) else None) or str(error)
+    if isinstance(error, OSError) and error.errno and said.startswith("Connect call failed"):
+        return os.strerror(error.errno)
+    return said
 
 
 def socket_place(name: tuple[str, int] | None) -> str:

@@ -42,19 +42,25 @@ def device(
     transaction: int | None = None,
     unit: int | None = None,
     beside: int | None = None,
+    silences: int = 0,
     vendor: bytes = b"Maker",
     answers: int = 1000,
 ) -> Handler:
     """A device whose registers hold their own numbers, and which answers so often a connection, in a way of its own.
 
-    `beside`: a frame of this unit always comes first.
+    `beside`: a frame of this unit always comes first; `silences`: a gateway says so often that its unit is silent.
     """
 
+    told = 0
+
     def handle(link: socket.socket) -> None:
+        nonlocal told
         for _ in range(answers):
             head = take(link, 7)
             pdu = take(link, int.from_bytes(head[4:6], "big") - 1)
-            if pdu[0] == 43:
+            if told < silences:
+                told, reply = told + 1, bytes((pdu[0] | 0x80, 11))
+            elif pdu[0] == 43:
                 # its vendor and its revision
                 reply = bytes((43, 14, 1, 1, 0, 0, 2, 0, len(vendor))) + vendor + b"\x02\x02v3"
             elif pdu[0] in (3, 4):
@@ -79,9 +85,10 @@ def device(
         (device(unit=255), {"answers_as": 255}),
         (device(transaction=9, unit=0), {"transaction_id": "any", "answers_as": 0}),
         (device(beside=9), {}),
+        (device(silences=2), {}),
         (device(), {}),
     ],
-    ids=["another id", "another unit", "both", "another unit's first", "none"],
+    ids=["another id", "another unit", "both", "another unit's first", "silent behind a gateway at first", "none"],
 )
 def test_the_setting_that_reads_a_device_is_found_said_and_written(
     handle: Handler, habits: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -1,3 +1,4 @@
+import errno
 import struct
 
 import pytest
@@ -15,6 +16,7 @@ from drivers.modbus.verify import (
     split_frames,
     unpack_words,
 )
+from drivers.modbus.wire import system_reason
 from drivers.tag import Quality
 from tests.drivers.scripted import ScriptedPlc, mbap
 
@@ -173,3 +175,9 @@ def test_a_device_exception_has_its_code_and_a_sentence(code: int, words: str) -
         check_reply(READ, mbap(7, 1, bytes([0x83, code])))
     assert caught.value.code == code
     assert str(caught.value).startswith("holding:100 count 4: ")
+
+
+def test_a_connection_that_fails_says_what_the_system_says() -> None:
+    refused = OSError(errno.ECONNREFUSED, "Connect call failed ('10.0.0.7', 502)")  # as asyncio puts it
+    assert system_reason(refused) == "Connection refused"
+    assert system_reason(OSError(-2, "Name or service not known")) == "Name or service not known"
