@@ -20,6 +20,8 @@ REPORT = 17
 """Function 17: the device says who it is in bytes of its maker's own (6.13)."""
 SAYS_WHO = frozenset({REPORT, IDENTIFY})
 """Questions without an address; the words of their replies are the bytes of what the device says."""
+_ECHO = 4
+"""Bytes of a read's request behind its function: address and count."""
 _TABLES = {1: "coil", 2: "discrete", 3: "holding", 4: "input", 5: "coil", 6: "holding", 15: "coil", 16: "holding"}
 _BITS, _REGISTERS = frozenset({1, 2}), frozenset({3, 4})
 ECHOED = frozenset({5, 6})
@@ -123,7 +125,8 @@ def check_reply(request: Asked, reply: bytes) -> None:
         raise DeviceException(body[0], f"{request}: exception {body[0]}, {sentence}")
     if function != request.function:
         raise ReplyMismatch(f"{request}: the reply is of function {function} and {request.function} was asked")
-    if _is_echo(request, function, body):  # before the counts: of 17 to 24 bits from 0x0300 on it looks like a reply
+    # Before the counts: of 17 to 24 bits from 0x0300 on it looks like a reply.
+    if len(body) == _ECHO and _is_echo(request, function, body):
         raise ReplyMismatch(f"{request}: what comes back is the request itself: something gives back what is sent")
     if function == IDENTIFY:
         if len(body) < 6 or body[0] != _MEI_IDENTITY:

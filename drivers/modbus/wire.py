@@ -133,8 +133,8 @@ class Wire:
         self._open: dict[int, tuple[Asked, float]] = {}
         self._any_answer = asyncio.Event()
         self._outcome: asyncio.Future[WireReply] | None = None
-        # The loop's time at which the present question's deadline passes.
-        self._until = 0.0
+        # Of the present question's deadline.
+        self._timer: asyncio.TimerHandle | None = None
         self._sent = self._received = 0.0
         self._stream = ReplyStream(ids, self._take_frame, self._break_cut)
         self._unasked = 0
@@ -234,8 +234,7 @@ class Wire:
         self._send(transport, request)
         outcome: asyncio.Future[WireReply] = loop.create_future()
         self._outcome = outcome
-        self._until = loop.time() + deadline
-        timer = loop.call_later(deadline, too_late)
+        timer = self._timer = loop.call_later(deadline, too_late)
         try:
             return await outcome
         finally:
@@ -320,10 +319,10 @@ class Wire:
         try:
             check_reply(request, frame)
         except (ReplyMismatch, DeviceException) as error:
-            if leaves_open(request, frame):
+            if self._timer is not None and leaves_open(request, frame):
                 self._request, self._open[number] = request, (question, sent)
                 loop = asyncio.get_running_loop()
-                loop.call_later(rest_of_wait(loop.time(), self._until), self._give_up, number, outcome, error)
+                loop.call_later(rest_of_wait(loop.time(), self._timer.when()), self._give_up, number, outcome, error)
                 return
             self._fail(error)
             return
