@@ -19,7 +19,7 @@ from gateway.machine.model.familiar import FamiliarityWord
 from gateway.machine.model.predict import Predictor
 from gateway.machine.reading import Scan
 from gateway.settings import EnsembleSection, ForecastSection
-from sim.engine import Belief, Tracker
+from sim.engine import Belief, Tracker, observe
 from sim.forecast import (
     DENSE_LEVELS,
     FAN_LEVELS,
@@ -35,6 +35,7 @@ from sim.forecast import (
     forecast,
     issue_pool,
     mixture,
+    observe_leap,
     recent_coverage,
     reshape,
     settle_pool,
@@ -205,12 +206,13 @@ class Ensemble:
         self.first, self.section, self.forecasts = first, section, forecasts
         plain = first.model.plain if section.plain else ()
         self.hashes = [*hashes, *(f"{hashes[0]} {member.name}" for member in plain)]
+        corrections = [observe] * len(models) + [observe_leap] * len(plain)
         models = [*models, *(plain_model(first.model, member) for member in plain)]
         names = [f"{m.sha.name} {key[:8]}" for key, m in zip(hashes, (first.model, *models), strict=False)]
         names += [member.name for member in plain]
         self.members = [
-            Member(name, Predictor(model, first.temperature), bands(model, forecasts, scan_period))
-            for name, model in zip(names[1:], models, strict=True)
+            Member(name, Predictor(model, first.temperature, correct), bands(model, forecasts, scan_period))
+            for name, model, correct in zip(names[1:], models, corrections, strict=True)
         ]
         self.given = 1 + len(self.members) - len(plain)
         # A reading may come some scans after the moment that a forecast spoke of, and still counts as of that moment.
@@ -284,7 +286,8 @@ class Ensemble:
     def _track(self, member: Member, scan: Scan) -> None:
         """Move a member on; one that failed rests for a while, then begins without a past: its state may be why."""
         if member.failure and scan.time - member.failed >= RETRY_SECONDS:
-            member.predictor, member.failure = Predictor(member.predictor.model, self.first.temperature), ""
+            former = member.predictor
+            member.predictor, member.failure = Predictor(former.model, former.temperature, former.correct), ""
         if not member.failure:
             try:
                 member.known = member.predictor.track(scan)
