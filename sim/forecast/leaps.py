@@ -10,7 +10,8 @@ from dataclasses import replace
 from sim.engine import Belief, Tracker, advance, observe, restart
 
 LEAP_SIGMAS = 10.0
-"""A reading so many standard deviations off what was expected is a leap; right after one it is a slope after all."""
+"""A reading so many standard deviations off what was expected is a leap; right after one the same way it is a slope
+after all, and one back again ends a spike."""
 
 
 def observe_leap(tracker: Tracker, belief: Belief, time: float, temperature: float) -> Belief:
@@ -18,7 +19,8 @@ def observe_leap(tracker: Tracker, belief: Belief, time: float, temperature: flo
     after = observe(tracker, belief, time, temperature)
     if after.samples == belief.samples or after.last is None or not after.last.square > LEAP_SIGMAS**2:
         return after
-    if belief.last is not None and belief.last.square > LEAP_SIGMAS**2:
+    before = belief.last
+    if before is not None and before.square > LEAP_SIGMAS**2 and before.value * after.last.value > 0:
         return after
     moved = restart(tracker, advance(tracker, belief, time), temperature)
     return replace(after, x=moved.x, xx=moved.xx, xm=moved.xm, hidden=moved.hidden)

@@ -38,8 +38,13 @@ def test_a_leap_moves_the_level_and_gives_no_slope() -> None:
     )
 
 
-def test_two_leaps_in_a_row_are_a_slope() -> None:
+def test_two_leaps_in_a_row_one_way_are_a_slope() -> None:
     assert minute_ahead(follow([50.0] * 30 + [60.0, 70.0], observe_leap)) > 80.0
+
+
+def test_a_spike_gives_no_slope_either_way() -> None:
+    belief = follow([50.0] * 30 + [80.0, 50.0], observe_leap)
+    assert belief.x == pytest.approx(50.0, abs=0.1) and minute_ahead(belief) == pytest.approx(50.0, abs=1.0)
 
 
 def test_what_a_trend_may_foresee_it_takes_in_as_ever() -> None:
