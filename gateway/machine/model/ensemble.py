@@ -40,6 +40,7 @@ from sim.forecast import (
     reshape,
     settle_pool,
     thin_levels,
+    walk_outlook,
     weights_by_horizon,
 )
 from sim.forecast import issue as issue_bands
@@ -75,7 +76,7 @@ class ForecastJob:
 
 @dataclass(frozen=True, slots=True)
 class TrendJob:
-    """The local trend's forecast, as `ForecastJob` is a model's; it is drawn from nothing."""
+    """The local trend's forecast, or a walk's, as `ForecastJob` is a model's; it is drawn from nothing."""
 
     outlook: LocalOutlook
     factors: Mapping[float, float]
@@ -315,7 +316,13 @@ class Ensemble:
             # numpy's SeedSequence takes a 0 at the end for nothing, and the draws would be the first model's again.
             seed = (self.forecasts.seed, int(belief.time * 1000.0), place)
             widening, plain = self.widen(factors(member.calibration, integral=False)), place >= self.given
-            jobs.append(ForecastJob(member.predictor.tracker, belief, widening, member.calibration, seed, plain))
+            tracker = member.predictor.tracker
+            walk = walk_outlook(tracker, belief, self.forecasts.horizons) if plain else None
+            jobs.append(
+                ForecastJob(tracker, belief, widening, member.calibration, seed, plain)
+                if walk is None
+                else TrendJob(walk, widening, member.calibration)
+            )
         if self.trend is not None:
             outlook, own = self.trend.trend.look_ahead(), self.trend.calibration
             widening = self.widen(factors(own, integral=False))
