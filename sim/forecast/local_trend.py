@@ -164,14 +164,11 @@ def _clock(horizons: tuple[float, ...]) -> tuple[Array, NDArray[np.intp]]:
     return clock, np.searchsorted(clock, horizons)
 
 
-def walk_outlook(tracker: Tracker, belief: Belief, horizons: Sequence[float]) -> LocalOutlook | None:
-    """What a random walk without a sensor's error says from `belief` on, exactly; None of any other model."""
-    place = tracker.model.sha.locations[0]
-    if tracker.plant is not None or tracker.model.sensor_sigma > 0 or len(tracker.model.sha.locations) > 1:
+def walk_outlook(walk: Tracker, belief: Belief, horizons: Sequence[float]) -> LocalOutlook | None:
+    """What a plain member that is a `walk` says from `belief` on, exactly; None of one with heat or a noisy sensor."""
+    if walk.plant is not None or walk.model.sensor_sigma > 0:
         return None
-    if place.flow.kind != "constant" or place.flow.inputs:
-        return None
-    ahead = np.asarray(horizons, dtype=float)
+    ahead, (place,) = np.asarray(horizons, dtype=float), walk.model.sha.locations
     sigma = np.sqrt(belief.xx + place.flow.params["noise"] ** 2 * ahead)
     return LocalOutlook(belief.time, belief.x, ahead, np.full(ahead.size, belief.x), np.maximum(sigma, MIN_SIGMA))
 
