@@ -175,7 +175,7 @@ def test_a_note_of_several_lines_is_one_cell(tmp_path: Path) -> None:
     assert report.refused == 0
 
 
-@pytest.mark.parametrize("header", ["Motor current", "Motor [mA]"])
+@pytest.mark.parametrize("header", ["Motor current", "Motor [mA]", "Bearing [V]"])
 def test_a_load_is_no_temperature_where_it_is_the_only_column_of_numbers(header: str, tmp_path: Path) -> None:
     """A bearing whose cells were all blank left the motor's current, of which a model would have been learned."""
     export = written(tmp_path / "a.csv", f"Time,Bearing,{header}", [f"{m},,{current}" for m, _, current, _ in ROWS])

@@ -44,8 +44,7 @@ from sim.lab.recordings import (
     parse_map,
     since_1970,
 )
-from sim.lab.recordings.mapping import Answers, Undecided, draft_map
-from sim.lab.recordings.mapping.clocks import is_time
+from sim.lab.recordings.mapping import Answers, Undecided, draft_map, is_time
 from sim.sha import Array, Model, Trace, encode_trace
 
 if TYPE_CHECKING:

@@ -317,8 +317,8 @@ def choose_parts(where: object, columns: Sequence[FoundColumn], answers: Answers
         near=_near_temperature,
     )
     if temperature is None:
-        # What is named like a load moves as slowly where it is the only one that was written.
-        unnamed = [column for column in moving if not _loads(column)]
+        # What is named like a load, or measures something else, moves as slowly where it is the only one.
+        unnamed = [column for column in moving if not (column.unit or _loads(column))]
         slow = [column for column in unnamed if is_slow(column.values)]
         if len(moving) != 1 or not slow:
             raise Undecided(
