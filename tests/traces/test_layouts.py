@@ -175,6 +175,14 @@ def test_a_note_of_several_lines_is_one_cell(tmp_path: Path) -> None:
     assert report.refused == 0
 
 
+def test_inches_open_no_cell_and_lines_above_a_blank_one_are_no_names(tmp_path: Path) -> None:
+    rows = [f'{m},{heat},{current},5" line' for m, heat, current, _ in ROWS]
+    header = "Report,,Plant 1,\n\nTime,Value,Value,Place"
+    export = written(tmp_path / "a.csv", header, rows)
+    (trace,), report, _ = mapped(export, tmp_path / "m.toml", "--temperature", "Value", "--current", "Value_2")
+    assert np.array_equal(trace.signals["Value"], PLANT.heat) and report.refused == 0
+
+
 @pytest.mark.parametrize("header", ["Motor current", "Motor [mA]", "Bearing [V]"])
 def test_a_load_is_no_temperature_where_it_is_the_only_column_of_numbers(header: str, tmp_path: Path) -> None:
     """A bearing whose cells were all blank left the motor's current, of which a model would have been learned."""

@@ -116,8 +116,9 @@ def find_table(path: Path) -> FoundTable:
         header_at -= 1
     header = list(map(drop_invisible, rows[header_at][:width]))
     # Names under names: those of merged cells are blank, or equal ones stand below.
-    over, under = (rows[header_at - 1] if header_at else []), rows[header_at + 1]
-    if header_at + 1 < first and not _is_units(under) and _lacks_names(header, under):
+    beside = [at - header_at for at, _ in enumerate(usable) if abs(usable[at][0] - usable[header_at][0]) == 1]
+    over, under = (rows[header_at - 1] if -1 in beside else []), rows[header_at + 1]
+    if header_at + 1 < first and 1 in beside and not _is_units(under) and _lacks_names(header, under):
         rows[header_at] = header = compose_names(header, under[:width])
     elif _has_equal(header) and sum(map(bool, over)) > 1 and not all(over) and _lacks_names(over, header):
         rows[header_at] = header = compose_names(over[:width], header)
@@ -163,12 +164,16 @@ def find_table(path: Path) -> FoundTable:
     )
 
 
+_OPEN_CELL = re.compile(r'(?:^|[,;\t|]) *"(?:[^"]|"")*$')
+"""A quoted cell that does not end in its line; a mark within a cell, as of inches, opens none."""
+
+
 def _whole_rows(lines: Sequence[str]) -> Iterator[tuple[int, str]]:
     """The lines, those joined over which a quoted cell goes on; a mark that is never closed joins none."""
     at = 0
     while at < len(lines):
         end = at + 1
-        if lines[at].count('"') % 2:
+        if _OPEN_CELL.search(lines[at]):
             closed = (other for other in range(end, min(at + MAX_ROW_LINES, len(lines))) if lines[other].count('"') % 2)
             end = next(closed, at) + 1
         yield at, "\n".join(lines[at:end])
@@ -274,7 +279,8 @@ def _is_data(row: Sequence[str]) -> bool:
 
 
 def _has_equal(names: Sequence[str]) -> bool:
-    return len(set(names)) < len(names)
+    filled = [name for name in names if name]
+    return len(set(filled)) < len(filled)
 
 
 def _lacks_names(above: Sequence[str], below: Sequence[str]) -> bool:
