@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from sim.lab.recordings import load_map
+from sim.lab.recordings.mapping import is_time
 from sim.lab.recordings.mapping.columns import has_levels
 from sim.lab.recordings.text_table import compose_names
 from tests.traces.exports import comma, recording, wide, written
@@ -107,6 +108,18 @@ def test_a_workbook_with_merged_cells_and_a_column_of_days(tmp_path: Path) -> No
     (trace,), _, said = mapped(tmp_path / "a.xlsx", tmp_path / "m.toml")
     is_the_plant(trace, tmp_path / "m.toml")
     assert trace.times[0] == BEGIN and said["temperature"] == "Temperatur °C"
+
+
+@pytest.mark.parametrize("count", ["638112150000000000", "1710123012000000000", "133548394200000000"])
+def test_ticks_and_nanoseconds_are_no_compact_dates(count: str) -> None:
+    assert not is_time(count)
+
+
+def test_currents_that_are_called_as_inputs_are_names(tmp_path: Path) -> None:
+    rows = [f"{m},{current},{heat}" for m, heat, current, _ in ROWS]
+    export = written(tmp_path / "a.csv", "Logger 7,of,Hall 2\nTime,I1,T1", rows)
+    (trace,), _, said = mapped(export, tmp_path / "m.toml")
+    assert np.array_equal(trace.signals["T1"], PLANT.heat) and said["temperature"] == "T1"
 
 
 def test_names_over_names() -> None:

@@ -48,7 +48,10 @@ _COUNT_UNITS = {
 _WORDS = re.compile(r"[^\W\d_]+")
 _TENTHS_OF_US = re.compile(r"100 ?ns", re.IGNORECASE)
 """What Windows and .NET count in, which is no unit of elapsed time."""
-_COMPACT = re.compile(r"(\d{8}|\d{4}W\d{3}|\d{7}(?=T))([T_-]?)\d{6}(?:(\.?)\d{3,6})?( ?(?:[+-]\d\d:?\d\d|Z))?")
+_COMPACT = re.compile(
+    r"((?:19|20)\d{6}|(?:19|20)\d\dW\d{3}|(?:19|20)\d{5}(?=T))([T_-]?)\d{6}(\.\d{3,6}|\d{3})?( ?(?:[+-]\d\d:?\d\d|Z))?"
+)
+"""Of our centuries, and with milliseconds at most: ticks and nanoseconds are as many digits."""
 _COMPACT_DATES = {8: "%Y%m%d", 7: "%Y%j"}
 """By their digits; those of a week have its W."""
 _ROUNDED = re.compile(r"\d[.,]\d+[eE]\+?\d\d$")
@@ -120,7 +123,7 @@ def _match_formats(cell: str) -> tuple[tuple[Order, str], ...]:
     if (match := _COMPACT.fullmatch(cell)) is not None:
         date = "%GW%V%u" if "W" in match[1] else _COMPACT_DATES[len(match[1])]
         zone = "" if match[4] is None else " %z" if match[4].startswith(" ") else "%z"
-        format_ = f"{date}{match[2]}%H%M%S{'' if match[3] is None else f'{match[3]}%f'}{zone}"
+        format_ = f"{date}{match[2]}%H%M%S{'' if match[3] is None else '.%f'[match[3][0] != '.' :]}{zone}"
         return (("year", format_),) if _fits(cell, format_) else ()
     if not 8 <= len(cell) <= 40 or _DATED.match(cell) is None:
         return ()

@@ -291,11 +291,11 @@ def _lacks_names(above: Sequence[str], below: Sequence[str]) -> bool:
 
 
 _TYPE = re.compile(
-    r"(?:dt_)?(?:l?real|float|double|u?[sdl]?int|bool|boolean|d?word|byte|string|date|time|datetime|[fiu])_?\d*|"
-    r"%?(?:db\d+\.)?(?:db|[miqea])[xbwd]?\d+(?:\.\d+)?",
+    r"(?:dt_)?(?:l?real|float|double|u?[sdl]?int|bool|boolean|d?word|byte|string)_?\d*|"
+    r"%?db\d+\.db[xbwd]\d+(?:\.\d+)?|%[miqea][xbwd]?\d+(?:\.\d+)?",
     re.IGNORECASE,
 )
-"""A data type, or an address of a controller."""
+"""A data type, or an address of a controller; I1 and M1 are names too."""
 
 
 def _is_types(row: Sequence[str]) -> bool:
