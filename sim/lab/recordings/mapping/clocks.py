@@ -122,8 +122,9 @@ _MAX_TIME_CHARS = 90
 def _match_formats(cell: str) -> tuple[tuple[Order, str], ...]:
     if (match := _COMPACT.fullmatch(cell)) is not None:
         date = "%GW%V%u" if "W" in match[1] else _COMPACT_DATES[len(match[1])]
-        zone = "" if match[4] is None else " %z" if match[4].startswith(" ") else "%z"
-        format_ = f"{date}{match[2]}%H%M%S{'' if match[3] is None else '.%f'[match[3][0] != '.' :]}{zone}"
+        parts = "" if match[3] is None else ".%f" if match[3].startswith(".") else "%f"
+        offset = "" if match[4] is None else " %z" if match[4].startswith(" ") else "%z"
+        format_ = f"{date}{match[2]}%H%M%S{parts}{offset}"
         return (("year", format_),) if _fits(cell, format_) else ()
     if not 8 <= len(cell) <= 40 or _DATED.match(cell) is None:
         return ()

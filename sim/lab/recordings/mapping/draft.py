@@ -396,8 +396,8 @@ def _long_form(table: FoundTable, clock: FoundClock) -> _LongForm | None:
     name = max(names, key=lambda place: (len(words[place]), place))
     unit = next((place for place in others if named_unit(table.header[place])), None)
     rest = [place for place in names if place not in (name, unit) and "object" in table.header[place].casefold()]
-    of_object = (rest[0], tuple(words[rest[0]])) if rest else (None, ())
-    return _LongForm(name, values[0], *of_object, unit, tuple(values[1:]))
+    found = _LongForm(name, values[0], None, (), unit, tuple(values[1:]))
+    return replace(found, object=rest[0], objects=tuple(words[rest[0]])) if rest else found
 
 
 def _plain_number(word: str) -> bool:
