@@ -11,10 +11,11 @@ from tests.cli.support import command_paths
 STEPS: tuple[tuple[frozenset[str], str], ...] = (
     (
         frozenset(),
-        """diagnose docs completion emulate model-check model-export model-learn model-learn-correction
-        model-learn-fleet model-learn-model model-learn-settings model-judge model-judge-rank model-judge-regression
-        model-judge-skill model-judge-validation model-version model-version-cycles model-version-lineage
-        model-version-retrain model-version-shadow keep plc-check alarm historian machine user""",
+        """diagnose docs completion emulate historian-import model-check model-export model-learn
+        model-learn-correction model-learn-fleet model-learn-model model-learn-settings model-judge model-judge-proof
+        model-judge-rank model-judge-regression model-judge-skill model-judge-validation model-version
+        model-version-cycles model-version-lineage model-version-retrain model-version-shadow keep plc-check
+        trace-ingest alarm historian machine user""",
     ),
     (
         frozenset({"asyncio"}),
@@ -32,12 +33,7 @@ STEPS: tuple[tuple[frozenset[str], str], ...] = (
         frozenset({"cryptography", "sqlite3"}),
         "certificates demo keep-diff keep-history keep-rollback keep-backup keep-restore keep-support plc-check-write",
     ),
-    (
-        frozenset({"numpy"}),
-        """historian-import model-version-promote model-judge-proof model-show model-simulate trace-map trace-show
-        trace-synth""",
-    ),
-    (frozenset({"lark"}), "trace-ingest"),
+    (frozenset({"numpy"}), "model-version-promote model-show model-simulate trace-map trace-show trace-synth"),
     (frozenset({"rich", "argon2", "scipy"}), "top user-add user-list user-password user-remove"),
 )
 """What the commands of a step may load beside what those of the steps before may; their order is that of loading."""
