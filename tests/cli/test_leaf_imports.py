@@ -20,7 +20,7 @@ STEPS: tuple[tuple[frozenset[str], str], ...] = (
     (
         frozenset({"asyncio"}),
         """arm audit disarm plc-check-device plc-check-files plc-check-hmi plc-check-plan plc-check-soak
-        plc-check-computer plc-guess plc-probe plc-replay plc-report plc-served""",
+        plc-bind plc-check-computer plc-guess plc-import plc-probe plc-replay plc-report plc-served""",
     ),
     (
         frozenset({"pydantic"}),
@@ -28,7 +28,7 @@ STEPS: tuple[tuple[frozenset[str], str], ...] = (
         alarm-return alarm-reset alarm-journal alarm-rates historian-export historian-query historian-tables
         plc-codegen plc-read plc-scan trace-can""",
     ),
-    (frozenset({"tomlkit"}), "init machine-add machine-list machine-remove plc-bind plc-import"),
+    (frozenset({"tomlkit"}), "init machine-add machine-list machine-remove"),
     (
         frozenset({"cryptography", "sqlite3"}),
         "certificates demo keep-diff keep-history keep-rollback keep-backup keep-restore keep-support plc-check-write",
