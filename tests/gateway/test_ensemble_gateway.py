@@ -331,5 +331,5 @@ def test_a_historian_of_an_earlier_gateway_gets_the_table_of_the_guards(tmp_path
     assert scorecard(path).guards == {}
     again_store, again = one_machine(path, [])
     again.put("guards", [(1.0, "{}")])
-    assert again.flush()
+    assert again.flush(60.0)
     again_store.close()
