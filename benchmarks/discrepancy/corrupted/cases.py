@@ -7,7 +7,7 @@ from zlib import crc32
 
 import numpy as np
 
-from benchmarks.discrepancy.corrupted.habits import CORRUPTIONS, FILINGS, Corruption, only
+from benchmarks.discrepancy.corrupted.habits import CORRUPTIONS, FAULTS, FILINGS, Corruption, only
 from sim.artefacts.model_json import model_text
 from sim.lab.recordings import write_trace
 from sim.sha import Model, Trace
@@ -35,7 +35,7 @@ def several(rng: np.random.Generator, trace: Trace) -> Trace:
 
 
 DROPPED = "2 % of the rows dropped"
-ROWS_CLASSES: Mapping[str, Corruption] = {DROPPED: lossy, **CORRUPTIONS, "two or three of them": several}
+ROWS_CLASSES: Mapping[str, Corruption] = {DROPPED: lossy, **CORRUPTIONS, "two or three of them": several, **FAULTS}
 CLASSES = (*ROWS_CLASSES, *FILINGS)
 RECORDS: Mapping[str, Callable[[], Trace]] = {
     "nothing missing": lambda: plant(7, days=3, period=ROW_S),

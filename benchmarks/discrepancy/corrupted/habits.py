@@ -193,6 +193,9 @@ CORRUPTIONS: Mapping[str, Corruption] = {
     "nothing read": unread,
     "readings rounded": rounded,
     "mixed periods": mixed,
+}
+"""By what they do, in a fixed order."""
+FAULTS: Mapping[str, Corruption] = {
     "columns without values": gone,
     "a reading that stands still": held,
     "columns of one value": constant,
@@ -200,4 +203,4 @@ CORRUPTIONS: Mapping[str, Corruption] = {
     "a switch that chatters": chattered,
     "a part of the record": shortened,
 }
-"""By what they do, in a fixed order."""
+"""What befell a sensor, a signal or the copy that was made, and no recorder's habit; in a fixed order."""
