@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from os.path import lexists
 from pathlib import Path
 from typing import Any
 
@@ -68,13 +69,14 @@ def find_files(
     plant: Path | None, device: Path | None, link: str | None, given: Mapping[str, Any], machine: str | None = None
 ) -> Files:
     """Which files are meant, and where each of the given settings belongs. Raises ConfigError or TargetError."""
-    if machine is not None and (plant is None or not plant.exists()):
+    if machine is not None and (plant is None or not lexists(plant)):
         raise TargetError("--machine names one of a plant file that is there: give that with --config")
     if plant is None and device is None:
         raise TargetError(
             "which file? Give the plant file (--config FILE) or the device file (--device FILE); it is made"
         )
-    if plant is not None and plant.exists():
+    # A link that leads nowhere is no file that is yet to be made.
+    if plant is not None and lexists(plant):
         if device is not None:
             raise TargetError(f"--config and --device exclude each other: {plant} names its device file itself")
         tables = read_toml(plant)
@@ -97,7 +99,7 @@ def _find_driver(
 
     `row` is the plant file's own table of the device, which says where the device is though its file is not there yet.
     """
-    if path.exists():
+    if lexists(path):
         driver = read_toml(path).get("device", {}).get("driver")
         if not isinstance(driver, str):
             raise ConfigError([f"{path}: device.driver: is missing; give one of {', '.join(sorted(DRIVERS))}"])
