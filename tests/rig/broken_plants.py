@@ -38,7 +38,7 @@ COMMANDS = (
     "run",
     "reload",
     "top --once",
-    "plc bind --machine first --keep log.level=info",
+    "plc bind --machine first --keep log.max_days=30",
     "machine add third --unit 9",
 )
 """What reads a plant file and must say the same of it."""
