@@ -163,7 +163,7 @@ CASES: dict[str, tuple[Callable[[], ModelVerdict], str, str]] = {
     "locations that fit none of their stays": (
         lambda: judged(model=unseen()),
         "limited",
-        "2 of 3 locations have no values of their own though they were seen for 72.0 h",
+        "3 of 3 locations have no values of their own, 2 of which were seen, for 72.0 h",
     ),
     "kelvin in a column of degrees": (
         lambda: judged(spoiled(lambda value: value + 273.15)),

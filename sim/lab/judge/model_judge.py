@@ -270,8 +270,10 @@ def _were_seen(case: LearnedCase) -> Said:
     switch = first_switch(case.model.alphabet)
     stays = _stays(case, switch.signal) if switch is not None and not few else {}
     if unlike := [sum(stays[name]) for name in borrowed if sum(stays.get(name, ())) > MIXED_S]:
-        said = f"{len(unlike)} of {len(known)} locations have no values of their own though they were seen for "
-        return None, f"{said}{sum(unlike) / 3600:.1f} h: is it one machine in one state?"
+        said = (
+            f"{len(borrowed)} of {len(known)} locations have no values of their own, {len(unlike)} of which were seen"
+        )
+        return None, f"{said}, for {sum(unlike) / 3600:.1f} h: is it one machine in one state?"
     return few or None, f"{len(borrowed)} of {len(known)} locations were never seen"
 
 
