@@ -70,7 +70,7 @@ def write_fleet(folder: Path, size: int, days: int, seed: int) -> str:
 def studied(folder: Path, out: Path, jobs: int) -> tuple[dict[str, Any], float, float]:
     """What the command says, the processor time of it and all its workers (s), and the wall time (s)."""
     before, begin = resource.getrusage(resource.RUSAGE_CHILDREN), monotonic()
-    command = ["model", "fleet", str(folder), "--out", str(out), "--jobs", str(jobs), "--json"]
+    command = ["model", "learn", "fleet", str(folder), "--out", str(out), "--jobs", str(jobs), "--json"]
     done = subprocess.run(
         [sys.executable, "-m", "gateway.cli.main", *command], capture_output=True, text=True, check=True
     )

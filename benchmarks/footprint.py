@@ -14,6 +14,10 @@ With `--machines 1,2,5` it is as many machines of one gateway, one run after the
 FORECAST_S: processor time and memory by their number, and how they grow (the slope of their logarithms by least
 squares). One software PLC serves them all; what it takes of a core is said, since it must not be what is measured.
 
+With `--neighbours 0,1,2` it is a gateway of `--machines` (20) beside so many processes that never rest, one run after
+the other: the blocks that did not come, and the age at which a block was followed by the next, by the recordings of the
+PLC, which the neighbours slow as well.
+
 With `--beside FOLDER` it is two gateways at the same time, this checkout's and that one's, each with a software PLC of
 its own: what else the machine has to do slows both alike.
 
@@ -30,7 +34,7 @@ import sys
 import tempfile
 import time
 from bisect import bisect_left
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
@@ -48,6 +52,7 @@ from benchmarks.processes import (
     gateway,
     learned_model,
     peak_megabytes,
+    recording_of,
     software_plc,
     until_usable,
 )
@@ -56,6 +61,8 @@ from sim.plc.record.recording import PlcRecording, read_recording
 
 FORECAST_S = 10.0
 """Seconds between two forecasts of a machine, where machines are counted."""
+CROWD = 20
+"""Machines of the gateway that has busy neighbours."""
 LEAST_MB = 0.5
 """Libraries that take less are counted together."""
 
@@ -155,6 +162,53 @@ def growth(machines: Sequence[int], seconds: float, period: float, model_folder:
     return figures
 
 
+@contextmanager
+def busy_neighbours(count: int) -> Iterator[None]:
+    """So many processes that compute without end, at the priority that the gateway has here."""
+    with ExitStack() as opened:
+        for _ in range(count):
+            process = opened.enter_context(subprocess.Popen([sys.executable, "-c", "while True: pass"]))
+            opened.callback(process.kill)
+        yield
+
+
+def crowded(
+    neighbours: Sequence[int], machines: int, seconds: float, period: float, model_folder: Path | None
+) -> list[Figure]:
+    """One gateway of `machines` beside busy processes, one number of them after the other.
+
+    Raises BenchmarkError when it does not get to work.
+    """
+    figures, names = [], [f"machine{number}" for number in range(1, machines + 1)]
+    for count in neighbours:
+        with tempfile.TemporaryDirectory(prefix="decanter-footprint-") as name:
+            folder = Path(name)
+            model = learned_model(model_folder or folder)
+            with (
+                software_plc(folder, machines=names, recorded=True) as plc,
+                gateway(folder, plc, model, period, forecast=FORECAST_S) as process,
+            ):
+                until_usable(plc, process)
+                with busy_neighbours(count):
+                    since = time.monotonic()
+                    time.sleep(seconds)
+                    until = time.monotonic()
+            recordings = [read_recording(recording_of(folder, one)) for one in names]
+        accepted = [
+            np.array([row.monotonic for row in one.blocks if row.accepted and since <= row.monotonic < until])
+            for one in recordings
+        ]
+        blocks, due = sum(one.size for one in accepted), machines * (until - since) / period
+        # Until it is followed, a block grows old; that the last one of the span stood to its end counts as well.
+        ages = np.concatenate([np.diff(one, append=until) for one in accepted]) / period
+        figures += [
+            Figure(f"{count} busy neighbours: blocks that did not come", 100.0 * (1.0 - blocks / due), "% of due"),
+            Figure("  age of a block when followed, p50", float(np.median(ages)), "scans"),
+            Figure("  p99", float(np.percentile(ages, 99)), "scans", "longest", float(np.max(ages))),
+        ]
+    return figures
+
+
 def beside(
     source: Path, seconds: float, period: float, model_folder: Path | None, forecast: float | None
 ) -> list[Figure]:
@@ -219,14 +273,17 @@ def _accepted(plc: Plc) -> int:
     return sum(int(one["accepted"]) for one in plc.statuses())
 
 
-def _numbers(_context: click.Context, _parameter: click.Parameter, text: str | None) -> tuple[int, ...]:
-    try:
-        numbers = tuple(int(part) for part in text.split(",")) if text else ()
-    except ValueError:
-        numbers = (0,)
-    if any(number < 1 for number in numbers):
-        raise click.BadParameter(f"{text!r}: give whole numbers from 1 on with commas between, like 1,2,5")
-    return numbers
+def _numbers(least: int) -> Callable[[click.Context, click.Parameter, str | None], tuple[int, ...]]:
+    def read(_context: click.Context, _parameter: click.Parameter, text: str | None) -> tuple[int, ...]:
+        try:
+            numbers = tuple(int(part) for part in text.split(",")) if text else ()
+        except ValueError:
+            numbers = (-1,)
+        if any(number < least for number in numbers):
+            raise click.BadParameter(f"{text!r}: give whole numbers from {least} on with commas between, like 1,2,5")
+        return numbers
+
+    return read
 
 
 @click.command(help=__doc__)
@@ -238,7 +295,8 @@ def _numbers(_context: click.Context, _parameter: click.Parameter, text: str | N
 @click.option(
     "--beside", "source", type=click.Path(path_type=Path, exists=True), help="Another checkout, measured too."
 )
-@click.option("--machines", callback=_numbers, help="Numbers of machines in one gateway: 1,2,5.")
+@click.option("--machines", callback=_numbers(1), help="Numbers of machines in one gateway: 1,2,5.")
+@click.option("--neighbours", callback=_numbers(0), help="Numbers of busy processes beside one gateway: 0,1,2.")
 @click.option("--imports", "imported", is_flag=True, help="What each library takes of the memory.")
 @click.option("--model-folder", type=click.Path(path_type=Path), help="Where the learned model is kept.")
 def main(
@@ -250,11 +308,16 @@ def main(
     forecast: float | None,
     source: Path | None,
     machines: tuple[int, ...],
+    neighbours: tuple[int, ...],
     imported: bool,
     model_folder: Path | None,
 ) -> None:
     seconds = seconds or (4.0 if quick else 30.0)
-    if machines:
+    if neighbours:
+        if len(machines) > 1:
+            raise click.UsageError("--neighbours takes one number of machines: --machines 20")
+        figures = crowded(neighbours, machines[0] if machines else CROWD, seconds, period, model_folder)
+    elif machines:
         figures = growth(machines, seconds, period, model_folder)
     elif imported:
         figures = by_import(seconds, period, model_folder, forecast)

@@ -121,7 +121,7 @@ class Box:
         """What the page is made of; {} while nothing answers."""
         reader = "import sys, urllib.request; print(urllib.request.urlopen(sys.argv[1], timeout=5).read().decode())"
         address = f"http://127.0.0.1:{PAGE_PORT}{path}"
-        answer = self.run(f"python3.11 -c {shlex.quote(reader)} {address}", check=False)
+        answer = self.run(f"python3.11 -c {shlex.quote(reader)} {shlex.quote(address)}", check=False)
         found: dict[str, Any] = json.loads(answer) if answer.strip() else {}
         return found
 
@@ -240,6 +240,10 @@ def service(box: Box) -> None:
     box.checked(
         "the kernel tells it in its sandbox whether the clock is steered", status["clock"]["synchronised"] is not None
     )
+    now, machine = time.time(), next(iter(box.api("/api/plant")["machines"]))
+    asked = f"machine={machine}&tag={TEMPERATURE}&start={now - 600:.0f}&end={now:.0f}"
+    trend = box.api(f"/api/trend?{asked}")
+    box.checked("the page draws what was recorded", bool(trend), trend)
     listening = box.run("cat /proc/net/tcp /proc/net/tcp6")
     open_ports = {
         row.split()[1].rpartition(":")[0]

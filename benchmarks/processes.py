@@ -85,19 +85,29 @@ class Plc:
         return list(status["machines"].values()) if "machines" in status else [status]
 
 
+def recording_of(folder: Path, machine: str) -> Path:
+    """Where one of several recorded machines of the software PLC records."""
+    return folder / f"{machine}.jsonl"
+
+
 @contextmanager
-def software_plc(folder: Path, speed: float = 1.0, machines: Sequence[str] = ()) -> Iterator[Plc]:
+def software_plc(
+    folder: Path, speed: float = 1.0, machines: Sequence[str] = (), *, recorded: bool = False
+) -> Iterator[Plc]:
     """The software PLC at `speed` plant seconds a second, recording everything; it replays a synthetic run.
 
-    With `machines` it is as many, each at another place of that run, and records nothing.
+    With `machines` it is as many, each at another place of that run, which record nothing; if `recorded` each into
+    a file of its own, as `recording_of` names it.
     """
     trace, recording = folder / "replay.csv", folder / "plc.jsonl"
     write_trace(scenario(REPLAYED), trace)
     options = ["--device", MAP, "--trace", trace, "--loop", "--stdin", "--speed", speed]
     if machines:
-        rows = [
-            f'[[machine]]\nname = "{name}"\nport = 0\noffset = {OFFSET + 7 * n}\n' for n, name in enumerate(machines)
-        ]
+        rows = []
+        for number, name in enumerate(machines):
+            rows.append(f'[[machine]]\nname = "{name}"\nport = 0\noffset = {OFFSET + 7 * number}\n')
+            if recorded:
+                rows.append(f"record = {json.dumps(str(recording_of(folder, name)))}\n")
         (folder / "machines.toml").write_text("".join(rows), encoding="utf-8")
         options += ["--plant-file", folder / "machines.toml", "--cycle", SLOW_CYCLE_S]
     else:

@@ -83,9 +83,10 @@ def test_the_unit_is_told_when_it_is_ready_and_watches_and_never_gives_up() -> N
 
 
 def test_the_unit_may_ask_for_the_clock() -> None:
-    # The last line counts: @privileged, which is taken away before, has adjtimex in it.
+    # The last lines count: @privileged, which is taken away before, has adjtimex in it.
     filters = [line for line in UNIT.read_text(encoding="utf-8").splitlines() if line.startswith("SystemCallFilter=")]
-    assert filters[-1] == "SystemCallFilter=adjtimex clock_adjtime" and "ProtectClock" not in unit()["Service"]
+    assert filters[-2:] == ["SystemCallFilter=adjtimex clock_adjtime", "SystemCallFilter=setpriority"]
+    assert "ProtectClock" not in unit()["Service"]
 
 
 def test_the_unit_speaks_of_what_is_there() -> None:
@@ -122,17 +123,17 @@ def test_a_group_has_a_plant_with_its_own_places_and_is_told_its_service(
         assert config.historian.path.parent == place and config.page.enabled is page
 
 
-def test_the_service_of_a_group_is_the_plain_one_in_folders_of_its_own_and_all_share_one_bound_of_memory() -> None:
+def test_the_service_of_a_group_is_the_plain_one_in_folders_of_its_own_and_all_share_one_bound() -> None:
     plain, template = (
         [line for line in path.read_text(encoding="utf-8").splitlines() if not line.startswith(("#", "Description"))]
         for path in (UNIT, TEMPLATE)
     )
-    bounds = [line for line in plain if line.startswith("Memory") and line.endswith("%")]
+    bounds = [line for line in plain if line.startswith(("MemoryHigh", "MemoryMax", "CPUWeight", "IOWeight"))]
     assert [line.replace("/%i", "") for line in template] == [line for line in plain if line not in bounds]
     own = [line for line in template if re.search(r"(/etc|/var/lib)/decanter|Directory=decanter", line)]
     assert own and all("decanter/%i" in line for line in own), "no group writes where another one does"
     common = (DEPLOY / "system-decanter.slice").read_text(encoding="utf-8").splitlines()
-    assert len(bounds) == 2 and set(bounds) <= set(common)
+    assert len(bounds) == 4 and set(bounds) <= set(common)
 
 
 @pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.name)

@@ -169,6 +169,8 @@ class Rig:
     speed: float = 1.0
     environment: Mapping[str, str] | None = None
     """Of the gateway's process; this one's own if it is None."""
+    runner: tuple[str, ...] = ()
+    """The program that runs the gateway's command; none if it is empty."""
 
     @property
     def recording(self) -> Path:
@@ -215,7 +217,7 @@ class Rig:
         port = [] if "[[device.links]]" in self.plant.read_text(encoding="utf-8") else ["--port", plc.ready["port"]]
         arguments = ["run", "--config", self.plant, *port, "--clock", plc.clock, "--quiet"]
         whole = [*map(str, arguments), "--status", str(status), *options]
-        process = _started("gateway.cli.main", *whole, environment=self.environment)
+        process = _started("gateway.cli.main", *whole, environment=self.environment, runner=self.runner)
         return Gateway(process, status)
 
     def _plc_options(self) -> list[str]:
@@ -276,9 +278,11 @@ def end(process: "subprocess.Popen[str]") -> None:
             pipe.close()
 
 
-def _started(module: str, *arguments: str, environment: Mapping[str, str] | None = None) -> "subprocess.Popen[str]":
+def _started(
+    module: str, *arguments: str, environment: Mapping[str, str] | None = None, runner: tuple[str, ...] = ()
+) -> "subprocess.Popen[str]":
     pipe = subprocess.PIPE
-    command = [sys.executable, "-m", module, *arguments]
+    command = [*runner, sys.executable, "-m", module, *arguments]
     return subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe, text=True, cwd=ROOT, env=environment)
 
 

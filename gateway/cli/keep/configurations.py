@@ -1,4 +1,4 @@
-"""The commands of `decanter config`: configurations that were taken over, what differs between them, the way back."""
+"""The commands of `decanter keep`: configurations that were taken over, what differs between them, the way back."""
 
 import time
 from collections.abc import Iterator, Mapping, Sequence

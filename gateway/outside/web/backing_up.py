@@ -49,7 +49,7 @@ class BackupMaker:
             folder.parent.mkdir(mode=0o700, exist_ok=True)
             try:
                 said = await run_program(
-                    *("backup", str(folder), "--config", str(self._config.path), "--json"), patience=PATIENCE_S
+                    *("keep", "backup", str(folder), "--config", str(self._config.path), "--json"), patience=PATIENCE_S
                 )
             except TimeoutError:
                 raise BackupRefused(f"it was not made within {PATIENCE_S:g} s; make it at the box") from None

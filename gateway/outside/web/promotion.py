@@ -15,7 +15,7 @@ class PromotionRefused(OneLineError):
 async def promote_version(store: Path, version: str) -> None:
     """Have a version of the store made current, if its model verifies. Raises PromotionRefused."""
     try:
-        await run_program("model", "promote", str(store), version, patience=PATIENCE_S)
+        await run_program("model", "version", "promote", str(store), version, patience=PATIENCE_S)
     except TimeoutError:
         raise PromotionRefused(f"{version} was not proven within {PATIENCE_S:g} s; promote it at the box") from None
     except ProgramRefused as error:
