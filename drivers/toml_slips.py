@@ -15,7 +15,8 @@ _SLIPS = tuple(
         (r"=\s*(?i:true|false|yes|no|on|off)\b", "write true or false"),
         (r"=\s*(?i:null|none|nil)\b", "leave the key out where there is no value"),
         (r"=\s*(?=$|#|,|\})", "give the key a value"),
-        (r"=\s*[^\W\d]\S*|=\s*[~/.<$]\S*", "write a text in quotes"),
+        (r"=\s*[+-]?(?:\.\d+|\d+\.(?!\d))", "write a number with digits on both sides of its point"),
+        (r"=\s*[^\W\d]\S*|=\s*[~/.<$]\S*|=\s*\d+(?:[:/-]\d|\.\d+\.\d)\S*", "write a text in quotes"),
         (r"^\s*[\w.-]+\s*:", "write key = value"),
         (r"^\s*[{<]", "this is another format; write [table] and below it key = value"),
         (r",\s*(?=\}|$)", "close a { table } on its line, without a comma before its end"),
@@ -23,6 +24,7 @@ _SLIPS = tuple(
 )
 """How a slip looks in its line, and what would be right."""
 _TWICE = ("Cannot overwrite", "Cannot declare", "Cannot redefine", "Cannot mutate", "Duplicate")
+_OPEN = ("Illegal character '\\n'", 'Expected "\'"', "Unterminated string")
 _BYTE_ORDER_MARK = "\ufeff"
 
 
@@ -32,6 +34,8 @@ def toml_remedy(text: str, error: str) -> str:
         return "the file begins with a byte order mark; save it as UTF-8 without one"
     if error.startswith(_TWICE):
         return "it is there already; keep one of the two"
+    if error.startswith(_OPEN):
+        return "close the quotes of a text where it ends"
     found = _AT.search(error)
     if found is None:
         return "correct that place"
