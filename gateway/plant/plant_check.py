@@ -31,6 +31,7 @@ from sim.units import display_unit
 
 MAX_SOCKET_BYTES = 107
 """What Linux keeps of a socket's path (`sun_path`, less its end)."""
+_HERE = ("127.0.0.1", "localhost", "::1")
 MAX_REACH_SPANS = 2.0
 """A limit so many times the model's span of temperatures above the hottest of them never comes within reach."""
 
@@ -212,14 +213,20 @@ def _served(config: Config) -> dict[str, tuple[str, int]]:
 def _ports_of_the_device(config: Config) -> Iterator[str]:
     """Ports at which the gateway would ask itself for its device."""
     for link in config.links:
-        if {"host", "port"} <= link.settings.keys():
+        if not {"host", "port"} <= link.settings.keys():
+            continue
+        try:
             device = with_place(link.settings)
-            for key, (host, port) in _served(config).items():
-                if device["port"] == port and device["host"] in (host, "127.0.0.1", "localhost", "::1"):
-                    yield (
-                        f"{config.path}: {key}: {port} is the port of the device at {device['host']}, so that the "
-                        "gateway would ask itself; give another"
-                    )
+        except ValueError:
+            continue  # its driver cannot be made, and says why
+        for key, (host, port) in _served(config).items():
+            # A server that listens everywhere listens here too.
+            here = device["host"] in _HERE and host in (*_HERE, "0.0.0.0", "::")
+            if device["port"] == port and (here or device["host"] == host):
+                yield (
+                    f"{config.path}: {key}: {port} is the port of the device at {device['host']}, so that the "
+                    "gateway would ask itself; give another"
+                )
 
 
 def _has_gateway(path: Path) -> bool:
