@@ -32,6 +32,7 @@ from sim.units import display_unit
 MAX_SOCKET_BYTES = 107
 """What Linux keeps of a socket's path (`sun_path`, less its end)."""
 _HERE = ("127.0.0.1", "localhost", "::1")
+_LISTENS_HERE = (*_HERE, "0.0.0.0", "::")  # noqa: S104 (looked for, not listened on)
 MAX_REACH_SPANS = 2.0
 """A limit so many times the model's span of temperatures above the hottest of them never comes within reach."""
 
@@ -221,7 +222,7 @@ def _ports_of_the_device(config: Config) -> Iterator[str]:
             continue  # its driver cannot be made, and says why
         for key, (host, port) in _served(config).items():
             # A server that listens everywhere listens here too.
-            here = device["host"] in _HERE and host in (*_HERE, "0.0.0.0", "::")
+            here = device["host"] in _HERE and host in _LISTENS_HERE
             if device["port"] == port and (here or device["host"] == host):
                 yield (
                     f"{config.path}: {key}: {port} is the port of the device at {device['host']}, so that the "
