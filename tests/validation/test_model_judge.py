@@ -158,12 +158,13 @@ CASES: dict[str, tuple[Callable[[], ModelVerdict], str, str]] = {
     "locations that no trace shows": (
         lambda: judged(spoiled(np.zeros_like, RUNNING), replace(MODEL, borrowed=frozenset(("start", "on")))),
         "limited",
-        "2 of 3 locations were never seen; next: learn with traces that show them",
+        "2 of 3 locations were never seen",
     ),
     "locations that fit none of their stays": (
         lambda: judged(model=unseen()),
         "limited",
-        "3 of 3 locations have no values of their own, 2 of which were seen, for 72.0 h",
+        "3 of 3 locations have no values of their own, 2 of which were seen, for 72.0 h: is it one machine in one state?; next: learn "
+        "with traces that show them",
     ),
     "kelvin in a column of degrees": (
         lambda: judged(spoiled(lambda value: value + 273.15)),
