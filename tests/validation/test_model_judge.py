@@ -163,8 +163,8 @@ CASES: dict[str, tuple[Callable[[], ModelVerdict], str, str]] = {
     "locations that fit none of their stays": (
         lambda: judged(model=unseen()),
         "limited",
-        "3 of 3 locations have no values of their own, 2 of which were seen, for 72.0 h: is it one machine in one state?; next: learn "
-        "with traces that show them",
+        "3 of 3 locations have no values of their own, 2 of which were seen, for 72.0 h: is it one machine in one "
+        "state?; next: learn with traces that show them",
     ),
     "kelvin in a column of degrees": (
         lambda: judged(spoiled(lambda value: value + 273.15)),
