@@ -45,8 +45,6 @@ from gateway.commission.files.io_words import (
 )
 from gateway.commission.survey import Register, parse_register
 
-GAINS = ("multiply", "divide")
-"""What is done with a reading by a gain above 1."""
 _HEX_NUMBER = re.compile(r"(?:0x|16#)([0-9a-f]{1,16})|([0-9a-f]{1,16})h")
 _WHOLE_NUMBER = re.compile(r"[+-]?\d+")
 _EMPTY = ("", "-", "–", "n/a", "n.a.")
@@ -69,8 +67,8 @@ class Reading:
 
     `table` of bare numbers, `order` of values wider than a register ("": ABCD, or what the list's layout has), `shift`
     added to every address, `registers` False for other drivers' addresses, which are left as they are. `gain` (one of
-    GAINS), `numbers` (one of NUMBERS) and `plc` (one of MAKERS) settle what a list leaves open; "" where nothing does.
-    `unit` is the one that is meant of a list of several, `repeats` how often a group of a model is there.
+    GAINS), `numbers` (one of NUMBERS) and `plc` (one of PLC_MAKERS) settle what a list leaves open; "" where nothing
+    does. `unit` is the one that is meant of a list of several, `repeats` how often a group of a model is there.
     """
 
     table: str = "holding"
