@@ -6,6 +6,7 @@ It is the only place where such a sentence is made. A field's description is its
 import re
 import tomllib
 from collections.abc import Mapping, Sequence
+from ipaddress import AddressValueError, IPv4Address
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_args, get_origin
 from unicodedata import bidirectional, category
@@ -16,6 +17,7 @@ from pydantic_core import ErrorDetails
 
 from drivers.errors import DriverError, did_you_mean, one_sentence
 from drivers.named_files import MOST_TOML_BYTES, contents, parse_toml
+from drivers.toml_slips import toml_remedy
 
 MOST_CHARACTERS = 2500
 """Characters of all problems of a configuration that are said at a time."""
@@ -90,7 +92,13 @@ def _a_name(text: str) -> str:
     return text
 
 
+_OTHER_PATH = re.compile(r"~|\$|%\w+%|[A-Za-z]:[\\/]|\\\\")
+"""How paths begin that a shell or another system understands, and that here would be files of a strange name."""
+
+
 def _in_its_home(path: Path, info: ValidationInfo) -> Path:
+    if _OTHER_PATH.match(str(path)):
+        raise ValueError(f"'{path}' is a path of a shell or of another system; write it out, with / between its parts")
     return path if info.context is None else info.context / path
 
 
@@ -106,24 +114,37 @@ Line = Annotated[str, Field(min_length=1, max_length=200), AfterValidator(_one_l
 
 
 _SCHEME = re.compile(r"[a-z][a-z0-9+.-]*://", re.IGNORECASE)
+_HOST = re.compile(r"[\w.:%-]+")
+_NUMBERS = re.compile(r"[\d.,]+", re.ASCII)
 _PLACE = re.compile(r"(?:\[(?P<bracketed>[^\]\[]+)\]|(?P<plain>[^:\[\]]+))(?::(?P<port>\d{1,5}))?")
 
 
 def split_place(host: str) -> tuple[str, int | None]:
     """A host as it is looked up, and the port that stands with it: `[::1]`, `plc.local:502`, `tcp://10.0.0.5:502/`.
 
-    Raises ValueError for a port that is none; what is no such spelling is left for whoever looks it up.
+    Raises ValueError for a port that is none, and for what can be no host; else it is left for whoever looks it up.
     """
     plain = _SCHEME.sub("", host.strip(), count=1).rstrip("/")
     match = _PLACE.fullmatch(plain)
-    if match is None:
-        return plain or host, None  # an IPv6 address without brackets, for one
-    if match["port"] is None:
-        return match["bracketed"] or match["plain"], None
+    name = plain or host if match is None else match["bracketed"] or match["plain"]
+    _refuse_no_host(name)
+    if match is None or match["port"] is None:
+        return name, None  # an IPv6 address without brackets, for one
     port = int(match["port"])
     if not 1 <= port <= 65535:
         raise ValueError(f"host {host!r} has port {port}; give one from 1 to 65535")
-    return match["bracketed"] or match["plain"], port
+    return name, port
+
+
+def _refuse_no_host(name: str) -> None:
+    """Raises ValueError for what neither a name nor an address can be, however a system would complete it."""
+    if _NUMBERS.fullmatch(name):
+        try:
+            IPv4Address(name)
+        except AddressValueError:
+            raise ValueError(f"host {name!r} is no IP address; give four numbers from 0 to 255 with points") from None
+    elif not _HOST.fullmatch(name):
+        raise ValueError(f"host {name!r} holds what no name or address has; give the PLC's address or name")
 
 
 def with_place(settings: Mapping[str, Any]) -> dict[str, Any]:
@@ -150,8 +171,10 @@ S = TypeVar("S", bound=BaseModel)
 
 def read_toml(path: Path) -> dict[str, Any]:
     """The file's content. Raises ConfigError, with the line where TOML has one."""
+    text = ""
     try:
-        return parse_toml(contents(path, MOST_TOML_BYTES).decode())
+        text = contents(path, MOST_TOML_BYTES).decode()
+        return parse_toml(text)
     except FileNotFoundError:
         raise ConfigError([f"{path}: there is no such file; give the path of an existing TOML file"]) from None
     except OSError as error:
@@ -161,7 +184,7 @@ def read_toml(path: Path) -> dict[str, Any]:
     except UnicodeDecodeError as error:
         raise ConfigError([f"{path}: byte {error.start} is not UTF-8; save the file as UTF-8"]) from None
     except tomllib.TOMLDecodeError as error:
-        raise ConfigError([f"{path}: is not TOML: {error}; correct that place"]) from None
+        raise ConfigError([f"{path}: is not TOML: {error}; {toml_remedy(text, str(error))}"]) from None
 
 
 def validate_section(section: type[S], data: Mapping[str, Any], file: Path | str, *, home: Path | None = None) -> S:

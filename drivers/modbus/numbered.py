@@ -16,7 +16,7 @@ from pymodbus.pdu import ModbusPDU
 from drivers.driver import BeforeSending, Clock, anyhow
 from drivers.errors import DeviceException, DriverError, LinkDown, LinkFault, ReplyMismatch, ReplyTimeout
 from drivers.modbus.replies import ID_REUSE_DELAY_S, ReplyStream, TransactionIds
-from drivers.modbus.verify import NO_WAY_TO_UNIT, Asked, check_reply, parse_request, unpack_words
+from drivers.modbus.verify import NO_WAY_TO_UNIT, Asked, check_reply, leaves_open, parse_request, unpack_words
 from drivers.modbus.wire import (
     ANY_ID,
     FLOOD,
@@ -28,6 +28,7 @@ from drivers.modbus.wire import (
     discard,
     keep_alive,
     no_connection,
+    rest_of_wait,
     socket_place,
 )
 from drivers.tap import current, make_frame
@@ -37,8 +38,8 @@ from drivers.tap import current, make_frame
 class _Question:
     """One request on the connection; `reply` is what waits for its answer, None once nobody does.
 
-    `at` is the loop's time of sending, `sent` the clock's. What is asked again has the same `reading`: an answer to an
-    earlier attempt is its answer too.
+    `at` and `until` are the loop's times of sending and of the deadline, `sent` is the clock's of sending. What is
+    asked again has the same `reading`: an answer to an earlier attempt is its answer too.
     """
 
     asked: Asked
@@ -46,6 +47,7 @@ class _Question:
     at: float
     reading: int
     reply: "asyncio.Future[WireReply] | None"
+    until: float
 
 
 class NumberedWire(asyncio.Protocol):
@@ -151,9 +153,8 @@ class NumberedWire(asyncio.Protocol):
         reply: asyncio.Future[WireReply] = loop.create_future()
         foreign = self.foreign
         self._late.pop(request.dev_id, None)
-        question = _Question(
-            parse_request(frame), self._clock(), now, self._readings.setdefault(request.dev_id, number), reply
-        )
+        reading = self._readings.setdefault(request.dev_id, number)
+        question = _Question(parse_request(frame), self._clock(), now, reading, reply, now + deadline)
         self._questions[number] = question
         self._unasked = 0
         self._since_answer[request.dev_id] += 1
@@ -267,9 +268,21 @@ class NumberedWire(asyncio.Protocol):
         try:
             check_reply(question.asked, frame)
         except (ReplyMismatch, DeviceException) as error:
+            if leaves_open(question.asked, frame) and waiting is question:
+                self._questions[number] = question
+                loop = asyncio.get_running_loop()
+                loop.call_later(rest_of_wait(loop.time(), question.until), self._give_up, number, error)
+                return
             waiting.reply.set_exception(error)
             return
         waiting.reply.set_result(WireReply(unpack_words(question.asked, frame[9:]), question.sent, received))
+
+    def _give_up(self, number: int, error: DriverError) -> None:
+        """What came was not the answer, and nothing else has come."""
+        question = self._questions.get(number)
+        if question is not None and question.reply is not None and not question.reply.done():
+            del self._questions[number]
+            question.reply.set_exception(error)
 
     def _tell(self, data: bytes, *, sent: bool) -> None:
         """Let the evidence know, where somebody gathers it."""

@@ -25,7 +25,7 @@ from drivers.modbus import rtu
 from drivers.modbus.ascii import AsciiStream, ascii_frame
 from drivers.modbus.settings import ModbusSettings
 from drivers.modbus.verify import ECHOED, HEADER, Asked, check_reply, split_frames, unpack_words
-from drivers.modbus.wire import WireReply, socket_place
+from drivers.modbus.wire import WireReply, socket_place, system_reason
 from drivers.tap import Medium, current, make_frame
 
 GAP_S = 0.02
@@ -124,8 +124,7 @@ class LineWire:
         except (OSError, UnicodeError, ValueError) as error:  # pyserial's SerialException is an OSError
             # What pyserial says repeats the port and the number; the number's own word is enough.
             number = error.errno if settings.serial and isinstance(error, OSError) else None
-            said = error.strerror if isinstance(error, OSError) else None
-            reason = os.strerror(number).lower() if number else said or str(error)
+            reason = os.strerror(number).lower() if number else system_reason(error)
             raise LinkDown(f"{settings.place} cannot be opened: {reason}") from error
 
     @property

@@ -20,6 +20,8 @@ REPORT = 17
 """Function 17: the device says who it is in bytes of its maker's own (6.13)."""
 SAYS_WHO = frozenset({REPORT, IDENTIFY})
 """Questions without an address; the words of their replies are the bytes of what the device says."""
+_ECHO = 4
+"""Bytes of a read's request behind its function: address and count."""
 _TABLES = {1: "coil", 2: "discrete", 3: "holding", 4: "input", 5: "coil", 6: "holding", 15: "coil", 16: "holding"}
 _BITS, _REGISTERS = frozenset({1, 2}), frozenset({3, 4})
 ECHOED = frozenset({5, 6})
@@ -89,6 +91,19 @@ def split_frames(stream: bytes) -> tuple[list[bytes], bytes]:
     return frames, stream
 
 
+def leaves_open(request: Asked, frame: bytes) -> bool:
+    """Whether the answer may still come behind a frame with the request's number: another unit's, or the request.
+
+    So it is with gateways that hand on what other units of their line say, and where something gives back what is sent.
+    """
+    return frame[6] != request.unit or _is_echo(request, frame[7], frame[8:])
+
+
+def _is_echo(request: Asked, function: int, body: bytes) -> bool:
+    is_read = function in _BITS or function in _REGISTERS
+    return is_read and function == request.function and body == struct.pack(">HH", request.address, request.count)
+
+
 def check_reply(request: Asked, reply: bytes) -> None:
     """Pass if the frame answers the request in unit, function, length and count or echo.
 
@@ -110,6 +125,9 @@ def check_reply(request: Asked, reply: bytes) -> None:
         raise DeviceException(body[0], f"{request}: exception {body[0]}, {sentence}")
     if function != request.function:
         raise ReplyMismatch(f"{request}: the reply is of function {function} and {request.function} was asked")
+    # Before the counts: of 17 to 24 bits from 0x0300 on it looks like a reply.
+    if len(body) == _ECHO and _is_echo(request, function, body):
+        raise ReplyMismatch(f"{request}: what comes back is the request itself: something gives back what is sent")
     if function == IDENTIFY:
         if len(body) < 6 or body[0] != _MEI_IDENTITY:
             raise ReplyMismatch(f"{request}: the reply holds no identification")

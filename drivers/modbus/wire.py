@@ -10,6 +10,7 @@ same tests fail if they change.
 
 import asyncio
 import errno
+import os
 import re
 import socket
 import ssl
@@ -38,11 +39,13 @@ from drivers.driver import BeforeSending, Clock, anyhow
 from drivers.errors import DeviceException, DriverError, LinkDown, LinkFault, ReplyMismatch, ReplyTimeout
 from drivers.modbus.address import Area
 from drivers.modbus.replies import ReplyStream, TransactionIds
-from drivers.modbus.verify import WRITES, Asked, check_reply, parse_request, unpack_words
+from drivers.modbus.verify import WRITES, Asked, check_reply, leaves_open, parse_request, unpack_words
 from drivers.tap import current, make_frame
 
 FLOOD = 65536
 """More than the longest frame (260 bytes) many times over. Beyond it a peer that nobody asked is flooding the line."""
+MAX_REST_S = 0.5
+"""Behind another unit's frame the answer of the one that was asked is waited for so long at most."""
 NOT_BEHIND_A_PART = "of a reply that nobody waits for {} bytes have come, and nothing is asked behind them"
 LATE = " (a reply came {:.2f} s after its request, too late: give a longer timeout)"
 ANY_ID = {"transaction_id": "any"}
@@ -130,6 +133,8 @@ class Wire:
         self._open: dict[int, tuple[Asked, float]] = {}
         self._any_answer = asyncio.Event()
         self._outcome: asyncio.Future[WireReply] | None = None
+        # Of the present question's deadline.
+        self._timer: asyncio.TimerHandle | None = None
         self._sent = self._received = 0.0
         self._stream = ReplyStream(ids, self._take_frame, self._break_cut)
         self._unasked = 0
@@ -229,7 +234,7 @@ class Wire:
         self._send(transport, request)
         outcome: asyncio.Future[WireReply] = loop.create_future()
         self._outcome = outcome
-        timer = loop.call_later(deadline, too_late)
+        timer = self._timer = loop.call_later(deadline, too_late)
         try:
             return await outcome
         finally:
@@ -314,10 +319,22 @@ class Wire:
         try:
             check_reply(request, frame)
         except (ReplyMismatch, DeviceException) as error:
+            if self._timer is not None and leaves_open(request, frame):
+                self._request, self._open[number] = request, (question, sent)
+                loop = asyncio.get_running_loop()
+                loop.call_later(rest_of_wait(loop.time(), self._timer.when()), self._give_up, number, outcome, error)
+                return
             self._fail(error)
             return
         self._sent, self._unasked = sent, 0
         outcome.set_result(WireReply(unpack_words(request, frame[9:]), sent, self._received))
+
+    def _give_up(self, number: int, outcome: "asyncio.Future[WireReply]", error: DriverError) -> None:
+        """What came was not the answer, and nothing else has come."""
+        if outcome is self._outcome and not outcome.done():
+            self._open.pop(number, None)
+            self._request = None
+            self._fail(error)
 
     def _on_disconnect(self, exc: Exception | None) -> None:
         where = " in the middle of a reply" if self._stream.remainder else ""
@@ -344,6 +361,11 @@ class Wire:
     def _fail(self, error: DriverError) -> None:
         if self._outcome is not None and not self._outcome.done():
             self._outcome.set_exception(error)
+
+
+def rest_of_wait(now: float, until: float) -> float:
+    """Seconds that a question waits on behind a frame that leaves its answer open: over before its deadline is."""
+    return max(0.0, min(MAX_REST_S, (until - now) / 2))
 
 
 def keep_alive(transport: asyncio.Transport) -> None:
@@ -374,9 +396,16 @@ def discard(transport: asyncio.Transport, unanswered: Iterable[Asked]) -> None:
 
 def no_connection(place: str, error: Exception, secured: Secured | None) -> LinkDown:
     """A failed attempt to connect, with the system's own reason."""
-    plain = (error.strerror if isinstance(error, OSError) else None) or str(error)
-    reason = secured.sentence(error) if secured else plain
+    reason = secured.sentence(error) if secured else system_reason(error)
     return LinkDown(f"{place} does not connect: {reason}", fault=_connect_fault(error))
+
+
+def system_reason(error: Exception) -> str:
+    """The system's word for a failure; of asyncio's "Connect call failed (address)" what its number means."""
+    said = (error.strerror if isinstance(error, OSError) else None) or str(error)
+    if isinstance(error, OSError) and error.errno and said.startswith("Connect call failed"):
+        return os.strerror(error.errno)
+    return said
 
 
 def socket_place(name: tuple[str, int] | None) -> str:

@@ -6,7 +6,7 @@ _COMMANDS = "gateway.cli.plant.records"
 COMMANDS: Table = {
     "export": (f"{_COMMANDS}:export", "Write a table of the records as CSV or Parquet."),
     "import": (
-        "gateway.lab.ingestion.into_historian:import_command",
+        "gateway.lab.ingestion.commands:import_command",
         "Take a recording into a historian; what is there already must agree.",
     ),
     "query": (f"{_COMMANDS}:query", "Show the newest rows of a table, or a tag's means."),

@@ -44,7 +44,7 @@ learn = FirstWordCommand(
 )
 JUDGED: Table = {
     "proof": (
-        "gateway.lab.checking.prove:prove",
+        "gateway.lab.checking.commands:prove",
         "Prove or refute what a model can do; say whether it may be deployed.",
     ),
     "skill": (

@@ -19,11 +19,11 @@ COMMANDS: Table = {
         "Find type, word order, scale and address from what the HMI shows.",
     ),
     "bind": (
-        "gateway.commission.bind:bind",
+        "gateway.commission.commands:bind",
         "Bind a place in the device to a tag's name; TOML edits keep comments.",
     ),
     "import": (
-        "gateway.commission.import_list:import_list",
+        "gateway.commission.commands:import_list",
         "Take the tags of an I/O list (CSV, XLSX) into the device file.",
     ),
     "check": ("gateway.cli.plc:check", "Check by levels: computer, files, plan, device, HMI, a soak, what is written."),

@@ -10,7 +10,7 @@ COMMANDS: Table = {
         "Decode a CAN log (candump, ASC, BLF, TRC, CSV, MF4) to a table and a CSV.",
     ),
     "ingest": (
-        "gateway.lab.ingestion.ingest:ingest",
+        "gateway.lab.ingestion.commands:ingest",
         "Take a folder's files into an archive: recognised, copied, listed; doubles refused.",
     ),
     "map": (

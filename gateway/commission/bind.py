@@ -1,6 +1,5 @@
 """`decanter plc bind`: a place in the device bound to a tag's name, in the device file's own text."""
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -9,22 +8,17 @@ import click
 from drivers.driver import capabilities
 from drivers.settings import ConfigError
 from gateway.commission.files import (
-    DRY_RUN,
     ENCODING,
-    HEARTBEAT,
-    KEEP,
     Binding,
     BlockPlace,
     FileChange,
     Files,
     apply_change,
     edit_files,
-    pairs,
     split_settings,
     template,
 )
-from gateway.commission.options import SharedOptions, bit_option, link_options
-from gateway.commission.read import ORDERS, TYPES
+from gateway.commission.options import SharedOptions
 from gateway.commission.session import read_records
 from gateway.commission.survey import parse_register
 from gateway.console import CommandResult
@@ -32,51 +26,8 @@ from gateway.console import CommandResult
 _LIMITS = ("low", "high", "sentinel", "max_rate")
 
 
-def _one_or_several(_: click.Context, __: click.Parameter, numbers: Sequence[float]) -> int | float | list[Any] | None:
-    """A callback: the one number, a list of several, None for none; whole numbers as such."""
-    whole = [int(number) if number.is_integer() else number for number in numbers]
-    return whole if len(whole) > 1 else next(iter(whole), None)
-
-
-@click.command(short_help="Bind a place in the device to a tag's name; TOML edits keep comments.")
-@click.argument("name", required=False)
-@click.argument("address", required=False)
-@click.option("--type", "dtype", type=click.Choice(TYPES), help="What lies there (uint16).")
-@click.option("--order", type=click.Choice(ORDERS), help="Byte and word order (ABCD).")
-@click.option("--scale", type=float, help="Engineering units per count (1).")
-@click.option("--offset", type=float, help="Engineering units at raw 0 (0).")
-@bit_option
-@click.option("--length", type=click.IntRange(1), help="Bytes of a string.")
-@click.option("--guess", "rank", type=click.IntRange(1), help="Bind what the last guess found; 1 is its best.")
-@click.option("--units", help="The engineering unit as text, such as degC.")
-@click.option("--low", type=float, help="The lowest plausible value.")
-@click.option("--high", type=float, help="The highest plausible value.")
-@click.option(
-    "--sentinel",
-    multiple=True,
-    type=float,
-    callback=_one_or_several,
-    help="A raw number that means 'not available'; may be given again.",
-)
-@click.option("--max-rate", type=float, help="The fastest believable change in units a second.")
-@click.option("--label", "labels", multiple=True, metavar="RAW=TEXT", callback=pairs, help="A name of a raw number.")
-@click.option("--block", metavar="ADDRESS", help="Where the write-back block begins.")
-@click.option("--block-of", metavar="TAG", help="Of which temperature it speaks, where the device takes several.")
-@click.option("--fields", help="Its fields, with commas between; as many as the PLC takes in one write by default.")
-@click.option("--layout", type=click.IntRange(0, 65535), help="Its layout version (2).")
-@click.option("--timer", type=float, help="The PLC's timer in seconds (5).")
-@HEARTBEAT
-@KEEP
-@DRY_RUN
-@link_options
 def bind(given: SharedOptions, **options: Any) -> None:
-    """Bind a place in the device to a tag's NAME, in the device file: shown as a diff, checked, a backup kept.
-
-    ADDRESS is a PDU address (holding:100), a number as HMIs show it (40101), or the link's own (0x2001:1). With --guess
-    it is what the last guess found. Comments and order of the file stay. A file that is not there is made.
-    Without NAME only --block, --heartbeat and --keep are put in. Several blocks have their fields, layout and timer in
-    common.
-    """
+    """The work of `plc bind`."""
 
     def work(files: Files) -> CommandResult:
         device, plant = split_settings(options["keep"])

@@ -1,14 +1,23 @@
 """The options of most commands of `plc` and their help; the work is loaded when it is asked for."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import click
 
 from gateway.commission.options import (
+    DRY_RUN,
+    HEARTBEAT,
+    KEEP,
+    ORDERS,
+    TYPES,
     audit_option,
+    bit_option,
     link_options,
+    list_options,
     only_option,
+    pairs,
     period_option,
     plant_options,
     record_options,
@@ -272,5 +281,96 @@ def replay(**options: Any) -> None:
     is written, and the gateway's own records stay as they are.
     """
     from gateway.commission.replay import replay as work
+
+    work(**options)
+
+
+def _one_or_several(_: click.Context, __: click.Parameter, numbers: Sequence[float]) -> int | float | list[Any] | None:
+    """A callback: the one number, a list of several, None for none; whole numbers as such."""
+    whole = [int(number) if number.is_integer() else number for number in numbers]
+    return whole if len(whole) > 1 else next(iter(whole), None)
+
+
+@click.command(short_help="Bind a place in the device to a tag's name; TOML edits keep comments.")
+@click.argument("name", required=False)
+@click.argument("address", required=False)
+@click.option("--type", "dtype", type=click.Choice(TYPES), help="What lies there (uint16).")
+@click.option("--order", type=click.Choice(ORDERS), help="Byte and word order (ABCD).")
+@click.option("--scale", type=float, help="Engineering units per count (1).")
+@click.option("--offset", type=float, help="Engineering units at raw 0 (0).")
+@bit_option
+@click.option("--length", type=click.IntRange(1), help="Bytes of a string.")
+@click.option("--guess", "rank", type=click.IntRange(1), help="Bind what the last guess found; 1 is its best.")
+@click.option("--units", help="The engineering unit as text, such as degC.")
+@click.option("--low", type=float, help="The lowest plausible value.")
+@click.option("--high", type=float, help="The highest plausible value.")
+@click.option(
+    "--sentinel",
+    multiple=True,
+    type=float,
+    callback=_one_or_several,
+    help="A raw number that means 'not available'; may be given again.",
+)
+@click.option("--max-rate", type=float, help="The fastest believable change in units a second.")
+@click.option("--label", "labels", multiple=True, metavar="RAW=TEXT", callback=pairs, help="A name of a raw number.")
+@click.option("--block", metavar="ADDRESS", help="Where the write-back block begins.")
+@click.option("--block-of", metavar="TAG", help="Of which temperature it speaks, where the device takes several.")
+@click.option("--fields", help="Its fields, with commas between; as many as the PLC takes in one write by default.")
+@click.option("--layout", type=click.IntRange(0, 65535), help="Its layout version (2).")
+@click.option("--timer", type=float, help="The PLC's timer in seconds (5).")
+@HEARTBEAT
+@KEEP
+@DRY_RUN
+@link_options
+def bind(**options: Any) -> None:
+    """Bind a place in the device to a tag's NAME, in the device file: shown as a diff, checked, a backup kept.
+
+    ADDRESS is a PDU address (holding:100), a number as HMIs show it (40101), or the link's own (0x2001:1). With --guess
+    it is what the last guess found. Comments and order of the file stay. A file that is not there is made.
+    Without NAME only --block, --heartbeat and --keep are put in. Several blocks have their fields, layout and timer in
+    common.
+    """
+    from gateway.commission.bind import bind as work
+
+    work(**options)
+
+
+@click.command("import", short_help="Take the tags of an I/O list (CSV, XLSX) into the device file.")
+@click.argument("path", type=click.Path(path_type=Path))
+@click.option("--sheet", help="The sheet of a workbook; the first by default.")
+@click.option("--column", "columns", multiple=True, metavar="WHAT=HEADER", callback=pairs, help="Say what a column is.")
+@click.option(
+    "--table",
+    "registers",
+    type=click.Choice(["holding", "input", "coil", "discrete"]),
+    default="holding",
+    show_default=True,
+    help="The table of bare numbers.",
+)
+@click.option(
+    "--repeat",
+    multiple=True,
+    metavar="GROUP=N",
+    callback=pairs,
+    help="How often a group of a SunSpec model is there; may be given again.",
+)
+@list_options
+@only_option
+@click.option("--without", multiple=True, metavar="TAG", help="Leave this tag out; may be given again.")
+@click.option("--rename", multiple=True, metavar="OLD=NEW", callback=pairs, help="Give a tag of the list another name.")
+@click.option("--skip-bad", is_flag=True, help="Leave out rows that cannot be used.")
+@HEARTBEAT
+@KEEP
+@DRY_RUN
+@link_options
+def import_list(**options: Any) -> None:
+    """Take the tags of an I/O list (PATH: CSV or XLSX) into the device file: shown as a diff, checked, a backup kept.
+
+    A list may also be YAML with Home Assistant's modbus:, a meter template of evcc, or a SunSpec model (JSON).
+    The columns are found by their headers, Italian or English; numbers may have a decimal comma. Each row that cannot
+    be used is one sentence with its line, and then nothing is written (--skip-bad: nothing of that row). What the list
+    does not say of a tag stays as it is in the file.
+    """
+    from gateway.commission.import_list import import_list as work
 
     work(**options)

@@ -1,21 +1,13 @@
 """`decanter plc import`: the tags of an I/O list into the device file, each bad row with its own sentence."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import click
-
 from drivers.driver import capabilities
 from gateway.commission.files import (
-    DRY_RUN,
-    GAINS,
-    HEARTBEAT,
-    KEEP,
-    MAKERS,
     MOST_REPEATS,
-    NUMBERS,
     Binding,
     FileChange,
     Files,
@@ -23,37 +15,12 @@ from gateway.commission.files import (
     Reading,
     apply_change,
     edit_files,
-    pairs,
     read_io_list,
     split_settings,
     template,
 )
-from gateway.commission.options import SharedOptions, link_options, only_option
-from gateway.commission.read import ORDERS
+from gateway.commission.options import SharedOptions
 from gateway.console import CommandResult
-
-
-def list_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """The options that say how a list is meant where it does not say so itself."""
-    options = (
-        click.option(
-            "--order",
-            type=click.Choice(ORDERS),
-            default=None,
-            help="Order of wide values.  [default: ABCD, or the list's]",
-        ),
-        click.option("--shift", type=int, default=0, help="Add this to every address, such as -1 or 1."),
-        click.option("--gain", type=click.Choice(GAINS), help="What a gain above 1 does to a reading."),
-        click.option(
-            "--numbers",
-            type=click.Choice(NUMBERS),
-            help="What bare addresses are: decimal, hexadecimal, or none of them a reference as 40101 (plain).",
-        ),
-        click.option("--plc", type=click.Choice(tuple(MAKERS)), help="Whose addresses %MD50 and %QX1.3 are."),
-    )
-    for option in reversed(options):
-        command = option(command)
-    return command
 
 
 def make_reading(options: Mapping[str, Any], **more: Any) -> Reading:
@@ -62,42 +29,8 @@ def make_reading(options: Mapping[str, Any], **more: Any) -> Reading:
     return Reading(**given, **more)
 
 
-@click.command("import", short_help="Take the tags of an I/O list (CSV, XLSX) into the device file.")
-@click.argument("path", type=click.Path(path_type=Path))
-@click.option("--sheet", help="The sheet of a workbook; the first by default.")
-@click.option("--column", "columns", multiple=True, metavar="WHAT=HEADER", callback=pairs, help="Say what a column is.")
-@click.option(
-    "--table",
-    "registers",
-    type=click.Choice(["holding", "input", "coil", "discrete"]),
-    default="holding",
-    show_default=True,
-    help="The table of bare numbers.",
-)
-@click.option(
-    "--repeat",
-    multiple=True,
-    metavar="GROUP=N",
-    callback=pairs,
-    help="How often a group of a SunSpec model is there; may be given again.",
-)
-@list_options
-@only_option
-@click.option("--without", multiple=True, metavar="TAG", help="Leave this tag out; may be given again.")
-@click.option("--rename", multiple=True, metavar="OLD=NEW", callback=pairs, help="Give a tag of the list another name.")
-@click.option("--skip-bad", is_flag=True, help="Leave out rows that cannot be used.")
-@HEARTBEAT
-@KEEP
-@DRY_RUN
-@link_options
 def import_list(given: SharedOptions, path: Path, **options: Any) -> None:
-    """Take the tags of an I/O list (PATH: CSV or XLSX) into the device file: shown as a diff, checked, a backup kept.
-
-    A list may also be YAML with Home Assistant's modbus:, a meter template of evcc, or a SunSpec model (JSON).
-    The columns are found by their headers, Italian or English; numbers may have a decimal comma. Each row that cannot
-    be used is one sentence with its line, and then nothing is written (--skip-bad: nothing of that row). What the list
-    does not say of a tag stays as it is in the file.
-    """
+    """The work of `plc import`."""
 
     def work(files: Files) -> CommandResult:
         device, plant = split_settings(options["keep"])

@@ -1,5 +1,6 @@
 """`decanter plc probe`: is the device there, does it speak, and who is it? The first step that fails ends it."""
 
+import asyncio
 import json
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -13,7 +14,7 @@ import click
 
 from drivers.driver import LINKS
 from drivers.errors import DeviceException, DriverError, LinkDown, LinkFault, ReplyMismatch, ReplyTimeout
-from drivers.survey import AsksRegisters
+from drivers.survey import AsksRegisters, ReadWords
 from gateway.commission.options import SharedOptions
 from gateway.commission.session import (
     CONNECT_S,
@@ -49,6 +50,8 @@ UNREQUESTED_WAIT_S = 0.25
 """A first answer that takes longer than this and than all others comes of a device that is silent at first."""
 OTHER_UNITS = (1, 255, 0, 2, 247)
 """Asked when the given unit is silent: what devices and gateways use where nothing was set."""
+GATEWAY_PAUSES_S = (0.1, 0.3)
+"""After a gateway has said that its unit gave no answer (exceptions 10, 11), until it is asked again."""
 MOST_REMEDIES = 3
 """Settings that are tried on a device that answers in an unusual way."""
 _HABITS = {
@@ -218,7 +221,7 @@ async def _speaks(site: Site, survey: AsksRegisters, steps: list[CheckStep]) -> 
     unit = int(settings.get("unit", 1))
     begun = time.monotonic()
     try:
-        words = await survey.read(register.table, register.number, 1)
+        words = await _first_read(survey, register)
     except DeviceException as error:
         if error.code in BEHIND_GATEWAY:
             text = f"a gateway answers for unit {unit} that it cannot reach it (exception {error.code})"
@@ -270,6 +273,18 @@ async def _speaks(site: Site, survey: AsksRegisters, steps: list[CheckStep]) -> 
     else:
         steps.append(ok("modbus", f"unit {unit} answers in {1e3 * words.seconds:.1f} ms"))
     return register
+
+
+async def _first_read(survey: AsksRegisters, register: Register) -> ReadWords:
+    """A register; a gateway's word that its unit is silent is believed when it is the third."""
+    for pause in GATEWAY_PAUSES_S:
+        try:
+            return await survey.read(register.table, register.number, 1)
+        except DeviceException as error:
+            if error.code not in BEHIND_GATEWAY:
+                raise
+        await asyncio.sleep(pause)
+    return await survey.read(register.table, register.number, 1)
 
 
 async def _other_units(survey: AsksRegisters, unit: int) -> list[int]:

@@ -15,7 +15,7 @@ from drivers.codec import register_count
 from drivers.driver import Explains, PlanKind
 from drivers.survey import Raw
 from drivers.tag import DType, Order, Quality, Tag
-from gateway.commission.options import SharedOptions, bit_option, link_options
+from gateway.commission.options import ORDERS, TYPES, SharedOptions, bit_option, link_options
 from gateway.commission.session import Site, perform, read_samples, running_gateway
 from gateway.commission.survey import SDO_S, AddressTextError, parse_stretch, reference_number
 from gateway.console import CommandResult, Part, Rows
@@ -155,13 +155,6 @@ async def read_raw(site: Site, tags: Sequence[Tag]) -> list[Raw]:
         if isinstance(driver, Explains):
             site.notes.extend(line for line in driver.explain(tags) if line.kind is PlanKind.HEARD)
     return [Raw(tag, sample, tag.address, 1) for tag, sample in zip(tags, samples, strict=True)]
-
-
-TYPES = (
-    *("bool", "int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64"),
-    *("float32", "float64", "bcd16", "bcd32", "string"),
-)
-ORDERS = ("ABCD", "CDAB", "BADC", "DCBA")
 
 
 @click.command(short_help="Read tags or bare addresses: raw words and values; --watch: as they change.")

@@ -16,7 +16,7 @@ from pathlib import Path
 
 from drivers.connections import Connections
 from drivers.errors import DriverError
-from drivers.settings import ConfigError
+from drivers.settings import ConfigError, with_place
 from drivers.survey import read_plan
 from gateway.machine.model import LoadedModels, ModelsAtStart, models_at_start
 from gateway.machine.reading import plant_clock
@@ -31,6 +31,8 @@ from sim.units import display_unit
 
 MAX_SOCKET_BYTES = 107
 """What Linux keeps of a socket's path (`sun_path`, less its end)."""
+_HERE = ("127.0.0.1", "localhost", "::1")
+_LISTENS_HERE = (*_HERE, "0.0.0.0", "::")  # noqa: S104 (looked for, not listened on)
 MAX_REACH_SPANS = 2.0
 """A limit so many times the model's span of temperatures above the hottest of them never comes within reach."""
 
@@ -80,6 +82,7 @@ def check_machine(config: Config, models: ModelsAtStart) -> list[PlantFinding]:
     loaded, problem = models
     found = [PlantFinding("model", problem, config.machine)] if problem else []
     found += [PlantFinding("model", said, config.machine, grave=False) for said in unfit_models(config, loaded)]
+    found += [PlantFinding("ports", said, config.machine) for said in _ports_of_the_device(config)]
     return found + [PlantFinding("limits", said, config.machine, grave=False) for said in limit_doubts(config, loaded)]
 
 
@@ -91,7 +94,7 @@ def check_common(config: Config) -> list[PlantFinding]:
 
 def _devices(configs: Sequence[Config]) -> Iterator[PlantFinding]:
     """Drivers that cannot be made, and places that cannot be read as they are given."""
-    clock, connections = plant_clock(1.0), Connections()
+    clock, connections, said = plant_clock(1.0), Connections(), set[str]()
     for group in connection_groups(configs):
         for config in group:
             try:
@@ -103,11 +106,15 @@ def _devices(configs: Sequence[Config]) -> Iterator[PlantFinding]:
                 try:
                     words = link.map.block_words if config.writeback.mode != "off" else ()
                     plan = read_plan(link.map.driver, link.settings, link.map.tags, words)
+                    problems = () if plan is None else (*plan.problems, *plan.overlaps)
                 except DriverError as error:
-                    yield PlantFinding("places", f"{link.map.path}: {error}", config.machine)
-                    continue
-                for problem in () if plan is None else (*plan.problems, *plan.overlaps):
-                    yield PlantFinding("places", f"{link.map.path}: {problem}", config.machine)
+                    problems = (str(error),)
+                for problem in problems:
+                    sentence = f"{link.map.path}: {problem}"
+                    # Machines of one device file have its slips in common.
+                    if sentence not in said:
+                        said.add(sentence)
+                        yield PlantFinding("places", sentence, config.machine)
 
 
 def _records(config: Config) -> Iterator[PlantFinding]:
@@ -142,9 +149,10 @@ def _unwritable(path: Path) -> tuple[str, bool]:
         if path.exists():
             mine = os.access(path, os.R_OK | os.W_OK)
             return "" if mine else f"may not be written by this user; {another}", mine
-        parent = next(place for place in path.absolute().parents if place.exists())
+        parent = next(place for place in path.absolute().parents if os.path.lexists(place))
         if not parent.is_dir():
-            return f"cannot be: {parent} is no folder; give the path of a file in one", True
+            what = "a link that leads nowhere" if parent.is_symlink() and not parent.exists() else "no folder"
+            return f"cannot be: {parent} is {what}; give the path of a file in a folder", True
         if os.statvfs(parent).f_flag & os.ST_RDONLY:
             return f"cannot be made: {parent} is on a read-only file system; give another place", True
         mine = os.access(parent, os.W_OK | os.X_OK)
@@ -177,17 +185,8 @@ def _ports(config: Config) -> Iterator[PlantFinding]:
     """Ports that others have, or two of these servers; not where a gateway runs by this very file: it has them."""
     if _has_gateway(config.control_socket):
         return
-    northbound = config.northbound
-    served = {
-        "page.port": (config.page.host, config.page.port if config.page.enabled else None),
-        "serve.port": (config.serve.host, config.serve.port),
-        "northbound.metrics.port": (northbound.metrics.host, northbound.metrics.port),
-        "northbound.opcua.port": (northbound.opcua.host, northbound.opcua.port),
-    }
     with ExitStack() as listening:
-        for key, (host, port) in served.items():
-            if not port:
-                continue
+        for key, (host, port) in _served(config).items():
             try:
                 # Kept until all are tried: two of these servers may want the same.
                 listening.enter_context(_listener(host, port))
@@ -198,6 +197,37 @@ def _ports(config: Config) -> Iterator[PlantFinding]:
                 said = f"{config.path}: {key}: cannot listen at {host}:{port} ({reason})"
                 # A service may have the right to a port below 1024 that this user has not.
                 yield PlantFinding("ports", said, grave=not isinstance(error, PermissionError))
+
+
+def _served(config: Config) -> dict[str, tuple[str, int]]:
+    """(host, port) of what the gateway serves, by the keys that name the ports."""
+    northbound = config.northbound
+    named = {
+        "page.port": (config.page.host, config.page.port if config.page.enabled else None),
+        "serve.port": (config.serve.host, config.serve.port),
+        "northbound.metrics.port": (northbound.metrics.host, northbound.metrics.port),
+        "northbound.opcua.port": (northbound.opcua.host, northbound.opcua.port),
+    }
+    return {key: (host, port) for key, (host, port) in named.items() if port}
+
+
+def _ports_of_the_device(config: Config) -> Iterator[str]:
+    """Ports at which the gateway would ask itself for its device."""
+    for link in config.links:
+        if not {"host", "port"} <= link.settings.keys():
+            continue
+        try:
+            device = with_place(link.settings)
+        except ValueError:
+            continue  # its driver cannot be made, and says why
+        for key, (host, port) in _served(config).items():
+            # A server that listens everywhere listens here too.
+            here = device["host"] in _HERE and host in _LISTENS_HERE
+            if device["port"] == port and (here or device["host"] == host):
+                yield (
+                    f"{config.path}: {key}: {port} is the port of the device at {device['host']}, so that the "
+                    "gateway would ask itself; give another"
+                )
 
 
 def _has_gateway(path: Path) -> bool:

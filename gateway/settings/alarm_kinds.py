@@ -842,5 +842,6 @@ def alarm_problems(
             right = f"give one of {', '.join(subjects)}" if subjects else f"leave the key out: it is the {whose}'s"
             problems.append(f"alarm[{place}].tag: there is no alarm {row.name!r} of {row.tag!r}; {right}")
         if row.suppressed_by is not None and (tag := parse_suppression(row.suppressed_by)[0]) not in known:
-            problems.append(f"alarm[{place}].suppressed_by: {tag!r} is not a tag of {file}; give one of its names")
+            right = did_you_mean(tag, known) or "give one of its names"
+            problems.append(f"alarm[{place}].suppressed_by: {tag!r} is not a tag of {file}; {right}")
     return problems

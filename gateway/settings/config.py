@@ -5,6 +5,7 @@ is common: a machine has it too, key for key, where its own table says nothing e
 """
 
 import json
+import os
 import re
 from collections.abc import Hashable, Mapping, Sequence
 from contextlib import suppress
@@ -13,12 +14,13 @@ from functools import cache
 from hashlib import sha256
 from ipaddress import ip_address
 from pathlib import Path
+from stat import S_ISDIR
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, StringConstraints, TypeAdapter, field_validator, model_validator
 
 from drivers.driver import capabilities, load_function
-from drivers.errors import DriverError
+from drivers.errors import DriverError, did_you_mean
 from drivers.named_files import normal_path
 from drivers.settings import ConfigError, FilePath, Line, Section, read_toml, validate_section
 from drivers.tag import DType
@@ -208,6 +210,15 @@ class HistorianSection(Section):
     @classmethod
     def _seconds_or_never(cls, seconds: object) -> object:
         return None if seconds is False else seconds
+
+    @model_validator(mode="after")
+    def _check_retention(self) -> "HistorianSection":
+        if self.max_interval > self.retention_days * A_DAY_S:
+            raise ValueError(
+                f"max_interval {self.max_interval:g} s is longer than the {self.retention_days:g} days of "
+                "retention_days, so that what does not change would be deleted before it is stored again; give less"
+            )
+        return self
 
 
 class LogSection(Section):
@@ -694,7 +705,8 @@ def _device_identity(link: DeviceLink) -> Hashable:
             return found
     if driver.bus:
         # Of a bus without nodes it is the messages that are a machine's, and the device file says which.
-        return (link.map.driver, link.settings.get("interface"), link.settings.get("channel"), link.map.path.resolve())
+        bus = (link.settings.get("interface"), link.settings.get("channel"))
+        return (link.map.driver, *bus, os.path.realpath(link.map.path))
     return None
 
 
@@ -828,37 +840,50 @@ def _shared_places(config: Config) -> list[str]:
     Each file that the gateway writes is written as if it were the only one: a log in a device file would spoil it, and
     records in a plant file would set it aside as a damaged database.
     """
+    names = dict[tuple[int, int], Path]()
+
+    def real(path: Path) -> Path:
+        """The path without symbolic links; of two names of one file the first that was asked about."""
+        # Not `resolve`, which raises a RuntimeError for a ring of links.
+        place = Path(os.path.realpath(path))
+        try:
+            status = place.stat()
+        except OSError:
+            return place
+        single = status.st_nlink == 1 or S_ISDIR(status.st_mode)
+        return place if single else names.setdefault((status.st_dev, status.st_ino), place)
+
     written = {**config.written_files, "page.users": config.users}
     beside = {
-        path.with_name(path.name + ending).resolve(): f"a file that the database of {key} keeps beside it"
+        real(path.with_name(path.name + ending)): f"a file that the database of {key} keeps beside it"
         for key, path in (("historian.path", config.historian.path), ("writeback.audit", config.audit))
         for ending in ("-wal", "-shm", "-journal", ".lock")
     }
-    folders = {row.model.resolve(): row.tag for row in config.temperatures if row.model is not None}
-    known = {config.path.resolve(): "the plant file itself"}
+    folders = {real(row.model): row.tag for row in config.temperatures if row.model is not None}
+    known = {real(config.path): "the plant file itself"}
     for place, link in enumerate(config.links):
-        known.setdefault(link.map.path.resolve(), "device.file" if len(config.links) == 1 else f"device.links[{place}]")
+        known.setdefault(real(link.map.path), "device.file" if len(config.links) == 1 else f"device.links[{place}]")
         for key in capabilities(link.map.driver).files:
             if isinstance(named := link.settings.get(key), str) and named:
-                known.setdefault(Path(named).resolve(), f"the device's {key}")
+                known.setdefault(real(Path(named)), f"the device's {key}")
     for row in config.temperatures:
         if row.model is not None:
-            known.setdefault(row.model.resolve(), f"the model of {row.tag}")
+            known.setdefault(real(row.model), f"the model of {row.tag}")
     for key, secrets in (("notify.secrets", config.notify.secrets), ("northbound.secrets", config.northbound.secrets)):
         if secrets is not None:
-            known.setdefault(secrets.resolve(), key)
+            known.setdefault(real(secrets), key)
     problems = []
     within = {folder: what for read, what in known.items() for folder in read.parents}
     for key, path in written.items():
-        if (what := within.get(path.resolve())) is not None:
+        if (what := within.get(real(path))) is not None:
             # A folder where records belong is moved aside as damaged, with all that is in it.
             problems.append(f"{key}: {path} is a folder of {what}; give the path of a file")
             continue
-        if (of := beside.get(path.resolve())) is not None:
+        if (of := beside.get(real(path))) is not None:
             problems.append(f"{key}: {path} is {of}; give each a path of its own")
-        elif path.exists() and (tag := next((folders[one] for one in path.resolve().parents if one in folders), "")):
+        elif path.exists() and (tag := next((folders[one] for one in real(path).parents if one in folders), "")):
             problems.append(f"{key}: {path} is a file of the model of {tag}; give each a path of its own")
-        elif (other := known.setdefault(path.resolve(), key)) != key:
+        elif (other := known.setdefault(real(path), key)) != key:
             problems.append(f"{key}: {path} is the file of {other} too; give each a path of its own")
     return problems
 
@@ -895,7 +920,9 @@ def _problems(content: _PlantFile, rows: Sequence[TemperatureSection], links: tu
     single = {"alarms.acknowledge": content.alarms.acknowledge, "clock.tag": content.clock.tag}
     named += [(key, tag) for key, tag in single.items() if tag is not None]
     problems = [
-        f"{key}: {tag!r} is not a tag of {device.path}; give one of its names" for key, tag in named if tag not in tags
+        f"{key}: {tag!r} is not a tag of {device.path}; {did_you_mean(tag, tags) or 'give one of its names'}"
+        for key, tag in named
+        if tag not in tags
     ]
     predicted = [row.tag for row in rows]
     heat = dict.fromkeys(tag for key, tag in named if not key.startswith(("clock", "alarms.ack")))

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from drivers.driver import capabilities
-from drivers.settings import Section
+from drivers.settings import Section, split_place
 from gateway.settings.devices import DeviceMap, complete_paths, load_device
 
 _NamedFile = Annotated[Path, Field(strict=False)]
@@ -49,6 +49,7 @@ class DeviceSection(Section):
     def _is_one_word(cls, host: str) -> str:
         if host.split() != [host]:
             raise ValueError(f"{host!r} has a space in it; give the PLC's address or name")
+        split_place(host)
         return host
 
     @model_validator(mode="after")

@@ -46,8 +46,7 @@ def gateway_places(path: Path) -> GatewayPlaces:
     tables, home = _readable(path), path.parent
     named = _path(tables, "historian", "path")
     # As for a file that can be used: the default, or where the records of former versions are.
-    keys = {} if named is None else {"path": str(named)}
-    historian = historian_file(HistorianSection.model_validate(keys, context=home), home)
+    historian = historian_file(HistorianSection(), home) if named is None else home / named
     socket = _path(tables, "control", "path")
     return GatewayPlaces(
         socket=historian.with_suffix(".sock") if socket is None else home / socket,

@@ -79,7 +79,7 @@ NO_VERDICT_TEXT = (
 
 
 def rate_criteria(criteria: Sequence[JudgedCriterion], *, told: bool) -> Word:
-    """ "unfit" when one is not kept; else "not known" where nothing was `as_command_json` of forecasts; else "limited"
+    """ "unfit" when one is not kept; else "not known" where nothing was `told` of forecasts; else "limited"
     when one could not be looked at or limits it, else "fit"."""
     kept = {each.kept for each in criteria}
     if False in kept:

@@ -26,5 +26,6 @@ from sim.forecast.ensemble import (
     weights_by_horizon,
 )
 from sim.forecast.fan import FAN_LEVELS, Forecast, fans, forecast
-from sim.forecast.local_trend import LocalOutlook, LocalTrend
+from sim.forecast.leaps import observe_leap
+from sim.forecast.local_trend import LocalOutlook, LocalTrend, walk_outlook
 from sim.forecast.review import FORECASTS, ONE_STEP, Review, follow, follow_forecasts, review_errors, share, standardise

@@ -8,11 +8,14 @@ beforehand: a fit to other days holds for how they moved.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from itertools import product
-from math import exp, inf
+from math import inf
 
 import numpy as np
+from numpy.typing import NDArray
 
+from sim.engine import Belief, Tracker
 from sim.forecast.fan import Forecast, limit_minutes
 from sim.scores import Estimate
 from sim.sha import Array
@@ -36,6 +39,8 @@ FRESH_STEPS, GAP_STEPS = 3.0, 30.0
 """Steps without a reading after which nothing is forecast, and after which all begins anew."""
 MIN_SIGMA = 1e-3
 """degC: the least standard deviation of a forecast."""
+CLOCK_STEPS = 32
+"""Steps in which the way to the limit is looked at."""
 
 
 def _bank() -> tuple[Array, Array, Array]:
@@ -132,13 +137,11 @@ class LocalOutlook:
         """
         sigma = factors * self.sigma
         z = np.array(normal_quantile_of_log(np.log(levels)))
-        reached = np.maximum.accumulate(
-            [
-                _reach_chance(limit - self.reading, mean - self.reading, spread)
-                for mean, spread in zip(self.mean.tolist(), sigma.tolist(), strict=True)
-            ]
-        )
-        at_limit = float(self.reading >= limit)
+        clock, at = _clock(tuple(self.horizons.tolist()))
+        known = np.append(0.0, self.horizons)
+        drift = np.interp(clock, known, np.append(0.0, self.mean - self.reading))
+        variance = np.interp(clock, known, np.append(0.0, sigma**2))
+        reached = np.append(float(self.reading >= limit), _reach_chances(limit - self.reading, drift[1:], variance[1:]))
         return Forecast(
             time=self.time,
             horizons=self.horizons,
@@ -146,19 +149,38 @@ class LocalOutlook:
             quantiles=self.mean + z[:, None] * sigma,
             locations=({"any": 1.0},) * self.horizons.size,
             limit=limit,
-            exceedance=tuple(Estimate(chance, chance, chance, 0) for chance in reached.tolist()),
-            minutes_to_limit=limit_minutes(np.append(0.0, self.horizons), np.append(at_limit, reached)),
+            exceedance=tuple(Estimate(chance, chance, chance, 0) for chance in reached[at].tolist()),
+            minutes_to_limit=limit_minutes(clock, reached),
             runs=0,
             factors=factors,
             borrowed=(0.0,) * self.horizons.size,
         )
 
 
-def _reach_chance(way: float, drift: float, sigma: float) -> float:
-    """The chance that a random walk, which ends `drift` +- `sigma` away, touches what is `way` above its beginning."""
-    if way <= 0:
-        return 1.0
-    if way == inf:
-        return 0.0
-    past, mirrored = log_normal_cdf([(drift - way) / sigma, -(drift + way) / sigma]).tolist()
-    return min(exp(past) + exp(min(2.0 * drift * way / sigma**2 + mirrored, 0.0)), 1.0)
+@cache
+def _clock(horizons: tuple[float, ...]) -> tuple[Array, NDArray[np.intp]]:
+    """Times (s, from 0) at which the way to the limit is looked at, close at first as a walk spreads; the horizons'."""
+    clock = np.union1d(horizons[-1] * np.linspace(0.0, 1.0, CLOCK_STEPS + 1) ** 2, horizons)
+    return clock, np.searchsorted(clock, horizons)
+
+
+def walk_outlook(walk: Tracker, belief: Belief, horizons: Sequence[float]) -> LocalOutlook | None:
+    """What a plain member that is a `walk` says from `belief` on, exactly; None of one with heat or a noisy sensor."""
+    if walk.plant is not None or walk.model.sensor_sigma > 0:
+        return None
+    ahead, (place,) = np.asarray(horizons, dtype=float), walk.model.sha.locations
+    sigma = np.sqrt(belief.xx + place.flow.params["noise"] ** 2 * ahead)
+    return LocalOutlook(belief.time, belief.x, ahead, np.full(ahead.size, belief.x), np.maximum(sigma, MIN_SIGMA))
+
+
+def _reach_chances(way: float, drift: Array, variance: Array) -> Array:
+    """(N,) the chances that a random walk, which ends `drift` away with that `variance`, touches what is `way` above.
+
+    None is less than the one before it: what has been reached stays so.
+    """
+    if way <= 0 or way == inf:
+        return np.full(drift.size, float(way <= 0))
+    sigma = np.sqrt(variance)
+    past, mirrored = log_normal_cdf([(drift - way) / sigma, -(drift + way) / sigma])
+    chances = np.exp(past) + np.exp(np.minimum(2.0 * drift * way / variance + mirrored, 0.0))
+    return np.asarray(np.minimum(np.maximum.accumulate(chances), 1.0))

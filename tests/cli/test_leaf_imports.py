@@ -11,15 +11,16 @@ from tests.cli.support import command_paths
 STEPS: tuple[tuple[frozenset[str], str], ...] = (
     (
         frozenset(),
-        """diagnose docs completion emulate model-check model-export model-learn model-learn-correction
-        model-learn-fleet model-learn-model model-learn-settings model-judge model-judge-rank model-judge-regression
-        model-judge-skill model-judge-validation model-version model-version-cycles model-version-lineage
-        model-version-retrain model-version-shadow keep plc-check alarm historian machine user""",
+        """diagnose docs completion emulate historian-import model-check model-export model-learn
+        model-learn-correction model-learn-fleet model-learn-model model-learn-settings model-judge model-judge-proof
+        model-judge-rank model-judge-regression model-judge-skill model-judge-validation model-version
+        model-version-cycles model-version-lineage model-version-retrain model-version-shadow keep plc-check
+        trace-ingest alarm historian machine user""",
     ),
     (
         frozenset({"asyncio"}),
         """arm audit disarm plc-check-device plc-check-files plc-check-hmi plc-check-plan plc-check-soak
-        plc-check-computer plc-guess plc-probe plc-replay plc-report plc-served""",
+        plc-bind plc-check-computer plc-guess plc-import plc-probe plc-replay plc-report plc-served""",
     ),
     (
         frozenset({"pydantic"}),
@@ -27,17 +28,12 @@ STEPS: tuple[tuple[frozenset[str], str], ...] = (
         alarm-return alarm-reset alarm-journal alarm-rates historian-export historian-query historian-tables
         plc-codegen plc-read plc-scan trace-can""",
     ),
-    (frozenset({"tomlkit"}), "init machine-add machine-list machine-remove plc-bind plc-import"),
+    (frozenset({"tomlkit"}), "init machine-add machine-list machine-remove"),
     (
         frozenset({"cryptography", "sqlite3"}),
         "certificates demo keep-diff keep-history keep-rollback keep-backup keep-restore keep-support plc-check-write",
     ),
-    (
-        frozenset({"numpy"}),
-        """historian-import model-version-promote model-judge-proof model-show model-simulate trace-map trace-show
-        trace-synth""",
-    ),
-    (frozenset({"lark"}), "trace-ingest"),
+    (frozenset({"numpy"}), "model-version-promote model-show model-simulate trace-map trace-show trace-synth"),
     (frozenset({"rich", "argon2", "scipy"}), "top user-add user-list user-password user-remove"),
 )
 """What the commands of a step may load beside what those of the steps before may; their order is that of loading."""

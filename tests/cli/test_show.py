@@ -56,6 +56,14 @@ def test_how_often_a_score_is_passed_is_true_of_the_highest_level_too(tmp_path: 
     [
         (MachineSpread({}, 0.0, 0.0), "fewer than two are told apart"),
         (
+            MachineSpread({}, 0.0, 0.0, told_apart=3, has_targets=False),
+            "machines: 3 are told apart, but nothing is known of how they differ: no flow of the model has a target",
+        ),
+        (
+            MachineSpread({"A": 1.0}, 0.0, 0.0, told_apart=3),
+            "of fewer than two of them the runs tell where its targets",
+        ),
+        (
             MachineSpread({"A": 1.0, "B": -2.0}, 1.5, 9.0),
             "two machines only: wide bands; targets off the model's by A +1",
         ),

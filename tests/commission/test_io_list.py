@@ -9,8 +9,10 @@ from openpyxl import Workbook
 
 from gateway.commission.files.cells import ListError, parse_decimal
 from gateway.commission.files.io_list import IoList, Reading, read_io_list
+from gateway.commission.files.io_places import MAKERS
 from gateway.commission.files.io_words import type_cell
 from gateway.commission.import_list import bindings
+from gateway.commission.options.files import PLC_MAKERS
 
 ITALIAN = """\
 Elenco I/O - linea 2;;;;;;;
@@ -290,3 +292,7 @@ def test_int_beside_types_of_c_is_asked_about(tmp_path: Path) -> None:
         "B": "uint16", "C": "uint32", "D": "int16", "E": "uint16"
     }  # fmt: skip
     assert len(found.problems) == 1 and "'INT' has 16 bits in a PLC, and 32 where SHORT has 16" in found.problems[0]
+
+
+def test_each_maker_that_may_be_named_has_its_addresses() -> None:
+    assert tuple(MAKERS) == PLC_MAKERS

@@ -303,6 +303,7 @@ def test_two_numbers_that_lie_across_one_another_are_refused_and_one_in_another_
     assert [tag.name for tag in found.tags] == ["A", "C", "D", "E", "F"]
     (said,) = found.problems
     assert "line 3: 'B', float32 at '101', shares registers with 'A' of line 2, float32 at '100'" in said
+    assert "Enron" in said
 
 
 @pytest.mark.parametrize(("words", "table"), [("Read Input Registers", "input"), ("Read Holding Registers", "holding")])
@@ -400,3 +401,63 @@ def test_a_sheet_that_was_formatted_to_its_end_is_read(tmp_path: Path) -> None:
 def test_a_tag_table_with_german_mnemonics_is_the_same(address: str, place: str, tmp_path: Path) -> None:
     found = read(tmp_path, f"Name;Path;Data Type;Logical Address;Hmi Visible\nT;Tags;;{address};True\n")
     assert [tag.keys["address"] for tag in found.tags] == [place], found.problems
+
+
+@pytest.mark.parametrize(
+    ("header", "cell"),
+    [
+        ("High Alarm", "80"), ("Soglia allarme max", "80"), ("Warning High", "75"), ("Hi Hi", "95"), ("Lo Lo", "3"),
+        ("Max Age", "5"), ("Max Scan Rate", "100"), ("Register Range", "100-101"), ("Address Range", "100-101"),
+        ("Zero Based Address", "100"), ("Register Offset", "2"), ("Byte Offset", "4"), ("Start Offset", "4"),
+        ("Sort Order", "17"), ("Max Length", "4"),
+    ],
+)  # fmt: skip
+def test_a_columns_word_among_others_may_be_no_such_column(header: str, cell: str, tmp_path: Path) -> None:
+    # An alarm's limit as the end of a range would make of each hot reading a bad one.
+    assert row(tmp_path, f"Address;Type;{header}", f"100;INT16;{cell}") == row(tmp_path, "Address;Type", "100;INT16")
+
+
+@pytest.mark.parametrize("header", ["Poll Factor", "Display Decimals", "ADC Resolution", "Scale Register"])
+def test_a_factor_of_something_else_is_asked_about(header: str, tmp_path: Path) -> None:
+    with pytest.raises(ListError, match="may say how readings are scaled"):
+        read(tmp_path, f"Name;Address;Type;{header}\nT;100;INT16;2\n")
+
+
+def test_a_protocol_offset_is_the_address_itself(tmp_path: Path) -> None:
+    text = "name,source_register,area,protocol_offset,datatype,word_span\nFlow,80003,holding-register,40002,float32,2\n"
+    (tag,) = read(tmp_path, text).tags
+    assert tag.keys["address"] == "holding:40002" and not tag.keys["offset"] and tag.keys["high"] is None
+
+
+@pytest.mark.parametrize(("kind", "scale"), [("float", None), ("LREAL", None), ("INT16", 0.001)])
+def test_decimals_are_those_of_a_number_without_a_point(kind: str, scale: float | None, tmp_path: Path) -> None:
+    found = row(tmp_path, "Address;Type;Unit;Decimals", f"6;{kind};A;3")
+    assert isinstance(found, dict), found
+    assert found.get("scale") == scale and ("as they are shown" in found["how"]) == (scale is None)
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        "SF", "Dec", "DP", "Digits", "Div", "Mult", "LSB", "Slope", "Increment", "Conversion", "Umrechnung", "Bias",
+        "Intercept", "Signed", "Word Order 2",
+    ],
+)  # fmt: skip
+def test_a_column_that_may_change_readings_and_that_nobody_reads_refuses_the_list(header: str, tmp_path: Path) -> None:
+    kind = "" if header == "Signed" else "Type;"
+    with pytest.raises(ListError, match=f"column '{header}' may say"):
+        read(tmp_path, f"Name;Address;{kind}Byte Order;{header}\nT;100;{kind and 'REAL;'}ABCD;1\n")
+
+
+def test_a_column_is_told_by_its_words_where_no_header_tells_it(tmp_path: Path) -> None:
+    text = "Name;Type;Address;Data Type;Endian\nA;Input;100;REAL;Little\nB;Holding;100;REAL;Big\n"
+    assert [(tag.keys["address"], tag.keys["order"]) for tag in read(tmp_path, text).tags] == [
+        ("input:100", "DCBA"), ("holding:100", "ABCD"),
+    ]  # fmt: skip
+    (tag,) = read(tmp_path, "Name;Type;Address;Data Type\nA;Input;100;INT16\n").tags
+    assert tag.keys["address"] == "holding:100", "it may be a signal's direction"
+
+
+def test_a_scale_of_powers_of_ten_is_asked_about(tmp_path: Path) -> None:
+    said = row(tmp_path, "Address;Type;Scale (10^x)", "100;INT16;-1")
+    assert "power of ten" in said

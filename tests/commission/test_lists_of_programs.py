@@ -58,7 +58,7 @@ def sensor(folder: Path, text: str) -> dict[str, Any] | str:
         ("address: 1; nan_value: 0x8000; min_value: -20; max_value: 150",
          {"sentinel": 0x8000, "low": -20, "high": 150}),
         ("address: 1; scan_interval: 60", {"period": 60.0}), ("address: 1; scan_interval: 0", {"dtype": "int16"}),
-        ("address: 1; unit_of_measurement: '0.1 kWh'", {"unit": "0.1 kWh"}),
+        ("address: 1; unit_of_measurement: '0.1 kWh'", {"unit": "0.1 kWh"}), ("address: 1; byte_order: big", {}),
     ],
 )  # fmt: skip
 def test_a_sensor_of_home_assistant_is_read(text: str, wanted: dict[str, Any], tmp_path: Path) -> None:
@@ -71,6 +71,9 @@ def test_a_sensor_of_home_assistant_is_read(text: str, wanted: dict[str, Any], t
 @pytest.mark.parametrize(
     ("text", "said"),
     [
+        ("address: 1; bitmask: 15", "bitmask may change"), ("address: 1; bit_range: [4, 7]", "bit_range may change"),
+        ("address: 1; shift_bits: 8", "shift_bits may change"), ("address: 1; byte_order: little", "byte_order may"),
+        ("address: 1; scale_factor: 9", "scale_factor may change"),
         ("data_type: int16", "address '' is no number"), ("address: !secret a", "address 'a' is no number"),
         ("address: 1; data_type: float16", "data_type 'float16'"), ("address: 1; swap: nibble", "swap 'nibble'"),
         ("address: 1; data_type: custom; structure: '>2h'", "structure '>2h'"),

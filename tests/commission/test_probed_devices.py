@@ -38,15 +38,29 @@ def take(link: socket.socket, size: int) -> bytes:
 
 
 def device(
-    *, transaction: int | None = None, unit: int | None = None, vendor: bytes = b"Maker", answers: int = 1000
+    *,
+    transaction: int | None = None,
+    unit: int | None = None,
+    beside: int | None = None,
+    silences: int = 0,
+    vendor: bytes = b"Maker",
+    answers: int = 1000,
 ) -> Handler:
-    """A device whose registers hold their own numbers, and which answers so often a connection, in a way of its own."""
+    """A device whose registers hold their own numbers, and which answers so often a connection, in a way of its own.
+
+    `beside`: a frame of this unit always comes first; `silences`: a gateway says so often that its unit is silent.
+    """
+
+    told = 0
 
     def handle(link: socket.socket) -> None:
+        nonlocal told
         for _ in range(answers):
             head = take(link, 7)
             pdu = take(link, int.from_bytes(head[4:6], "big") - 1)
-            if pdu[0] == 43:
+            if told < silences:
+                told, reply = told + 1, bytes((pdu[0] | 0x80, 11))
+            elif pdu[0] == 43:
                 # its vendor and its revision
                 reply = bytes((43, 14, 1, 1, 0, 0, 2, 0, len(vendor))) + vendor + b"\x02\x02v3"
             elif pdu[0] in (3, 4):
@@ -56,6 +70,8 @@ def device(
                 reply = bytes((pdu[0] | 0x80, 1))
             number = head[:2] if transaction is None else transaction.to_bytes(2, "big")
             own = head[6:7] if unit is None else bytes((unit,))
+            if beside is not None:
+                link.sendall(head[:2] + b"\0\0\0\5" + bytes((beside, 3, 2, 0, 0)))
             link.sendall(number + b"\0\0" + (len(reply) + 1).to_bytes(2, "big") + own + reply)
         link.close()
 
@@ -68,9 +84,11 @@ def device(
         (device(transaction=0), {"transaction_id": "any"}),
         (device(unit=255), {"answers_as": 255}),
         (device(transaction=9, unit=0), {"transaction_id": "any", "answers_as": 0}),
+        (device(beside=9), {}),
+        (device(silences=2), {}),
         (device(), {}),
     ],
-    ids=["another id", "another unit", "both", "none"],
+    ids=["another id", "another unit", "both", "another unit's first", "silent behind a gateway at first", "none"],
 )
 def test_the_setting_that_reads_a_device_is_found_said_and_written(
     handle: Handler, habits: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -79,6 +79,9 @@ def test_of_effects_that_these_rows_cannot_show_it_is_said() -> None:
     said = too_short([entry for entry in entries if entry.name != "pump-cooling"], path)
     assert list(said) == ["dead-time"]
     assert "600 s" in said["dead-time"]
+    slow = fitted(sparse(plant(3, days=2, churning=0.02), 19))
+    path = NamingResult(slow, slow, ((step(slow, entries[:1], {}, rules=RULES), "adds nothing"),))
+    assert " 1140 s" in too_short(entries[:1], path)["dead-time"]
 
 
 def test_what_does_no_better_than_its_special_case_was_looked_for() -> None:

@@ -13,7 +13,14 @@ from sim.lab.discrepancy.fitting.record import build_record
 from sim.lab.discrepancy.gap import Excess
 from sim.lab.discrepancy.heat import REACH_DELAYS, implied_heat
 from sim.lab.discrepancy.held_out import let_run
-from sim.lab.discrepancy.judging import NamingResult, doubts, gap_evidence, leftover_reasons, uncertain_strengths
+from sim.lab.discrepancy.judging import (
+    NamingResult,
+    beyond_chance,
+    doubts,
+    gap_evidence,
+    leftover_reasons,
+    uncertain_strengths,
+)
 from sim.lab.discrepancy.naming import NamingStep, confirm, step
 from sim.lab.discrepancy.rules import RULES
 from sim.lab.discrepancy.story import verdict_sentence
@@ -51,6 +58,17 @@ def test_a_name_under_which_the_held_out_error_grows_is_never_given(
     )
     assert [reason for reason in reasons if "further off" in reason] == list(reasons)
     assert bool(reasons) is withheld
+
+
+def test_what_is_beyond_chance_and_has_no_name_is_told_with_why(base: Fitted, pumped: NamingStep) -> None:
+    best, why = pumped.evidence[0], "the free run over the held-out cycles is further off with it"
+    assert best.fitted is not None
+    path = NamingResult(base, best.fitted, ((pumped, ""),))
+    (said,) = beyond_chance(path, (why,))
+    assert said == f"pump-cooling explains the fitted cycles better by {best.gain:.0f} nats, and is not named: {why}"
+    assert beyond_chance(path, ()) == ()
+    faint = replace(pumped, evidence=(replace(best, gain=3.0),))
+    assert beyond_chance(NamingResult(base, base, ((faint, "adds 3.0 nats"),)), (why,)) == ()
 
 
 @pytest.mark.parametrize(("before", "after"), [(0.5, np.nan), (np.nan, 0.4), (np.nan, np.nan)])

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from benchmarks.discrepancy.corrupted.cases import DROPPED, CorruptedRecord
-from benchmarks.discrepancy.corrupted.habits import CORRUPTIONS, only
+from benchmarks.discrepancy.corrupted.habits import CORRUPTIONS, FAULTS, only
 from sim.lab.discrepancy.fitting import build_frame, build_record, fit, in_order, move_frame, patiently, window_grid
 from sim.lab.discrepancy.fitting.course import run_free
 from sim.lab.discrepancy.fitting.record import Record, RecordFault, record_faults
@@ -63,7 +63,7 @@ def followed(traces: Sequence[Trace], seed: int, *, fits: bool) -> str:
     except LearningError as error:
         return str(error)
     cycles = np.unique(record.window_cycle)
-    last = cycles[max(round(0.7 * cycles.size), min(1, cycles.size - 1))]
+    last = cycles[min(max(round(0.7 * cycles.size), 1), cycles.size - 1)]
     parts = [record, record.by_cycles(), record.select(record.cycle >= last).by_cycles()]
     parts += [record.select(record.cycle < last)] if cycles.size > 1 else []
     for part in parts:
@@ -88,6 +88,14 @@ def test_no_habit_of_a_recorder_is_an_error() -> None:
     traces = records()
     for seed in range(150):
         assert followed(corrupted(traces[seed % 5], seed), seed, fits=seed % 10 == 0) == ""
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_what_befell_a_sensor_or_a_signal_is_no_error(fault: str) -> None:
+    """What cannot be followed is said in one sentence."""
+    for seed, traces in enumerate(records()):
+        made = [FAULTS[fault](np.random.default_rng([seed, 1]), replace(trace, events=())) for trace in traces]
+        assert "\n" not in followed(made, seed, fits=False)
 
 
 @pytest.mark.parametrize("seed", [3, 6, 8, 10, 12])

@@ -8,7 +8,7 @@ import pytest
 
 from sim.engine.open_loop_run import open_loop
 from sim.engine.recursion import linear_recursion
-from sim.lab.discrepancy import evidence, judging, path, proving
+from sim.lab.discrepancy import evidence, judging, path, proving, workflow
 from sim.lab.discrepancy.augment import augment_model
 from sim.lab.discrepancy.diagnosis import NoiseFloor
 from sim.lab.discrepancy.fitting.baseline import build_frame
@@ -226,6 +226,30 @@ def test_a_cycle_or_two_are_too_little() -> None:
     found = diagnose(model(), [plant(8, days=1)], seed=0).diagnosis
     assert found.verdict == "too-little-data"
     assert "too little" in found.sentence.lower()
+
+
+def test_a_temperature_that_never_changes_tells_nothing() -> None:
+    trace = plant(8, days=2, period=240.0)
+    still = replace(trace, signals={**trace.signals, "T": np.full(trace.times.size, 34.5)})
+    found = diagnose(model(), [still], seed=0).diagnosis
+    assert (found.verdict, found.shifts, found.held_out) == ("too-little-data", (), None)
+    assert found.sentence == (
+        "Too little data: each of the 720 readings of T is 34.5 °C. What never changes tells nothing of the machine: "
+        "look at its sensor."
+    )
+
+
+def test_what_explains_the_fitted_cycles_is_told_where_model_and_data_agree_all_the_same(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    why = "the held-out cycles are no nearer with it"
+    monkeypatch.setattr(proving, "doubts", lambda *_, **__: (why,))
+    monkeypatch.setattr(proving, "matters", lambda *_: False)
+    monkeypatch.setattr(workflow, "unnamed_laws", lambda *_: ())
+    found = diagnose(model(), [plant(6, days=3, pump=1e-4, period=240.0)], seed=0, most=1).diagnosis
+    assert found.verdict == "agree" and found.effects == ()
+    (reason,) = found.reasons
+    assert reason.startswith("pump-cooling explains the fitted cycles better by") and reason.endswith(why)
 
 
 def test_missing_signals_take_their_effects_off_the_table_and_the_report_says_which(pumped: DiagnosisOutcome) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from drivers.can.bus.hub import Hub
 from drivers.driver import open_driver
+from drivers.errors import LinkDown
 from drivers.tag import DType, Tag
 from tests.drivers.benches import Bench, Tags
 from tests.drivers.scripted_node import HEARTBEAT, NODE, ScriptedNode, eds
@@ -27,7 +28,15 @@ class CanopenBench(Bench):
     """A bench that is open when the node's TPDO has come: until then what it carries is asked for."""
 
     async def open(self) -> None:
-        await super().open()
+        loop = asyncio.get_running_loop()
+        end = loop.time() + 60.0
+        while True:  # a busy machine brings a node up later than `connect_timeout`
+            try:
+                await super().open()
+                break
+            except LinkDown:
+                if loop.time() > end:
+                    raise
         while (await self.driver.read([self.tags.level]))[0].sent is not None:
             await asyncio.sleep(0.005)
 

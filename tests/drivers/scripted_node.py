@@ -95,7 +95,7 @@ class ScriptedNode:
         node.nmt.stop_heartbeat()
         # python-can tells its senders to stop and does not wait for them: one would meet a closed socket.
         for thread in senders:
-            thread.join(5.0)
+            thread.join(60.0)
         network.disconnect()
 
     def _rpdo(self, _: int, data: bytearray, __: float) -> None:

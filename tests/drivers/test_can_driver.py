@@ -39,7 +39,8 @@ async def make(device: CanDevice) -> AsyncIterator[Make]:
     drivers: list[CanDriver] = []
 
     def make_(write_map: tuple[Tag, ...] = CAN_TAGS.write_map, **settings: Any) -> CanDriver:
-        merged = {"interface": "hub", "channel": str(device.path), "echo": ECHO, "message_timeout": 0.3, **settings}
+        fixed = {"interface": "hub", "channel": str(device.path), "echo": ECHO, "message_timeout": 0.3}
+        merged = {**fixed, "connect_timeout": 20.0, **settings}  # a busy machine opens a bus late
         drivers.append(open_can(merged, clock=time.time, write_map=write_map))
         return drivers[-1]
 

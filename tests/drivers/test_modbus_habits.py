@@ -41,6 +41,8 @@ async def values(driver: ModbusDriver, done: Callable[[list[int | None]], bool])
         (Habit(transaction=0), {"transaction_id": "any"}),
         (Habit(transaction=77, unit=0), {"transaction_id": "any", "answers_as": 0}),
         (Habit(unit=255), {"answers_as": 255}),
+        (Habit(beside=9), {}),
+        (Habit(beside=9, late=0.05), {"timeout": 1.0}),
         (Habit(busy=2), {"timeout": 1.0}),
         (Habit(serial=True, lead=b"\0"), {}),
         (Habit(serial=True, lead=b"\0\xff\x55"), {}),

@@ -19,7 +19,7 @@ from tests.drivers.conftest import OpenModbus, open_anyway, read_until_good
 from tests.drivers.scripted import Bend, ScriptedPlc, always, first, mbap, silent, transaction_of
 
 FIVE = Tag("five", "holding:5")
-BACK = 10.0  # s from the device's return to the first good sample; a busy machine takes its time
+BACK = 20.0  # s from the device's return to the first good sample; a busy machine takes its time
 
 
 async def poll(driver: ModbusDriver, seconds: float, seen: list[Sample]) -> None:

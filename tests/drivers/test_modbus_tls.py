@@ -79,7 +79,7 @@ class AlertingServer:
                 # What is unread when a socket is closed makes the kernel reset the connection, and a
                 # reset can overtake the alert that this server is here to send.
                 with contextlib.suppress(OSError):
-                    secure.settimeout(5)
+                    secure.settimeout(60)
                     secure.shutdown(socket.SHUT_WR)
                     while secure.recv(4096):
                         pass

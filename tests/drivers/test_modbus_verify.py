@@ -1,3 +1,4 @@
+import errno
 import struct
 
 import pytest
@@ -10,10 +11,12 @@ from drivers.modbus.verify import (
     Asked,
     check_reply,
     exception_quality,
+    leaves_open,
     parse_request,
     split_frames,
     unpack_words,
 )
+from drivers.modbus.wire import system_reason
 from drivers.tag import Quality
 from tests.drivers.scripted import ScriptedPlc, mbap
 
@@ -31,6 +34,17 @@ def test_an_honest_reply_passes_and_any_byte_more_or_less_does_not(function: int
     for bent in (reply + b"\0", reply[:-1], reply[:8] + bytes([reply[8] ^ 1]) + reply[9:]):
         with pytest.raises(ReplyMismatch):
             check_reply(parse_request(sent), bent)
+
+
+@pytest.mark.parametrize(
+    ("function", "address", "count"), [(1, 0x0305, 20), (2, 0x0300, 17), (3, 0, 11), (4, 0x0300, 3)]
+)
+def test_a_read_that_is_given_back_is_no_reply(function: int, address: int, count: int) -> None:
+    # The first two have the byte count that was asked for.
+    sent = request(function, address, count)
+    with pytest.raises(ReplyMismatch, match="the request itself"):
+        check_reply(parse_request(sent), sent)
+    assert leaves_open(parse_request(sent), sent)
 
 
 @settings(max_examples=60)
@@ -161,3 +175,9 @@ def test_a_device_exception_has_its_code_and_a_sentence(code: int, words: str) -
         check_reply(READ, mbap(7, 1, bytes([0x83, code])))
     assert caught.value.code == code
     assert str(caught.value).startswith("holding:100 count 4: ")
+
+
+def test_a_connection_that_fails_says_what_the_system_says() -> None:
+    refused = OSError(errno.ECONNREFUSED, "Connect call failed ('10.0.0.7', 502)")  # as asyncio puts it
+    assert system_reason(refused) == "Connection refused"
+    assert system_reason(OSError(-2, "Name or service not known")) == "Name or service not known"

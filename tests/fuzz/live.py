@@ -41,7 +41,7 @@ from tests.plc.test_pdu import plc_of
 
 MakeFace = Callable[[Plc, Mapping[str, Any], Callable[[str], None]], Any]
 """Makes a face of the PLC from options of the command line."""
-WITHIN = 3.0
+WITHIN = 20.0
 ASKED_AGAIN = 20
 IDENTIFY = b"\x2b\x0e\x01\x00"
 RESET_ON_CLOSE = struct.pack("ii", 1, 0)

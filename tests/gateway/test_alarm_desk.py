@@ -345,7 +345,7 @@ def test_the_commands_speak_to_the_running_gateway_and_to_its_records(tmp_path: 
         _speak_to_the_gateway(config)
     finally:
         bench.stop_after = bench.reads
-        running.join(10.0)
+        running.join(60.0)
     _read_its_records(config)
 
 

@@ -151,7 +151,7 @@ def test_a_disk_that_does_not_take_it_is_complained_of_and_tried_again(tmp_path:
     assert "cannot be written" in audit.complaint
     other.execute("ROLLBACK")
     other.close()
-    assert audit.record(AuditEntry(2.0, "write"), timeout=5.0) and audit.complaint == ""
+    assert audit.record(AuditEntry(2.0, "write"), timeout=60.0) and audit.complaint == ""
     assert audit.close()
     assert [row.entry.time for row in read(path)] == [2.0], "what was reported as not stored is not stored later"
 

@@ -24,6 +24,7 @@ from gateway.settings.config import Config, load_config
 from gateway.store.historian import open_historian
 from gateway.store.score import scorecard
 from sim.artefacts.model_json import model_text
+from sim.engine.belief import advance
 from sim.sha.automaton import Distribution
 from sim.sha.model import Correction, Model, PlainMember
 from tests.gateway.support import (
@@ -186,6 +187,27 @@ def test_a_member_is_where_its_model_alone_would_be_at_each_scan_and_after_a_res
     assert ensemble.members[0].predictor.belief == alone.belief
 
 
+def test_a_trend_of_the_model_takes_a_leap_for_no_slope_and_a_given_member_takes_each_reading_as_its_model_does(
+    tmp_path: Path,
+) -> None:
+    config = together(tmp_path)
+    first = Predictor(replace(two_modes(), plain=(PlainMember("damped trend", 0.01, 0.04, 0.01, 100.0),)), TEMPERATURE)
+    ensemble = Ensemble(
+        first, ["a", "b"], [other()], section=config.ensemble, forecasts=config.forecast, scan_period=1.0
+    )
+    alone = Predictor(other(), TEMPERATURE)
+    for number in range(31):
+        reading = 53.0 if number < 30 else 22.0
+        scan = scan_of({RUNNING: True, CURRENT: 150.0, TEMPERATURE: reading}, EPOCH + number)
+        first.step(scan)
+        alone.track(scan)
+        ensemble.follow(scan, scan.good(TEMPERATURE))
+    given, trend = (member.predictor for member in ensemble.members)
+    assert given.belief == alone.belief
+    assert trend.belief is not None
+    assert advance(trend.tracker, trend.belief, EPOCH + 90.0).x == pytest.approx(22.0, abs=1.0)
+
+
 def test_what_was_learned_before_there_was_a_local_trend_goes_on(tmp_path: Path) -> None:
     config = config_in(tmp_path, model=two_modes(), **FAST)
     model = replace(two_modes(), plain=(PlainMember("persistence", 0.0, 0.1),))
@@ -309,5 +331,5 @@ def test_a_historian_of_an_earlier_gateway_gets_the_table_of_the_guards(tmp_path
     assert scorecard(path).guards == {}
     again_store, again = one_machine(path, [])
     again.put("guards", [(1.0, "{}")])
-    assert again.flush()
+    assert again.flush(60.0)
     again_store.close()

@@ -104,7 +104,7 @@ def test_every_row_comes_once_and_in_order_while_rows_are_packed(tmp_path: Path,
             number += 1
             for machine in machines:
                 put_scan(store, machine, number, rng)
-        assert store.flush()
+        assert store.flush(60.0)
         if with_restart and number > with_restart:
             store.close()
             store, with_restart = open_historian(path), 0
@@ -139,7 +139,7 @@ def test_the_newest_row_of_a_stream_is_its_own_where_another_machine_has_a_later
     try:
         for machine in ("one", "two", "one", "two"):
             store.view(machine).put("alarms", [(EPOCH, "over limit A", "A", 1, "unacknowledged", 81.0, "")])
-            assert store.flush()
+            assert store.flush(60.0)
         with reading(store.path) as connection:
             for stream in row_streams(connection, ("one", "two")):
                 if stream.table == "alarms":
@@ -158,7 +158,7 @@ def test_what_retention_took_first_is_counted_and_a_position_is_found_by_time(tm
     store = open_historian(path)
     for number in range(1, 201):
         put_scan(store, "one", number, rng)
-    store.flush()
+    store.flush(60.0)
     until(lambda: packed(path, "predictions"))
     store.close()
     every = Reader(path, ("one",))

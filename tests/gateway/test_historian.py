@@ -126,10 +126,10 @@ def test_what_was_flushed_is_there_for_others_while_the_gateway_goes_on(tmp_path
     path = tmp_path / "h.sqlite"
     store, historian = one_machine(path, TAGS)
     historian.put("scans", [(EPOCH + n, 0.0, 0) for n in range(5)])
-    assert historian.flush()
+    assert historian.flush(60.0)
     with reading(path) as one, reading(path) as two:
         historian.put("scans", [(EPOCH + 9, 0.0, 0)])
-        assert historian.flush()
+        assert historian.flush(60.0)
         assert [c.execute("SELECT count(*) FROM scans").fetchone()[0] for c in (one, two)] == [6, 6]
     assert store.close() and store.close(), "closing twice is allowed"
 
@@ -225,7 +225,7 @@ def test_old_measurements_are_deleted_and_alarms_and_audit_stay(tmp_path: Path) 
     historian.put("samples", [("T", EPOCH + n, 20.0, 0, None) for n in range(12_000)])
     historian.put("events", [(EPOCH + n, "W_ON", "on") for n in range(10)])
     historian.put("audit", [audit(n) for n in range(10)])
-    assert historian.flush()
+    assert historian.flush(60.0)
     store.delete_older(EPOCH + 11_990)
     deadline = time.monotonic() + 120.0
     while (count(path, "samples") > 10 or count(path, "events")) and time.monotonic() < deadline:
@@ -249,7 +249,7 @@ for n in range(first, first + 1_000_000):
     historian.put("scans", [(float(n), 0.0, 0)])
     if n % 20 == 0:
         historian.put("audit", [(float(n), f"entry {n}", "Ada", "test")])
-        if historian.flush():
+        if historian.flush(60.0):
             print(n, flush=True)
 """
 
@@ -287,7 +287,7 @@ def test_a_saved_state_comes_back_and_the_newest_one_wins(tmp_path: Path) -> Non
     store, historian = one_machine(tmp_path / "h.sqlite", TAGS)
     historian.save("belief", EPOCH, {"x": float("-inf")})
     historian.save("belief", EPOCH + 1, {"x": [1, None, "°C"]})
-    assert historian.flush()
+    assert historian.flush(60.0)
     assert historian.load("belief") == (EPOCH + 1, {"x": [1, None, "°C"]})
     assert historian.load("nothing") is None
     store.close()

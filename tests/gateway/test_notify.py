@@ -374,7 +374,7 @@ def hook(*statuses: int) -> Iterator[Hook]:
     class Handler(BaseHTTPRequestHandler):
         def do_POST(self) -> None:
             body = json.loads(self.rfile.read(int(self.headers["Content-Length"])))
-            seen.held.wait(10.0)
+            seen.held.wait(60.0)
             status = seen.statuses.pop(0) if seen.statuses else 204
             if status == 204:
                 seen.got.append((dict(self.headers), body))

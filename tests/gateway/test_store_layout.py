@@ -151,8 +151,8 @@ def test_what_is_packed_reads_as_what_was_put(tmp_path: Path) -> None:
         historian.put("samples", rows)
         historian.put("scans", [(now, 0.0123456789, 0)])
         historian.put("writes", [(now, second & 0xFFFF, "armed", "written", 31, 4.0123456, "", b"\1\2" * 24)])
-        assert second % 4_000 or historian.flush(30.0)
-    assert historian.flush(30.0)
+        assert second % 4_000 or historian.flush(60.0)
+    assert historian.flush(60.0)
     deadline = time.monotonic() + 120.0
     while len(table(path, "SELECT rowid FROM writes")) >= 3_000 and time.monotonic() < deadline:
         time.sleep(0.05)

@@ -76,9 +76,9 @@ def three(tmp_path_factory: pytest.TempPathFactory) -> Path:
         for number in range(SCANS):
             for place in range(3 if number >= SCANS // 2 else 2):
                 put_scan(historian, "abc"[place], number, 1000.0 * place)
-            assert number % 100 or historian.view("a").flush(10.0)
+            assert number % 100 or historian.view("a").flush(60.0)
         historian.view("b").put("alarms", [(EPOCH, "over limit", "T", 1, "normal", 81.0, "")])
-        assert historian.flush(10.0)
+        assert historian.flush(60.0)
         query = "SELECT count(*) FROM samples"
         packed_until(path, lambda connection: connection.execute(query).fetchone()[0] <= 3 * 400)
         assert (historian.dropped, historian.refused, historian.complaint) == (0, 0, "")
@@ -139,7 +139,7 @@ def test_states_are_kept_by_source_and_the_newest_scan_by_machine(tmp_path: Path
         view.save("belief", EPOCH, {"of": number})
     a.put("scans", [(EPOCH, 0.0, 0)])
     b.put("scans", [(EPOCH + 7.0, 0.0, 0)])
-    assert historian.flush()
+    assert historian.flush(60.0)
     with capture_logs():
         assert [saved_state(view, "belief", None) for view in (a, b, followed)] == [  # type: ignore[arg-type]
             (EPOCH, {"of": number}) for number in range(3)
@@ -153,7 +153,7 @@ def test_old_rows_of_each_machine_go_by_age_packed_or_not(three: Path, tmp_path:
     path.write_bytes(three.read_bytes())
     historian = open_historian(path)
     historian.delete_older(EPOCH + SCANS - 50)
-    assert historian.flush() and historian.flush()
+    assert historian.flush(60.0) and historian.flush(60.0)
     assert historian.close()
     for machine in "abc":
         kept = to_trace(path, machine=machine).times
@@ -261,7 +261,7 @@ def test_a_value_and_its_quality_stay_with_the_tag_of_their_machine(tmp_path: Pa
     a, b = historian.view("a", TAGS), historian.view("b", TAGS)
     a.put("samples", [("T", EPOCH, 1.0, 0, None), ("T",), (None, EPOCH, 1.0, 0, None), ("\ud800", EPOCH, 1.0, 0, None)])
     b.put("samples", [("T", EPOCH, None, int(Quality.TIMEOUT), None), ("new", EPOCH, 2.0, 0, None)])
-    assert historian.flush()
+    assert historian.flush(60.0)
     assert (a.refused, b.refused, historian.refused) == (3, 0, 3)
     assert "was left out" in a.complaint and b.complaint == ""
     assert historian.close()

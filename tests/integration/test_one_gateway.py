@@ -32,7 +32,7 @@ def test_a_second_gateway_on_one_historian_is_refused_in_one_sentence_and_the_fi
         good(rig, first, 5)
         second = rig.start_gateway(plc)
         try:
-            _, words = second.process.communicate(timeout=20.0)
+            _, words = second.process.communicate(timeout=120.0)
         finally:
             end(second.process)
         assert second.process.returncode == 2

@@ -12,9 +12,13 @@ from sim.forecast import FAN_LEVELS, forecast
 from sim.lab.learning.bins.candidates import CANDIDATES
 from sim.lab.learning.bins.learn import Learned, learn_bins
 from sim.lab.learning.calibrate import HORIZONS_S, PRIOR_FACTOR, UNSEEN_WIDENING, HeldOutForecasts, Scored
-from sim.lab.learning.machines import next_stay, small_sample
+from sim.lab.learning.free_run import FitShape, FreeRunFit
+from sim.lab.learning.machines import machine_spread, next_stay, small_sample, trace_machines
+from sim.lab.learning.noise import NoiseLevels
 from sim.lab.learning.plain import PERSISTENCE, TREND, learn_plain
 from sim.lab.learning.preparation import splits
+from sim.lab.learning.runs import free_runs
+from sim.sha.automaton import SHA, Flow, Location
 from sim.sha.events import DECANTER, Alphabet, Switch, encode
 from sim.sha.model import PlainMember, plain_model
 from sim.sha.trace import Event, Trace
@@ -79,6 +83,31 @@ def test_the_belief_of_a_new_machine_begins_wide_and_finds_its_offset(different:
     mean = float(np.mean(list(OFFSETS.values())))
     # A disturbance with a long memory may be the reason for a part of it: one cycle does not tell the two apart.
     assert after[1] < 0.8 * before[1] and 3.0 < after[0] < 9.0 - mean + 2.5
+
+
+@pytest.mark.parametrize("kind", ["linear", "logarithmic"])
+def test_where_no_flow_has_a_target_that_is_why_nothing_is_known_of_how_machines_differ(kind: str) -> None:
+    traces = [
+        replace(trace, events=()) for n, name in enumerate(OFFSETS) for trace in of_machine(name, 0.0, n, cycles=1)
+    ]
+    runs = free_runs(
+        traces, SHA("s", (Location("any", Flow("constant", {"noise": 0.0}), entry="none"),), (), "any"), "T"
+    )
+    none, nothing = np.full(1, -1, dtype=np.intp), np.zeros(0)
+    shape = FitShape((kind,), none, none, np.zeros((1, 0), dtype=np.intp), np.zeros((1, 0)), *(nothing,) * 4)
+    fit = FreeRunFit(
+        linear=nothing,
+        rates=nothing,
+        covariance=np.zeros((0, 0)),
+        sigma=1.0,
+        correlation=1.0,
+        mean=runs.reading,
+        start=nothing,
+    )
+    noise = NoiseLevels(0.1, np.full(1, 0.1), np.zeros(1), {})
+    machines = trace_machines(traces, "T")
+    spread = machine_spread(runs, shape, fit, noise=noise, groups=np.zeros(1, dtype=np.intp), machines=machines)
+    assert (spread.offsets, spread.told_apart, spread.has_targets) == ({}, 4, False)
 
 
 def test_few_values_are_widened_as_students_t_and_many_are_left_alone() -> None:

@@ -91,7 +91,7 @@ class Plant:
                     followed.put("forecasts", [(time, 60.0, "[0.05, 0.5, 0.95]", "[1.0, 2.0, 3.0]", 0.25, 80.0, 21.0)])
                     followed.put("events", [(time, "W_ON", "on")])
                     own.put("alarms", [(time, "over limit T", "T", 1, "unacknowledged", 81.0, "")])
-        assert self.store.flush()
+        assert self.store.flush(60.0)
 
     def feed(self, sink: Sink, **options: Any) -> SinkFeed:
         """A feed from this historian to a sink."""

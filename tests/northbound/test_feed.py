@@ -52,7 +52,7 @@ def test_a_feed_that_ends_anywhere_leaves_out_no_row_that_its_sink_has_not(
         until(lambda sink=sink: sink.refusals >= 2)
         feed.stop()
         feed.join()
-        assert plant.store.flush()
+        assert plant.store.flush(60.0)
         assert len(sink.taken) == feed.delivered == most
         taken += sink.taken
     wanted = {(machine, table, key) for table in TABLES for machine, key, _ in plant.rows(table)}

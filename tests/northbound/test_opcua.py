@@ -103,8 +103,11 @@ async def look(url: str, machine: str, folder: Path) -> dict[str, Any]:
         ]
         unit = await node(f"Measured/{TEMPERATURE}/EngineeringUnits").read_value()
         seen["unit"] = unit.DisplayName.Text
-        await asyncio.sleep(1.2)  # what is measured is on record within a second
         now = seen[f"Measured/{TEMPERATURE}"].SourceTimestamp
+        # What is measured is on record within a second, where the machine has nothing else to do.
+        async with asyncio.timeout(60.0):
+            while not (kept := await reading.read_raw_history(None, now, 1)) or kept[0].SourceTimestamp < now:
+                await asyncio.sleep(0.05)
         # A client's own paging, by the continuation points that the server gives.
         seen["history"] = await reading.read_raw_history(now - timedelta(hours=1), now)
         seen["first"] = await reading.read_raw_history(now - timedelta(hours=1), None, 3)

@@ -88,11 +88,11 @@ def test_postgres_has_every_row_once_over_an_outage_and_a_kill(plant: Plant, dat
     until(lambda: feed.delivered == plant.count)
     feed.stop()
     feed.join()
-    assert plant.store.flush()
+    assert plant.store.flush(60.0)
     # A gateway that was killed has forgotten how far it was: all of it comes again, and nothing is there twice.
     for machine in ("one", "two"):
         plant.store.view(machine).save("northbound it", plant.now(), {})
-    plant.store.flush()
+    plant.store.flush(60.0)
     again = plant.feed(PostgresSink(database.row(database.port), None))
     until(lambda: again.delivered == plant.count)
     for table in TABLES:

@@ -68,7 +68,8 @@ def face(path: Path) -> list[str | Path]:
 
 def driver_on(path: Path, device: DeviceMap, **settings: object) -> CanDriver:
     assert device.writeback is not None
-    merged = {**device.settings, "interface": "hub", "channel": str(path), **settings}
+    place = {"interface": "hub", "channel": str(path), "connect_timeout": 20.0}  # a busy machine opens a bus late
+    merged = {**device.settings, **place, **settings}
     return open_can(merged, clock=time.time, write_map=device.writeback.words)
 
 

@@ -34,7 +34,8 @@ def face(path: Path) -> list[str | Path]:
 def driver_on(path: Path, **settings: object) -> CanopenDriver:
     device = load_device(MAP)
     assert device.writeback is not None
-    merged = {**device.settings, "interface": "hub", "channel": str(path), "configure": True, **settings}
+    place = {"interface": "hub", "channel": str(path), "connect_timeout": 20.0}  # a busy machine brings a node up late
+    merged = {**device.settings, **place, "configure": True, **settings}
     known = {key: value for key, value in merged.items() if value is not None}
     return open_canopen(known, clock=time.time, write_map=device.writeback.words)
 
@@ -76,7 +77,7 @@ def test_the_librarys_master_reads_starts_and_is_told_and_its_block_is_taken(tmp
 
 async def test_a_driver_without_an_eds_asks_the_device_for_its_own(path: Path) -> None:
     with running(*face(path)) as plc:
-        driver = driver_on(path, eds=None, tpdo=None, connect_timeout=20.0)  # its EDS comes in some 500 frames
+        driver = driver_on(path, eds=None, tpdo=None)  # its EDS comes in some 500 frames
         await driver.open()
         tags = load_device(MAP).tags
         await asyncio.to_thread(plc.order, "force", tag="TCuscinettiRiduttore", value=42.5)

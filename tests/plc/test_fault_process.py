@@ -32,7 +32,7 @@ ANSWER = bytes.fromhex("0304ffffffff")
 def refused(port: int) -> bool:
     """True if connecting is refused."""
     try:
-        socket.create_connection(("127.0.0.1", port), timeout=5).close()
+        socket.create_connection(("127.0.0.1", port), timeout=60).close()
     except ConnectionRefusedError:
         return True
     return False

@@ -39,7 +39,7 @@ SDO_READS = {0x40, 0x60, 0x70, 0x80, 0xA0, 0xA1, 0xA2, 0xA3}
 RAW_WRITES = 0x201, 0x280, 0x281
 CONNECT_DEADLINE_S = 20.0
 """For opening a link where only its coming is asked: a busy machine brings a node up late."""
-PATIENT_S = 5.0
+PATIENT_S = 20.0
 """A reply's deadline where only its coming is asked."""
 
 

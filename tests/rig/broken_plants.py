@@ -1,9 +1,12 @@
 """A plant of two machines, and slips in its plant file: what the judge of a plant file says of each.
 
-The plant is that of `tests.rig.broken_starts`, which is in order. Each slip is one value, or two, that nobody can mean.
+The plant is that of `tests.rig.broken_starts`, which is in order. Each slip is one value, or two, that nobody can mean,
+or a piece of text as people mistype it, in the plant file or in the device file beside it.
 """
 
-from collections.abc import Iterator
+import os
+import shutil
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from math import inf, nan
 from pathlib import Path
@@ -14,6 +17,8 @@ import tomlkit
 from drivers.settings import ConfigError
 from gateway.plant import check_plant
 from gateway.settings import load_plant
+from tests.gateway.support import MAP
+from tests.rig.broken_starts import seed
 
 HEAT, SWITCH, OTHER = "TCuscinettiRiduttore", "MarciaDecanter", "TCuscinettiTamburo"
 ARMED = {"mode": "armed", "armed_by": "Ada", "reason": "test", "minutes": 10.0}
@@ -28,6 +33,15 @@ OTHERS = (
     "records",
     "model",
 )
+COMMANDS = (
+    "plc check --offline",
+    "run",
+    "reload",
+    "top --once",
+    "plc bind --machine first --keep log.max_days=30",
+    "machine add third --unit 9",
+)
+"""What reads a plant file and must say the same of it."""
 VALUES: dict[str, tuple[Any, ...]] = {
     "alarms.limit": (nan, inf, -inf, "80", True, [80], 1e6, -300.0),
     "alarms.deadband": (nan, inf, -1.0, 500.0),
@@ -120,6 +134,143 @@ class Slip:
             table = table[int(head)] if head.isdigit() else table.setdefault(head, tomlkit.table())
         table[last] = self.value
         return tomlkit.dumps(document)
+
+
+_TAG = '[[tags]]\nname = "MarciaDecanter"'
+
+
+def _tag(keys: str, name: str = "New") -> str:
+    return f'[[tags]]\nname = "{name}"\n{keys}\n{_TAG}'
+
+
+TEXTS: Mapping[str, tuple[tuple[str, str, str], ...]] = {
+    "plant.toml": (
+        ("", "\ufeff", "save it as UTF-8 without one"),
+        ("\n[forecast]", '\n{"forecast": 1}', "this is another format; write [table]"),
+        ("\n[forecast]", "\n[forecast", "Expected ']' at the end of a table declaration (at line"),
+        ("\n[forecast]", "\n[forcast]", "forcast: there is no such key; did you mean 'forecast'?"),
+        ("\n[forecast]", "\n[Forecast]", "Forecast: there is no such key; did you mean 'forecast'?"),
+        ("\n[forecast]", "\n[scan]\nperiod = 1,5\n[forecast]", "write a decimal point, and no comma"),
+        ("\n[forecast]", "\n[scan]\nperiod = 1s\n[forecast]", "write a number without its unit"),
+        ("\n[forecast]", '\n[scan]\nperiod = "1 s"\n[forecast]', "scan.period: must be a number, got '1 s'"),
+        ("\n[forecast]", "\n[alarms]\nlimit = 80 °C\n[forecast]", "write a number without its unit"),
+        ("\n[forecast]", '\n[alarms]\nlimit = "80 °C"\n[forecast]', "alarms.limit: must be a number, got '80 °C'"),
+        ("\n[forecast]", "\n[alarms]\nlimit = 60\ndeadband = 90\n[forecast]", "has a deadband of 90"),
+        ("\n[forecast]", f'\n[alarms]\ntags = ["{HEAT[:-1]}"]\n[forecast]', f"did you mean '{HEAT}'?"),
+        ("\n[forecast]", f'\n[model]\ntemperature = "{HEAT.upper()}"\n[forecast]', f"did you mean '{HEAT}'?"),
+        ("\n[forecast]", '\ntimezone = "Europe/Rome"\n[forecast]', "timezone: there is no such key"),
+        ("runs = 20", "runs = 20\nruns = 30", "it is there already; keep one of the two"),
+        ("runs = 20", "runs = 20\n[log]", "Cannot declare ('log',) twice"),
+        ("runs = 20", "run = 20", "forecast.run: there is no such key; did you mean 'runs'?"),
+        ("runs = 20", "runs\u00a0= 20", "a space there is no plain one"),
+        ("runs = 20", "runs : 20", "write key = value"),
+        ("runs = 20", "runs =", "give the key a value"),
+        ("runs = 20", "runs = .5", "write a number with digits on both sides of its point"),
+        ("runs = 20", "runs = 10.0.0.1", "write a text in quotes"),
+        ('"secrets.toml"', '"secrets.toml', "close the quotes of a text where it ends"),
+        ("runs = 20", "runs = None", "leave the key out where there is no value"),
+        ("runs = 20", "runs = 020", "write a number without a 0 before it"),
+        ("[10.0]", "[10.0", "(at line"),
+        ("enabled = true", "enabled = True", "write true or false"),
+        ("enabled = true", "enabled = yes", "write true or false"),
+        ("enabled = true", 'enabled = "yes"', "page.enabled: must be true or false, got 'yes'"),
+        ('"secrets.toml"', "secrets.toml", "write a text in quotes"),
+        ('"secrets.toml"', "\u201csecrets.toml\u201d", "write straight quotes around a text"),
+        ('"records/history.sqlite"', '"records\\history.sqlite"', "write a path with / between its parts"),
+        ('"records/history.sqlite"', '"C:/data/history.sqlite"', "is a path of a shell or of another system"),
+        ('"records/history.sqlite"', '"~/history.sqlite"', "historian.path: '~/history.sqlite' is a path of a shell"),
+        ('"records/history.sqlite"', '"$HOME/history.sqlite"', "is a path of a shell or of another system"),
+        (
+            '"records/history.sqlite"',
+            '"records/history.sqlite"\nretention_days = 0.05\nmax_interval = 80000',
+            "would be deleted before it is stored again",
+        ),
+        ("port = 15021", 'host = "192.168.1.300"', "device.host: host '192.168.1.300' is no IP address"),
+        ("port = 15021", 'host = "192,168,1,30"', "is no IP address; give four numbers"),
+        ("port = 15021", 'host = "10.0.1"', "is no IP address; give four numbers"),
+        ("port = 15021", 'host = "<PLC>"', "holds what no name or address has"),
+        ("port = 0\n", "port = 15021\n", "page.port: 15021 is the port of the device at 127.0.0.1"),
+        ('{ path = "model" }', '{ path = "model", }', "close a { table } on its line"),
+        ('{ path = "model" }', '{ path = "model/manifest.json" }', "model.path"),
+        ('"second"', '"Lüfter"', "machine[1].name: must match pattern"),
+        ("[[machine]]", "[[machines]]", "machines: there is no such key"),
+        ("port = 15022", "port = 15021", "give each machine a device of its own"),
+        ("bucket =", "tokn =", "tokn: there is no such key"),
+    ),
+    "plc.toml": (
+        ("", "\ufeff", "save it as UTF-8 without one"),
+        (_TAG, _tag('address = "40901"'), "New: '40901' is a reference number that counts from 1"),
+        (_TAG, _tag("address = 901"), "address: must be text, got 901"),
+        (_TAG, _tag('address = "holding:65535"\ndtype = "float32"'), "reach beyond the last address"),
+        (_TAG, _tag('address = "holding:900"\ndtype = "REAL"'), "dtype: must be"),
+        (_TAG, _tag('address = "holding:900"\nscale = "0,1"'), "scale: must be a number, got '0,1'"),
+        (_TAG, _tag('address = "holding:900"\nscale = 0'), "scale 0 would make every reading 0"),
+        (_TAG, _tag('address = "holding:900"\nlow = 9\nhigh = 1'), "low: 9.0 is not below high 1.0"),
+        (_TAG, _tag('address = "holding:900"', "MarciaDecanter"), "'MarciaDecanter' is already used"),
+        (_TAG, _tag('address = "holding:100"\ndtype = "float32"'), "and New overlap: holding:100"),
+        ('"modbus"', '"profinet"', "'profinet' is no driver; give one of"),
+    ),
+}
+"""(what stands there, what somebody writes, words that are said of it), by the file."""
+
+
+def _ring(path: Path) -> None:
+    if path.is_dir():
+        shutil.rmtree(path)
+    else:
+        path.unlink()
+    path.symlink_to(path.name)
+
+
+def _link_log(folder: Path) -> None:
+    (folder / "gateway.jsonl").unlink(missing_ok=True)
+    os.link(folder / "records/history.sqlite", folder / "gateway.jsonl")
+
+
+PLACES: Mapping[str, tuple[Callable[[Path], object], str]] = {
+    "a plant file that is UTF-16": (
+        lambda folder: (folder / "plant.toml").write_text("[device]", encoding="utf-16"),
+        "byte 0 is not UTF-8; save the file as UTF-8",
+    ),
+    "an empty plant file": (lambda folder: (folder / "plant.toml").write_text(""), "device: is missing"),
+    "a plant file that is a link to itself": (lambda folder: _ring(folder / "plant.toml"), "Too many levels"),
+    "a device file that is a link to itself": (lambda folder: _ring(folder / "plc.toml"), "Too many levels"),
+    "records in a link to itself": (lambda folder: _ring(folder / "records"), "is a link that leads nowhere"),
+    "a log that is another name of the records": (_link_log, "is the file of historian.path too"),
+    "a device file that is a pipe": (
+        lambda folder: ((folder / "plc.toml").unlink(), os.mkfifo(folder / "plc.toml")),
+        "it is a named pipe, not a file",
+    ),
+    "a model without its file": (lambda folder: (folder / "model/model.json").unlink(), "has neither model.json"),
+    "a store of which nothing runs": (lambda folder: (folder / "store/current").unlink(), "no version is promoted"),
+}
+"""What befalls a file itself, and words that are said of it."""
+
+
+def seed_with_device(folder: Path) -> None:
+    """Make the plant with a device file of its own."""
+    seed(folder)
+    shutil.copyfile(MAP, folder / "plc.toml")
+    plant = folder / "plant.toml"
+    plant.write_text(plant.read_text(encoding="utf-8").replace(f'"{MAP}"', '"plc.toml"'), encoding="utf-8")
+
+
+def spoiled_plants() -> Iterator[tuple[str, Callable[[Path], object], str]]:
+    """(what, how a folder is spoiled, words that are said of it) of each mistyped text and each spoiled file."""
+
+    def replaced(file: str, old: str, new: str) -> Callable[[Path], object]:
+        def spoil(folder: Path) -> None:
+            text = (folder / file).read_text(encoding="utf-8")
+            assert old in text, old
+            (folder / file).write_text(text.replace(old, new, 1), encoding="utf-8")
+
+        return spoil
+
+    for file, texts in TEXTS.items():
+        for old, new, words in texts:
+            yield f"{file}: {new!r}", replaced(file, old, new), words
+    for what, (spoil, words) in PLACES.items():
+        yield what, spoil, words
 
 
 def slips() -> Iterator[Slip]:

@@ -128,6 +128,13 @@ HABITS: tuple[DeviceHabit, ...] = (
         over=(TCP,),
     ),
     DeviceHabit(
+        habit="hands on what another unit of its line says, before the answer",
+        found="the reply is of another unit, and the one that is asked answers behind it",
+        done="behind another unit's frame the answer is waited for, 0.5 s at most",
+        wire={"beside": 9},
+        over=(TCP, TLS),
+    ),
+    DeviceHabit(
         habit="takes single registers or coils alone, or several alone",
         found="exception 1 to a write names the setting; `check` and `check plan --write` say the function beforehand",
         done="one request a register (function 6) or coil (5), in their order, sent once each",

@@ -42,6 +42,7 @@ class Habit:
     stale: int = 0
     transaction: int | None = None
     unit: int | None = None
+    beside: int | None = None
     lead: bytes = b""
     late: float = 0.0
     echo: bool = False
@@ -115,12 +116,18 @@ class Habit:
                     writer.write(self.lead + unit + pdu + rtu.crc(unit + pdu))
                     continue
                 number = head[:2] if self.transaction is None else self.transaction.to_bytes(2, "big")
-                writer.write(number + b"\0\0" + (len(pdu) + 1).to_bytes(2, "big") + unit + pdu)
+                if self.beside is not None:
+                    writer.write(_headed(number, bytes((self.beside,)) + pdu[:2] + bytes(len(pdu) - 2)))
+                writer.write(_headed(number, unit + pdu))
                 if self.ends_connections:
                     writer.close()
                     return
         except (asyncio.IncompleteReadError, OSError, asyncio.CancelledError):
             writer.close()
+
+
+def _headed(number: bytes, plain: bytes) -> bytes:
+    return number + b"\0\0" + len(plain).to_bytes(2, "big") + plain
 
 
 @asynccontextmanager

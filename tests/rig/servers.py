@@ -36,7 +36,7 @@ def until(true: Any, seconds: float = 120.0) -> None:
 
 
 def answers(port: int) -> bool:
-    with suppress(OSError), closing(socket.create_connection(("127.0.0.1", port), 1.0)):
+    with suppress(OSError), closing(socket.create_connection(("127.0.0.1", port), 20.0)):
         return True
     return False
 

@@ -5,9 +5,13 @@ from math import inf
 import numpy as np
 import pytest
 
-from sim.forecast.fan import FAN_LEVELS
-from sim.forecast.local_trend import LocalOutlook, LocalTrend
+from sim.engine.belief import observe, start
+from sim.engine.tracker import compile_model
+from sim.forecast.fan import FAN_LEVELS, forecast
+from sim.forecast.local_trend import LocalOutlook, LocalTrend, walk_outlook
 from sim.sha import Array
+from sim.sha.model import PlainMember, plain_model
+from tests.gateway.support import two_modes
 
 HORIZONS = (60.0, 300.0)
 
@@ -78,3 +82,20 @@ def test_the_limit_is_reached_as_by_a_walk_with_a_drift() -> None:
     there = outlook.forecast(np.ones(2), limit=50.0, levels=FAN_LEVELS)
     assert there.exceedance[0].probability == 1.0 and there.minutes_to_limit == (0.0, 0.0, 0.0)
     assert outlook.forecast(np.ones(2), limit=inf, levels=FAN_LEVELS).exceedance[1].probability == 0.0
+
+
+def test_a_walk_says_what_its_runs_do() -> None:
+    tracker = compile_model(plain_model(two_modes(), PlainMember("persistence", 0.0, 0.1)))
+    belief = observe(tracker, start(tracker, 0.0), 0.0, 50.0)
+    outlook, factors = walk_outlook(tracker, belief, HORIZONS), {60.0: 1.5, 300.0: 1.5}
+    assert outlook is not None
+    made = outlook.forecast(np.full(2, 1.5), limit=52.0, levels=FAN_LEVELS)
+    drawn = forecast(
+        tracker, belief, HORIZONS, np.random.default_rng(0), limit=52.0, runs=4000, events=(), calibration=factors
+    )
+    np.testing.assert_allclose(made.quantiles, drawn.quantiles, atol=1e-9)
+    for ours, theirs in zip(made.exceedance, drawn.exceedance, strict=True):
+        assert theirs.low - 0.01 < ours.probability < theirs.high + 0.01
+    assert made.minutes_to_limit == pytest.approx(drawn.minutes_to_limit, rel=0.1)
+    trend = compile_model(plain_model(two_modes(), PlainMember("damped trend", 0.0, 0.1, heat=0.01, memory=100.0)))
+    assert walk_outlook(trend, belief, HORIZONS) is None

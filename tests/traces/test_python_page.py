@@ -21,6 +21,7 @@ from sim.lab.recordings import load_traces, parse_map
 from sim.lab.recordings.mapping import CHOICES, Answers, draft_map
 from tests.rig.no_bands import without_bands
 from tests.traces.exports import recording, wide
+from tests.traces.test_dialects import EPOCH
 
 PAGE = Path(__file__).parents[2] / "docs" / "python.md"
 
@@ -279,3 +280,17 @@ def test_what_is_not_handed_out_is_said_and_a_strangers_package_is_not_used(monk
     monkeypatch.setattr(start, "stranger", lambda home: "another one's")
     with pytest.raises(ImportError, match="another one's"):
         _ = decanter.simulate
+
+
+def test_frames_with_times_in_an_unnamed_index_and_names_of_two_levels_are_read() -> None:
+    plant = recording()
+    values = {"bearing temp": plant.heat, "motor current": plant.current}
+    counted = [int((moment - EPOCH).total_seconds()) for moment in plant.moments]
+    for index in ([f"{moment:%d.%m.%Y %H:%M:%S}" for moment in plant.moments], counted):
+        (trace,) = decanter.read(pd.DataFrame(values, index=index)).traces
+        assert trace.times[0] == counted[0] and np.array_equal(trace.signals["bearing_temp"], plant.heat)
+    frame = pd.DataFrame(values, index=pd.DatetimeIndex(plant.moments))
+    frame.columns = pd.MultiIndex.from_tuples([("bearing", "temp"), ("motor", "current")])
+    assert decanter.read(frame).temperature == "bearing_temp"
+    with pytest.raises(ValueError, match="no column holds times"):
+        decanter.read(pd.DataFrame(values, index=np.arange(plant.heat.size) * 3))

@@ -156,9 +156,37 @@ CASES: dict[str, tuple[Callable[[], ModelVerdict], str, str]] = {
         "36.0 h of running and 36.0 h of rest as if they were the same",
     ),
     "locations that no trace shows": (
+        lambda: judged(spoiled(np.zeros_like, RUNNING), replace(MODEL, borrowed=frozenset(("start", "on")))),
+        "limited",
+        "2 of 3 locations were never seen",
+    ),
+    "locations that fit none of their stays": (
         lambda: judged(model=unseen()),
         "limited",
-        "3 of 3 locations were never seen; next: learn with traces that show them",
+        "3 of 3 locations have no values of their own, 2 of which were seen, for 72.0 h: is it one machine in one "
+        "state?; next: learn with traces that show them",
+    ),
+    "kelvin in a column of degrees": (
+        lambda: judged(spoiled(lambda value: value + 273.15)),
+        "limited",
+        "are these kelvin (20 °C)?",
+    ),
+    "an oven": (lambda: judged(spoiled(lambda value: value + 150.0)), "limited", "in which unit is it?"),
+    "a loose contact": (
+        lambda: judged(spoiled(lambda value: value + np.random.default_rng(0).normal(0.0, 6.0, value.size))),
+        "limited",
+        "noise, a loose contact, or rows of two machines?",
+    ),
+    "rows of two machines by turns": (
+        lambda: judged(spoiled(lambda value: value + 12.0 * (np.arange(value.size) % 2))),
+        "limited",
+        "from row to row TCuscinettiRiduttore jumps by 12 °C",
+    ),
+    "a sensor of whole degrees": (lambda: judged(spoiled(np.round)), "fit", ""),
+    "bursts of rows too short for a horizon": (
+        lambda: judged(coverage=foreseen()[:1]),
+        "limited",
+        "at 300 s and 900 s 0 independent held-out forecasts at most had an outcome",
     ),
     "one day": (lambda: judged(record(1)), "limited", "on 1 day: how one differs"),
     "few forecasts": (

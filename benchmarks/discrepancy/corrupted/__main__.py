@@ -23,10 +23,10 @@ LIMIT_S = 600.0
 def diagnose(one: CorruptedRecord) -> Outcome:
     """What `decanter diagnose` says of it."""
     with TemporaryDirectory(prefix="decanter-corrupted-") as scratch:
-        file, model = Path(scratch) / "rows.csv", Path(scratch) / "model.json"
-        one.write(file)
+        traces, model = Path(scratch) / "traces", Path(scratch) / "model.json"
+        one.write(traces)
         write_model(model)
-        return by_call(Case(one.name, file, model, seed=0), LIMIT_S)
+        return by_call(Case(one.name, traces, model, seed=0), LIMIT_S)
 
 
 def _kept(one: CorruptedRecord, out: Path) -> tuple[CorruptedRecord, Outcome]:
@@ -43,15 +43,16 @@ def _kept(one: CorruptedRecord, out: Path) -> tuple[CorruptedRecord, Outcome]:
 @click.command(help=__doc__)
 @click.option("--dropped", type=click.IntRange(0), default=150, show_default=True, help=f"Corruptions: {DROPPED}.")
 @click.option("--count", type=click.IntRange(0), default=25, show_default=True, help="Corruptions of each other class.")
+@click.option("--first", type=click.IntRange(0), default=0, show_default=True, help="The first corruption's number.")
 @click.option("--jobs", type=click.IntRange(1), default=1, show_default=True, help="Processes.")
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), required=True, help="Where results are kept.")
 @click.option("--changed", "every", is_flag=True, help="Each case that changed in a line too.")
-def main(dropped: int, count: int, jobs: int, out: Path, every: bool) -> None:
+def main(dropped: int, count: int, first: int, jobs: int, out: Path, every: bool) -> None:
     """Diagnose each record as it is and each corruption, and print what changed. What lies there is not done again."""
     from joblib import Parallel, delayed
 
     out.mkdir(parents=True, exist_ok=True)
-    wanted = list(chain(map(CorruptedRecord, RECORDS), corruptions(count, dropped)))
+    wanted = list(chain(map(CorruptedRecord, RECORDS), corruptions(count, dropped, first)))
     found: dict[CorruptedRecord, Outcome] = {}
     for one, outcome in Parallel(n_jobs=jobs, return_as="generator_unordered")(
         delayed(_kept)(one, out) for one in wanted

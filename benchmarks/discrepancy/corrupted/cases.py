@@ -7,7 +7,7 @@ from zlib import crc32
 
 import numpy as np
 
-from benchmarks.discrepancy.corrupted.habits import CORRUPTIONS, Corruption, only
+from benchmarks.discrepancy.corrupted.habits import CORRUPTIONS, FAULTS, FILINGS, Corruption, only
 from sim.artefacts.model_json import model_text
 from sim.lab.recordings import write_trace
 from sim.sha import Model, Trace
@@ -35,7 +35,8 @@ def several(rng: np.random.Generator, trace: Trace) -> Trace:
 
 
 DROPPED = "2 % of the rows dropped"
-CLASSES: Mapping[str, Corruption] = {DROPPED: lossy, **CORRUPTIONS, "two or three of them": several}
+ROWS_CLASSES: Mapping[str, Corruption] = {DROPPED: lossy, **CORRUPTIONS, "two or three of them": several, **FAULTS}
+CLASSES = (*ROWS_CLASSES, *FILINGS)
 RECORDS: Mapping[str, Callable[[], Trace]] = {
     "nothing missing": lambda: plant(7, days=3, period=ROW_S),
     "cooled by its pump": lambda: plant(6, days=3, pump=1e-4, period=ROW_S),
@@ -63,16 +64,26 @@ class CorruptedRecord:
     def trace(self) -> Trace:
         """Its rows."""
         whole = RECORDS[self.record]()
-        if not self.kind:
-            return whole
-        seed = np.random.SeedSequence([crc32(self.record.encode()), crc32(self.kind.encode()), self.number])
-        return CLASSES[self.kind](np.random.default_rng(seed), replace(whole, events=()))
+        habit = ROWS_CLASSES.get(self.kind)
+        return whole if habit is None else habit(self._generator(), replace(whole, events=()))
 
-    def write(self, path: Path, trace: Trace | None = None) -> None:
-        """Its rows, or some of them, as a file of the plant's."""
+    def _generator(self) -> np.random.Generator:
+        seed = [crc32(self.record.encode()), crc32(self.kind.encode()), self.number]
+        return np.random.default_rng(np.random.SeedSequence(seed))
+
+    def write(self, folder: Path, trace: Trace | None = None) -> None:
+        """Its rows, or some of them, as files of the plant's in a folder of their own."""
+        folder.mkdir()
         trace = trace or self.trace()
         renamed = {TEMPERATURE if name == "T" else name: column for name, column in trace.signals.items()}
-        write_trace(replace(trace, signals=renamed), path)
+        whole = folder / "rows.csv"
+        write_trace(replace(trace, signals=renamed), whole)
+        if self.kind in FILINGS:
+            lines = whole.read_text(encoding="utf-8").splitlines(keepends=True)
+            whole.unlink()
+            rows = lines.index(next(line for line in lines if line.startswith("time"))) + 1
+            for number, those in enumerate(FILINGS[self.kind](self._generator(), lines[rows:])):
+                (folder / f"rows-{number}.csv").write_text("".join([*lines[:rows], *those]), encoding="utf-8")
 
 
 def type_model() -> Model:
@@ -85,9 +96,9 @@ def write_model(path: Path) -> None:
     path.write_text(model_text(type_model()), encoding="utf-8")
 
 
-def corruptions(count: int, dropped: int) -> Iterator[CorruptedRecord]:
-    """`dropped` of the first class and `count` of each other one, of all records by turns."""
-    for number in range(max(count, dropped)):
+def corruptions(count: int, dropped: int, first: int = 0) -> Iterator[CorruptedRecord]:
+    """`dropped` of the first class and `count` of each other one, from the `first` on, of all records by turns."""
+    for number in range(first, first + max(count, dropped)):
         for kind in CLASSES:
-            if number < (dropped if kind == DROPPED else count):
+            if number - first < (dropped if kind == DROPPED else count):
                 yield CorruptedRecord(tuple(RECORDS)[number % len(RECORDS)], kind, number)

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from re import sub
 
 from benchmarks.discrepancy.corrupted.cases import CLASSES, DROPPED, RECORDS, CorruptedRecord
+from benchmarks.discrepancy.corrupted.contradictions import contradictions
 from benchmarks.discrepancy.judging import answer
 from benchmarks.discrepancy.runner import Outcome
 from benchmarks.discrepancy.scorer import Row, at_least, at_most, row
@@ -42,6 +43,11 @@ def is_fault(outcome: Outcome) -> bool:
     return outcome.status != "done" and not is_refused(outcome)
 
 
+def against_itself(outcome: Outcome) -> list[str]:
+    """What a diagnosis that there is says against its own figures."""
+    return contradictions(outcome.diagnosis) if outcome.status == "done" else []
+
+
 def rows(found: Found) -> list[Row]:
     """Faults of all; then verdict and first name by class, of those that were not refused."""
     corrupted = [one for one in found if one.kind]
@@ -56,6 +62,7 @@ def rows(found: Found) -> list[Row]:
     figures = [
         row("internal errors", corrupted, lambda one: is_fault(found[one]), at_most(0.0)),
         row("refused in a sentence", corrupted, lambda one: is_refused(found[one])),
+        row("contradicts itself", corrupted, lambda one: bool(against_itself(found[one])), at_most(0.0)),
         row("a first name that the record as it is does not have", corrupted, other_name),
     ]
     for kind in CLASSES:
@@ -86,6 +93,9 @@ def tables(found: Found, *, every: bool = False) -> str:
     reasons = Counter(_reason(outcome) for outcome in found.values() if outcome.message)
     if reasons:
         parts.append(grid(["errors and refusals", "n"], [[one, str(n)] for one, n in reasons.most_common()]))
+    against = [[one.name, one.record, one.kind, "; ".join(against_itself(outcome))] for one, outcome in found.items()]
+    if against := [line for line in against if line[-1]]:
+        parts.append(grid(["case", "record", "class", "contradicts itself"], against))
     if every:
         changed = [
             [one.name, one.record, one.kind, " ".join(said(outcome)), _why(outcome)]

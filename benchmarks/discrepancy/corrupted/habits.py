@@ -1,13 +1,16 @@
-"""Habits of a recorder, each at random: what they make of a trace's rows."""
+"""Habits of a recorder, each at random: what they make of a trace's rows, or of the lines of its file."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 
 from sim.sha import Array, Trace
 
 Corruption = Callable[[np.random.Generator, Trace], Trace]
+Filing = Callable[[np.random.Generator, Sequence[str]], list[list[str]]]
+"""What becomes of a file's rows: those of each file that there is then."""
 
 
 def only(trace: Trace, rows: Array) -> Trace:
@@ -113,6 +116,69 @@ def mixed(rng: np.random.Generator, trace: Trace) -> Trace:
     return only(trace, rows[(rows < at) | (rows % every == 0)])
 
 
+def gone(rng: np.random.Generator, trace: Trace) -> Trace:
+    """Stretches without a value in one column or several, some of them in all columns at once."""
+    signals = {name: column.astype(float) for name, column in trace.signals.items()}
+    for begin in rng.uniform(trace.times[0], trace.times[-1], rng.integers(1, 6)):
+        rows = (trace.times >= begin) & (trace.times < begin + np.exp(rng.uniform(3.0, 11.0)))
+        for name in signals if rng.random() < 0.3 else [str(rng.choice(list(signals)))]:
+            signals[name][rows] = np.nan
+    return replace(trace, signals=signals, events=())
+
+
+def held(rng: np.random.Generator, trace: Trace) -> Trace:
+    """A sensor that says the same from some row on: to the end, or for hours."""
+    reading, begin = trace.signals["T"].copy(), int(rng.integers(0, trace.times.size))
+    until = trace.times[begin] + (np.inf if rng.random() < 0.3 else np.exp(rng.uniform(6.0, 11.0)))
+    reading[(np.arange(trace.times.size) >= begin) & (trace.times < until)] = reading[begin]
+    return replace(trace, signals={**trace.signals, "T": reading})
+
+
+def constant(rng: np.random.Generator, trace: Trace) -> Trace:
+    """One column or two that say one value all along: a switch that never moves, a load, a room, the reading itself."""
+    signals = dict(trace.signals)
+    for name in rng.choice(list(signals), size=rng.integers(1, 3), replace=False):
+        signals[str(name)] = np.full(trace.times.size, rng.choice(signals[str(name)]))
+    return replace(trace, signals=signals, events=())
+
+
+def struck(rng: np.random.Generator, trace: Trace) -> Trace:
+    """Single readings at an end of the transmitter's range, or at what stands for a broken wire."""
+    reading = trace.signals["T"].copy()
+    reading[rng.random(reading.size) < rng.choice([0.001, 0.01, 0.05])] = rng.choice([0.0, -50.0, 850.0, 3276.7])
+    return replace(trace, signals={**trace.signals, "T": reading})
+
+
+def chattered(rng: np.random.Generator, trace: Trace) -> Trace:
+    """A switch that turns for a single row now and then."""
+    name = str(rng.choice(["MarciaDecanter", "MarciaPmpFango"]))
+    turned = rng.random(trace.times.size) < rng.choice([0.002, 0.02, 0.2])
+    switch = np.where(turned, 1.0 - trace.signals[name], trace.signals[name])
+    return replace(trace, signals={**trace.signals, name: switch}, events=())
+
+
+def shortened(rng: np.random.Generator, trace: Trace) -> Trace:
+    """Only a part of the record, from a few rows to most of them."""
+    begin, end = np.sort(rng.uniform(trace.times[0], trace.times[-1], 2))
+    rows = np.flatnonzero((trace.times >= begin) & (trace.times <= end))
+    return only(trace, rows if rows.size > 1 else np.arange(2))
+
+
+def out_of_order(rng: np.random.Generator, rows: Sequence[str]) -> list[list[str]]:
+    """Blocks of rows, or all of them, in another order in the file."""
+    blocks = np.array_split(np.arange(len(rows)), int(rng.choice([2, 10, len(rows)])))
+    return [[rows[row] for block in rng.permutation(len(blocks)) for row in blocks[block]]]
+
+
+def overlapping(rng: np.random.Generator, rows: Sequence[str]) -> list[list[str]]:
+    """Two or three files, each of which begins with rows that the one before it has, too."""
+    cuts = [0, *np.sort(rng.integers(1, len(rows), rng.integers(1, 3))).tolist(), len(rows)]
+    back = int(rng.integers(1, 200))
+    return [list(rows[max(begin - back, 0) : end]) for begin, end in pairwise(cuts) if end > begin]
+
+
+FILINGS: Mapping[str, Filing] = {"rows out of order": out_of_order, "files that overlap": overlapping}
+"""By what they do to a file, in a fixed order."""
 CORRUPTIONS: Mapping[str, Corruption] = {
     "rows dropped": dropped,
     "jitter of 40 %": jittered,
@@ -129,3 +195,12 @@ CORRUPTIONS: Mapping[str, Corruption] = {
     "mixed periods": mixed,
 }
 """By what they do, in a fixed order."""
+FAULTS: Mapping[str, Corruption] = {
+    "columns without values": gone,
+    "a reading that stands still": held,
+    "columns of one value": constant,
+    "readings at an end of the range": struck,
+    "a switch that chatters": chattered,
+    "a part of the record": shortened,
+}
+"""What befell a sensor, a signal or the copy that was made, and no recorder's habit; in a fixed order."""

@@ -8,7 +8,8 @@ import click
 
 from drivers.settings import with_place
 from gateway.cli.plant.plant_file import config_option
-from gateway.commission.files import DRY_RUN, Edit, commit, plant_findings, with_machine, without_machine
+from gateway.commission.files import Edit, commit, plant_findings, with_machine, without_machine
+from gateway.commission.options import DRY_RUN
 from gateway.console import CommandResult, Line, Part, Rows, conclude, json_option
 from gateway.entry import sentences
 from gateway.outside.status import ControlError, connect, judge_health, read_status

@@ -15,19 +15,17 @@ import click
 from drivers.driver import capabilities
 from drivers.settings import ConfigError, with_place
 from gateway.commission.files import (
-    HEARTBEAT,
     FileChange,
     FirstFolder,
     IoList,
     Reading,
     find_files,
-    pairs,
     plant_findings,
     read_io_list,
     template,
 )
-from gateway.commission.import_list import bindings, list_options, make_reading
-from gateway.commission.options import SharedOptions, place_options
+from gateway.commission.import_list import bindings, make_reading
+from gateway.commission.options import HEARTBEAT, SharedOptions, list_options, pairs, place_options
 from gateway.console import CommandResult, Line, Part, conclude, find_service, make_folder, shipped_file
 from gateway.entry import sentences
 from gateway.settings import load_device

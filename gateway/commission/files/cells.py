@@ -8,7 +8,7 @@ import struct
 import unicodedata
 import zipfile
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -85,17 +85,23 @@ def read_sheet(
     *,
     given: Mapping[str, str] | None = None,
     sheet: str | None = None,
+    told_by: Mapping[str, Callable[[frozenset[str]], bool]] | None = None,
 ) -> ListSheet:
     """The list in `path`. The header is the first line that has every `needed` column.
 
-    `synonyms` has the words by which each column is recognised; `given` (column -> header) wins over them. Raises
-    ListError, in one sentence, for a file that cannot be read and for a header that is not found.
+    `synonyms` has the words by which each column is recognised; `given` (column -> header) wins over them. A column
+    that no header tells is the one whose cells are, by `told_by`, no other's. Raises ListError, in one sentence, for a
+    file that cannot be read and for a header that is not found.
     """
     rows = list(_rows(path, sheet))
     given = dict(given or {})
     for place, (number, cells) in enumerate(rows[:HEADER_WITHIN]):
         columns = _recognise_columns(cells, synonyms, given)
         if all(name in columns for name in (*needed, *given)):
+            below = [row for _, row in rows[place + 1 :]]
+            for name, tells in (told_by or {}).items():
+                if name not in columns and (at := _told_by(tells, set(columns.values()), cells, below)) is not None:
+                    columns[name] = at
             used = set(columns.values())
             ignored = tuple(cell.strip() for at, cell in enumerate(cells) if at not in used and cell.strip())
             lines = tuple(
@@ -147,6 +153,20 @@ def _by_content(name: str, columns: Sequence[int], rows: Sequence[Sequence[str]]
     return None
 
 
+def _told_by(
+    tells: Callable[[frozenset[str]], bool],
+    used: Collection[int],
+    headers: Sequence[str],
+    rows: Sequence[Sequence[str]],
+) -> int | None:
+    """The first column that is not used, has a header, and whose cells tell what it is; None for none."""
+    for at, header in enumerate(headers):
+        told = frozenset(header_key(row[at]) for row in rows if at < len(row) and row[at].strip())
+        if at not in used and header.strip() and told and tells(told):
+            return at
+    return None
+
+
 def _recognise_columns(
     cells: Sequence[str], synonyms: Mapping[str, Sequence[str]], given: Mapping[str, str]
 ) -> dict[str, int]:
@@ -168,22 +188,49 @@ def _recognise_columns(
                 at
                 for word in words
                 for at, key in enumerate(keys)
-                if at not in taken.values() and key and _says(key, word, exactly=exactly)
+                if at not in taken.values() and key and _says(name, key, word, exactly=exactly)
             )
             if (place := next(places, None)) is not None:
                 taken[name] = place
     return dict(sorted(taken.items(), key=lambda item: item[1]))
 
 
-def _says(key: str, word: str, *, exactly: bool) -> bool:
-    """Whether a header is a synonym, written as one word or several, or has it within."""
+def _says(name: str, key: str, word: str, *, exactly: bool) -> bool:
+    """Whether a header is a synonym of a column, written as one word or several, or has it within."""
     if exactly:
         return key.replace(" ", "") == word.replace(" ", "")
-    return word not in _ALONE and f" {word} " in f" {key} "
+    words = key.split()
+    other = words.count(word) > 1 or not _NOT_BESIDE.get(name, frozenset()).isdisjoint(words)
+    return word not in _ALONE and not other and f" {word} " in f" {key} "
 
 
 _ALONE = frozenset({"anzahl", "cantidad", "quantity"})
 """Words that mean by themselves what they do not within others: `Anzahl Nachkommastellen`."""
+_PLACES = frozenset({
+    "register", "registers", "registro", "registri", "adresse", "address", "indirizzo", "direccion", "word", "words",
+    "wort", "byte", "bytes", "modbus", "protocol", "pdu", "start", "base", "based", "group",
+})  # fmt: skip
+_ALARMS = frozenset({
+    "alarm", "alarms", "alarme", "allarme", "allarmi", "preallarme", "alarma", "avviso", "warning", "warn",
+    "warnung", "vorwarnung", "trip", "blocco", "soglia", "schwelle", "seuil", "umbral", "setpoint", "sollwert",
+    "consigne", "consigna",
+})  # fmt: skip
+_TIMES = frozenset({
+    "age", "interval", "rate", "time", "delay", "period", "scan", "deadband", "hysteresis", "tempo", "ritardo",
+    "zeit", "dauer",
+})  # fmt: skip
+_NOT_BESIDE: Mapping[str, frozenset[str]] = {
+    **dict.fromkeys(("low", "high", "range"), _ALARMS | _TIMES | _PLACES | {"length", "gas"}),
+    "offset": _PLACES | {"memory", "db", "bit"},
+    "scale": frozenset({
+        "register", "registers", "address", "poll", "polling", "priority", "historian", "deadband", "sampling",
+        "adc", "display", "power", "turndown",
+    }),
+    "decimals": frozenset({"display", "displayed", "shown", "hmi", "anzeige"}),
+    "order": frozenset({"sort", "work", "tag", "display", "row", "scan"}),
+    "length": frozenset({"offset", "address", "order", "index", "max"}),
+}  # fmt: skip
+"""Words beside which a column's own mean something else: `High Alarm` is no end of a range, `Byte Offset` no offset."""
 
 
 def header_key(text: str) -> str:

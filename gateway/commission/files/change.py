@@ -112,7 +112,9 @@ def apply_change(files: Files, wanted: FileChange, template: Path, *, dry_run: b
         if wanted.block is not None:
             put_block(document, wanted.block, template)
 
-    device = device_edit(files, change)
+    of_device = (wanted.tags, wanted.block, wanted.heartbeat is not None, wanted.device, wanted.derived)
+    # A change of the plant file alone makes no device file that is missing.
+    device = device_edit(files, change) if any(of_device) or files.device.exists() else None
     plant = plant_edit(files, wanted.plant)
     if wanted.plant and plant is None:
         raise ConfigError([f"--keep {next(iter(wanted.plant))}: is a key of the plant file; give --config FILE"])

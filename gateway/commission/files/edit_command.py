@@ -1,53 +1,16 @@
-"""What `decanter plc bind` and `import` share: options, the way they are carried out, and what they show."""
+"""What `decanter plc bind` and `import` share: the way they are carried out, and what they show."""
 
-import tomllib
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import click
-
-from drivers.named_files import parse_toml
 from gateway.commission.files.change import plant_findings
 from gateway.commission.files.plan_files import Files, find_files
 from gateway.commission.options import SharedOptions
 from gateway.commission.session import Site, Target, perform
 from gateway.console import CommandResult, Line, Part, Rows, shipped_file
 from gateway.entry import sentences
-
-
-def pairs(_: click.Context, option: click.Parameter, texts: tuple[str, ...]) -> dict[str, str]:
-    """A callback for LEFT=RIGHT, as often as it is given."""
-    values = {}
-    for text in texts:
-        left, equals, right = text.partition("=")
-        if not (equals and left.strip() and right.strip()):
-            raise click.BadParameter(f"{text!r}: give {option.metavar}")
-        values[left.strip()] = right.strip()
-    return values
-
-
-def _values(context: click.Context, option: click.Parameter, texts: tuple[str, ...]) -> dict[str, Any]:
-    """A callback for KEY=VALUE whose values are TOML, or else text."""
-    values: dict[str, Any] = {}
-    for key, text in pairs(context, option, texts).items():
-        try:
-            values[key] = parse_toml(f"value = {text}")["value"]
-        except tomllib.TOMLDecodeError:
-            values[key] = text
-    return values
-
-
-KEEP = click.option(
-    "--keep",
-    multiple=True,
-    metavar="KEY=VALUE",
-    callback=_values,
-    help="Also keep a setting: max_registers=16 in the device file, scan.period=1 in the plant file.",
-)
-HEARTBEAT = click.option("--heartbeat", metavar="TAG", help="The tag that counts while the PLC's program runs.")
-DRY_RUN = click.option("--dry-run", is_flag=True, help="Show what would be changed; write nothing.")
 
 
 def template() -> Path:

@@ -62,7 +62,7 @@ def part_overlaps(sheet: ListSheet, tags: Sequence[Listed]) -> tuple[list[Listed
         said[tag.line] = (
             f"{sheet.path}: line {tag.line}: {tag.name!r}, {tag.keys['dtype']} at {tag.written!r}, shares registers "
             f"with {across.name!r} of line {across.line}, {across.keys['dtype']} at {across.written!r}: correct an "
-            "address or a type"
+            "address or a type (32 bits at each address, as Enron and Daniel devices have them, are not read)"
         )
     return [tag for tag in tags if tag.line not in said], list(said.values())
 

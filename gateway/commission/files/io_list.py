@@ -37,6 +37,7 @@ from gateway.commission.files.io_words import (
     LENGTHS_OF_NO_UNIT,
     ORDERS,
     TABLES,
+    TOLD_BY,
     WIDTHS,
     TypeCell,
     parse_tables,
@@ -45,8 +46,6 @@ from gateway.commission.files.io_words import (
 )
 from gateway.commission.survey import Register, parse_register
 
-GAINS = ("multiply", "divide")
-"""What is done with a reading by a gain above 1."""
 _HEX_NUMBER = re.compile(r"(?:0x|16#)([0-9a-f]{1,16})|([0-9a-f]{1,16})h")
 _WHOLE_NUMBER = re.compile(r"[+-]?\d+")
 _EMPTY = ("", "-", "–", "n/a", "n.a.")
@@ -69,8 +68,8 @@ class Reading:
 
     `table` of bare numbers, `order` of values wider than a register ("": ABCD, or what the list's layout has), `shift`
     added to every address, `registers` False for other drivers' addresses, which are left as they are. `gain` (one of
-    GAINS), `numbers` (one of NUMBERS) and `plc` (one of MAKERS) settle what a list leaves open; "" where nothing does.
-    `unit` is the one that is meant of a list of several, `repeats` how often a group of a model is there.
+    GAINS), `numbers` (one of NUMBERS) and `plc` (one of PLC_MAKERS) settle what a list leaves open; "" where nothing
+    does. `unit` is the one that is meant of a list of several, `repeats` how often a group of a model is there.
     """
 
     table: str = "holding"
@@ -99,7 +98,7 @@ def read_io_list(path: Path, how: Reading, columns: Mapping[str, str] | None = N
     if unknown := sorted(set(columns or {}) - set(COLUMNS)):
         raise ListError(f"--column {unknown[0]}=...: there is no such column; known are {', '.join(COLUMNS)}")
     sheet = _structured(path, how, page) or _of_units(
-        read_sheet(path, COLUMNS, ("name", "address"), given=columns, sheet=page), how
+        read_sheet(path, COLUMNS, ("name", "address"), given=columns, sheet=page, told_by=TOLD_BY), how
     )
     how, numbering = _of_the_layout(sheet, how), _numbering(sheet, how)
     how = replace(how, gain=how.gain or _gain_of_the_list(sheet))
@@ -157,20 +156,34 @@ def _polled(path: Path, how: Reading) -> ListSheet | None:
 _SCALES = re.compile(
     r"scal|factor|fattor|faktor|skalier|gain|multipl|divis|resol|risol"
     r"|coef|komma|dezim|decim|precis|prazis|echel|facteur|\bteil(?:er|ung)|divid|auflos|potenz|wertig"
+    r"|^(?:sf|dec|dp|digits|div|mult)$|\blsb\b|slope|quantum|increment|conver[st]|umrechn|pendenza|steigung|pente"
 )
+_UNREAD = (
+    (_SCALES, frozenset({"scale", "decimals", "raw_high", "formula"}), "scale", "how readings are scaled"),
+    (re.compile(r"\bbias\b|intercept"), frozenset({"offset"}), "offset", "what is added to readings"),
+    (
+        re.compile(r"\b(?:word|byte|register)s? order\b|endian|\bswap|wortfolge|bytefolge"),
+        frozenset[str](),
+        "order",
+        "the order of words or bytes",
+    ),
+    (re.compile(r"^signed$|^sign$|vorzeichen|con segno"), frozenset({"dtype"}), "dtype", "which numbers have a sign"),
+)
+"""Headers of columns that nobody reads, unless one of those columns is there; as which column, what they may say."""
 
 
 def _of_units(sheet: ListSheet, how: Reading) -> ListSheet:
     """A table in this reader's words, and of several units the rows of the one that is meant.
 
-    Raises ListError for a column that nobody reads and that may say by how much readings are multiplied.
+    Raises ListError for a column that nobody reads and that may say what readings are made of.
     """
-    known = {"scale", "decimals", "raw_high", "formula"} & set(sheet.columns)
-    if odd := [] if known else [header for header in sheet.ignored if _SCALES.search(header_key(header))]:
-        raise ListError(
-            f"{sheet.path}: column {odd[0]!r} may say how readings are scaled, and is not understood: give --column "
-            f"scale={odd[0]!r}, or take it out"
-        )
+    for pattern, known, column, what in _UNREAD:
+        odd = next((header for header in sheet.ignored if pattern.search(header_key(header))), None)
+        if odd is not None and not known & set(sheet.columns):
+            raise ListError(
+                f"{sheet.path}: column {odd!r} may say {what}, and is not understood: give --column {column}={odd!r}, "
+                "or take it out"
+            )
     headers = {header_key(text) for text in (*sheet.columns.values(), *sheet.ignored)}
     own = is_iobroker(headers)
     rows = [replace(row, cells=of_iobroker(row.cells)) if own else row for row in sheet.lines]
@@ -413,6 +426,8 @@ def _numbering(sheet: ListSheet, how: Reading) -> Numbering:
     cells = [line.get("address").lower() for line in sheet.lines]
     bare = [cell for cell in cells if re.fullmatch(r"[0-9a-f]{1,4}", cell)]
     based = bool(header & {"based", "base", "from"})
+    if header & {"protocol", "pdu"} and not how.numbers:
+        return Numbering(False, 0, False)
     first = 1 if header & {"1", "one"} and based else 0
     if how.numbers or header & {"hex", "hexadecimal", "hexa", "esadecimale", "esa"}:
         hexadecimal = how.numbers == "hex" if how.numbers else not header & {"dec", "decimal", "decimale"}
@@ -460,6 +475,10 @@ _MULTIPLIERS = frozenset(
 _DIVISORS = frozenset(
     {"divisor", "divider", "divisore", "teiler", "diviseur", "divide", "inverse", "inverso", "reciprocal"}
 )
+
+
+_POWER = re.compile(r"\b10 (?:x|n|exp)\b|\bexponent\b|\bpower\b")
+"""A scale's header of powers of ten, `Scale (10^x)`."""
 
 
 def _scale_cell(line: ListRow) -> CountFactor | None:
@@ -548,6 +567,8 @@ def _scale(
     """(units per count, how it was taken), from the scale's cell, the unit's and the number of decimals."""
     line, header = row.line, set(row.header("scale").split())
     own = _scale_cell(line)
+    if own is not None and _POWER.search(row.header("scale")):
+        raise RowError("scale", f"{line.get('scale')!r} may be a power of ten: write the units per count, such as 0.1")
     if own is not None and own.number == 0:
         raise RowError("scale", "is 0, which would make every reading 0; give the units per count")
     if own is not None and line.get("exact"):
@@ -556,17 +577,21 @@ def _scale(
         own = CountFactor(1 / own.number)
     elif own is not None and header & _MULTIPLIERS:
         own = CountFactor(own.number)
+    shown = ""
     if (decimals := _whole(line, "decimals")) is not None:
-        exponent = decimals if "expon" in row.header("decimals") or "espon" in row.header("decimals") else -decimals
-        own = _same(own, CountFactor(10.0**exponent), "decimals")
+        is_exponent = "expon" in row.header("decimals") or "espon" in row.header("decimals")
+        if is_exponent or dtype not in _FLOATS:
+            own = _same(own, CountFactor(10.0 ** (decimals if is_exponent else -decimals)), "decimals")
+        elif decimals:
+            shown = f"decimals ({decimals}) as they are shown: a {dtype} has its own point"
     if (by_hand := by_formula(line)[0]) is not None:
         own = _same(own, CountFactor(by_hand), "formula")
     if of_unit is not None:
         own = _same(own, of_unit, "unit")
     if own is None:
-        return None, ""
+        return None, shown
     if not own.either:
-        said = f"scale {own.number:g} from the unit" if of_unit is not None else ""
+        said = f"scale {own.number:g} from the unit" if of_unit is not None else shown
         return round(own.number, 12), said
     column = "unit" if of_unit is not None else "scale"
     # Of a negative one the range is upside down.
@@ -581,6 +606,9 @@ def _scale(
     if gain == "divide":
         return round(1 / own.number, 12), f"{row.sheet.columns.get(column)} {own.number:g} divides"
     return own.number, f"{row.sheet.columns.get(column)} {own.number:g} multiplies"
+
+
+_FLOATS = frozenset({DType.FLOAT32, DType.FLOAT64})
 
 
 def _same(own: CountFactor | None, other: CountFactor, column: str) -> CountFactor:

@@ -8,8 +8,6 @@ from dataclasses import dataclass, replace
 from gateway.commission.files.cells import RowError
 from gateway.commission.survey import AddressTextError, Register, parse_register
 
-NUMBERS = ("decimal", "hex", "plain")
-"""How bare numbers are meant: decimal with references (40101) among them, hexadecimal, decimal and none of them one."""
 _BIT = re.compile(r"(.+?)(?:[.:/](?:bit|x)?|bit)(\d{1,2})")
 _SHORT = re.compile(r"([134])x0*(\d{1,5})")
 _NOUGHT = re.compile(r"0x([0-9a-f]{1,4})")

@@ -25,6 +25,11 @@ _TAKEN = frozenset({
 """What a sensor of Home Assistant is read by; of `zero_suppress` its own row speaks."""
 _SHOWN = frozenset({"unique_id", "device_class", "state_class", "precision", "icon"})
 """How Home Assistant shows a value, which changes nothing of it."""
+_CHANGES_NUMBERS = re.compile(
+    r"(?:^|_)bits?(?:_|$)|mask|shift|(?:byte|word)_order|endian|factor|multipl|divi[ds]|negat|formula"
+)
+"""Keys of programs that write their lists as Home Assistant does, and more of them."""
+_CHANGES_NOTHING = frozenset({"big", "big_endian", "be", "none", "false"})
 _SWAPS = {"": "ABCD", "none": "ABCD", "byte": "BADC", "word": "CDAB", "word_byte": "DCBA"}
 _BY_COUNT = {"1": "16", "2": "32", "4": "64"}
 """Home Assistant's older types, int, uint and float, have their registers beside them."""
@@ -163,7 +168,10 @@ def _of_hub(nodes: _Nodes, hub: Any) -> Iterator[ListedUnit]:
             own = nodes.table(entity)
             unit = next((text for at in _UNIT_KEYS if (text := _scalar(own.get(at)))), "")
             line, untaken = entity.start_mark.line + 1, tuple(sorted(set(own) - _TAKEN - _SHOWN))
+            changing = next((key for key in untaken if _may_change(key, _scalar(own[key]))), "")
             for cells in read(own):
+                if changing and "refused" not in cells:
+                    cells["refused"] = f"{changing} may change its number and is not read: give the row in a CSV list"
                 yield ListedUnit(ListRow(line, {"order": "ABCD", "exact": "1", **cells}), unit, name, untaken)
                 untaken = ()  # once for an entity that counts up further ones
     for key in _WRITTEN:
@@ -171,6 +179,10 @@ def _of_hub(nodes: _Nodes, hub: Any) -> Iterator[ListedUnit]:
             cells = {"name": _scalar(nodes.table(entity).get("name")) or key, "address": "-"}
             reason = f"is of {key}, which Home Assistant writes; a tag is read: give its register a row of its own"
             yield ListedUnit(ListRow(entity.start_mark.line + 1, cells | {"refused": reason}), "", name)
+
+
+def _may_change(key: str, value: str) -> bool:
+    return _CHANGES_NUMBERS.search(key) is not None and value.lower() not in _CHANGES_NOTHING
 
 
 def _several(own: Mapping[str, Any], cells: Mapping[str, str], step: int) -> Iterator[dict[str, str]]:

@@ -4,7 +4,7 @@ Every word of a cell is understood or the row is refused: a word that is dropped
 """
 
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 COLUMNS: Mapping[str, tuple[str, ...]] = {
@@ -30,6 +30,7 @@ COLUMNS: Mapping[str, tuple[str, ...]] = {
             "registre",
         ),
         *("direccion", "direccion modbus"),
+        *("protocol offset", "protocol address", "pdu offset", "pdu address", "register offset", "address offset"),
     ),
     "table": (
         *("area", "tabella", "table", "tipo registro", "register type", "tipo di registro", "memory area"),
@@ -55,7 +56,8 @@ COLUMNS: Mapping[str, tuple[str, ...]] = {
     ),
     "count": (
         *("quantity", "qty", "registers", "number of registers", "no of registers", "n registers", "register count"),
-        *("words", "word count", "numero registri", "numero di registri", "n registri", "no of words", "num registers"),
+        *("words", "word count", "word span", "register span", "numero registri", "numero di registri"),
+        *("n registri", "no of words", "num registers"),
         *("anzahl register", "registeranzahl", "anzahl", "nombre de registres", "nb registres"),
         *("numero de registros", "cantidad de registros", "cantidad"),
     ),
@@ -93,6 +95,7 @@ COLUMNS: Mapping[str, tuple[str, ...]] = {
     "formula": ("formula", "formel", "espressione", "expression"),
     "unit_id": (
         *("deviceid", "device id", "slave", "slave id", "slave address", "unit id", "modbus id", "slaveid"),
+        *("unit address", "unit number", "unit no", "modbus unit", "unit identifier"),
         *("adresse esclave", "esclave", "no esclave", "numero esclave"),
     ),
     "negate": ("negate value", "negate"),
@@ -220,6 +223,14 @@ TABLES: Mapping[str, str] = {
     **dict.fromkeys(("entrees discretes", "entrada discreta", "entradas discretas", "entrada digital"), "discrete"),
 }
 """Register table, by its name, by the digit of references with an x, or by the function code that reads it."""
+_TABLE_WORDS = frozenset(key for key in TABLES if len(key) > 2 and not key[0].isdecimal())
+_ORDER_WORDS = frozenset(key for key in ORDERS if len(key) > 2 and not key.isdecimal()) - {"none", "nessuno", "yes"}
+TOLD_BY: Mapping[str, Callable[[frozenset[str]], bool]] = {
+    # By itself "input" may be the direction of a signal.
+    "table": lambda told: told <= _TABLE_WORDS and told != {"input"},
+    "order": lambda told: told <= _ORDER_WORDS,
+}
+"""Column -> whether these cells, as `cells.header_key` writes them, are its, whatever its header says."""
 _READ_BY = {1: "coil", 2: "discrete", 3: "holding", 4: "input"}
 _WRITTEN_BY = frozenset({5, 6, 10, 15, 16, 22, 23})
 """Functions that write; 10 is 16 in hexadecimal."""

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from os.path import lexists
 from pathlib import Path
 from typing import Any
 
@@ -68,13 +69,14 @@ def find_files(
     plant: Path | None, device: Path | None, link: str | None, given: Mapping[str, Any], machine: str | None = None
 ) -> Files:
     """Which files are meant, and where each of the given settings belongs. Raises ConfigError or TargetError."""
-    if machine is not None and (plant is None or not plant.exists()):
+    if machine is not None and (plant is None or not lexists(plant)):
         raise TargetError("--machine names one of a plant file that is there: give that with --config")
     if plant is None and device is None:
         raise TargetError(
             "which file? Give the plant file (--config FILE) or the device file (--device FILE); it is made"
         )
-    if plant is not None and plant.exists():
+    # A link that leads nowhere is no file that is yet to be made.
+    if plant is not None and lexists(plant):
         if device is not None:
             raise TargetError(f"--config and --device exclude each other: {plant} names its device file itself")
         tables = read_toml(plant)
@@ -97,9 +99,10 @@ def _find_driver(
 
     `row` is the plant file's own table of the device, which says where the device is though its file is not there yet.
     """
-    if path.exists():
+    if lexists(path):
         driver = read_toml(path).get("device", {}).get("driver")
         if not isinstance(driver, str):
+            load_device(path)  # which says what else such a file may be
             raise ConfigError([f"{path}: device.driver: is missing; give one of {', '.join(sorted(DRIVERS))}"])
         if driver not in DRIVERS:
             known = ", ".join(sorted(DRIVERS))
@@ -132,6 +135,7 @@ def _pick_machine(plant: Path, tables: Mapping[str, Any], machine: str | None) -
     if machine is None and len(names) != 1:
         raise ConfigError([f"{plant}: has {len(names)} machines; name one of them with --machine: {', '.join(names)}"])
     if machine is not None and machine not in names:
+        load_plant(plant)  # of a file that nobody can use that is said first
         raise ConfigError([f"{plant}: has no machine {machine!r}; it has {', '.join(names)}"])
     return names[0] if machine is None else machine
 
@@ -275,14 +279,15 @@ def _make_table(row: Mapping[str, Any]) -> Any:
     return table
 
 
-def save(device: Edit, plant: Edit | None) -> list[Path]:
+def save(device: Edit | None, plant: Edit | None) -> list[Path]:
     """Check both files and put them in their places, the device file first; gives the backups.
 
     Raises ConfigError (for the plant file: the device file stands then) or OSError.
     """
-    backups = [commit(device, load_device)] if device.has_changes else []
+    written = device is not None and device.has_changes
+    backups = [commit(device, load_device)] if device is not None and written else []
     if plant is not None and plant.has_changes:
-        so_far = f"{device.path} is written" if device.has_changes else "nothing was written"
+        so_far = f"{device.path} is written" if device is not None and written else "nothing was written"
         backups.append(commit(plant, load_plant, so_far=so_far))
     return [path for path in backups if path is not None]
 

@@ -1,11 +1,13 @@
-"""The options of `model check` and its help; the work is loaded when it is asked for."""
+"""The options of `model check` and `model judge proof` and their help; the work is loaded when it is asked for."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import click
 
 from gateway.console import finite, historian_machine_option, json_option, map_option
+from gateway.lab.options import policy_option
 
 
 def _share(_: click.Context, parameter: click.Parameter, number: float) -> float:
@@ -92,5 +94,73 @@ def check(**given: Any) -> None:
     the runs allowed, 2 wrong usage or input.
     """
     from gateway.lab.checking.check import check as work
+
+    work(**given)
+
+
+def _pair(text: str) -> tuple[float, float]:
+    """LOW..HIGH as two numbers. Raises click.BadParameter."""
+    low, dots, high = text.partition("..")
+    try:
+        return (float(low), float(high)) if dots else (float(text), float(text))
+    except ValueError:
+        raise click.BadParameter(f"{text!r} is no range; write LOW..HIGH, as 0..600") from None
+
+
+def _sojourn(_: click.Context, __: click.Parameter, text: str) -> str | tuple[float, float]:
+    if text in ("any", "law"):
+        return text
+    return _pair(text)
+
+
+def _inputs(_: click.Context, __: click.Parameter, texts: Sequence[str]) -> dict[str, tuple[float, float]]:
+    ranges = {}
+    for text in texts:
+        name, sign, value = text.rpartition("=")
+        if not (sign and name):
+            raise click.BadParameter(f"{text!r} is no signal's range; write SIGNAL=LOW..HIGH")
+        ranges[name] = _pair(value)
+    return ranges
+
+
+@click.command(short_help="Prove or refute what a model can do; say whether it may be deployed.")
+@click.argument("model")
+@click.option("--traces", "paths", multiple=True, help="Must be accepted: a file, a folder or a glob; may be repeated.")
+@map_option
+@click.option("--bounds", type=(float, float), metavar="LOW HIGH", help="Claim that T stays within these (°C).")
+@click.option(
+    "--sojourn",
+    default="any",
+    callback=_sojourn,
+    metavar="any|law|LOW..HIGH",
+    show_default=True,
+    help="How long stays last: any time, as the model's own laws allow, or LOW to HIGH seconds.",
+)
+@click.option(
+    "--z", type=click.FloatRange(0), default=3.0, show_default=True, callback=finite, help="Standard deviations."
+)
+@click.option(
+    "--inputs", multiple=True, callback=_inputs, metavar="SIGNAL=LOW..HIGH", help="Range of an input; may be repeated."
+)
+@click.option("--start", type=(float, float), metavar="LOW HIGH", help="Where runs begin (°C).")
+@policy_option
+@click.option("--known", is_flag=True, help="No gap ever: UNKNOWN, which leads to the initial location, never comes.")
+@click.option(
+    "--wear",
+    type=click.FloatRange(0),
+    callback=finite,
+    metavar="DAYS",
+    help="Follow a wear for so long; else 7 to 365.",
+)
+@click.option("--word", "out", type=click.Path(path_type=Path, dir_okay=False), help="Write the first counterexample.")
+@json_option
+def prove(**given: Any) -> None:
+    """Verify a model's structure, and what its temperature can do under any sequence of events.
+
+    Every check is proven, refuted with its evidence, or not decided. Leaves with 1 when the model is not deployable or
+    was judged unfit where it was learned; a range given by --bounds must be proven too.
+    `decanter model simulate MODEL --word ...` replays a counterexample.
+    """
+    from gateway.lab.checking.prove import prove as work
 
     work(**given)

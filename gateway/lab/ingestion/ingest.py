@@ -16,7 +16,7 @@ from typing import Any
 import click
 
 from drivers.errors import DriverError
-from gateway.console import CommandResult, Line, Part, conclude, config_dir, json_option, progress, shipped_file
+from gateway.console import CommandResult, Line, Part, conclude, config_dir, progress, shipped_file
 from gateway.entry import interruptible, sentence, sentences
 from gateway.lab.ingestion.archive import (
     VERDICTS,
@@ -240,28 +240,6 @@ def watch_folder(
             keep(outcome)
 
 
-@click.command(
-    "ingest", short_help="Take a folder's files into an archive: recognised, copied, listed; doubles refused."
-)
-@click.argument("folder", type=click.Path(path_type=Path))
-@click.option("--into", "archive", type=click.Path(path_type=Path), default=Path("archive"), show_default=True)
-@click.option(
-    "--map",
-    "map_names",
-    multiple=True,
-    help="Column map that reads the traces; may be given again  [all shipped ones].",
-)
-@click.option("--move", is_flag=True, help="Remove what was taken from FOLDER; without it, it is copied.")
-@click.option("--dry-run", is_flag=True, help="Say what would become of each file, and write nothing.")
-@click.option("--watch", is_flag=True, help="Go on until Ctrl-C: take what comes into FOLDER when it is at rest.")
-@click.option(
-    "--every", type=click.FloatRange(0.05), default=10.0, show_default=True, help="With --watch: s between two looks."
-)
-@click.option(
-    "--rest", type=click.FloatRange(0.0), default=60.0, show_default=True, help="With --watch: s without a change."
-)
-@click.option("--for", "seconds", type=click.FloatRange(0.0), help="With --watch: stop after so many seconds.")
-@json_option
 def ingest(
     folder: Path,
     archive: Path,
@@ -274,13 +252,7 @@ def ingest(
     seconds: float | None,
     as_json: bool,
 ) -> None:
-    """Take what lies in FOLDER into an archive, each file by its kind: traces, artefact sets, flow files, PLC
-    recordings, historians, CAN logs, plots.
-
-    Every file is read by the program's own reader of its kind; what none reads, what is there already by content, and
-    a name that another content has are refused, in one sentence each, and the exit code is 1. The archive's
-    manifest.jsonl has a row for each. Killed at any moment, the same command goes on.
-    """
+    """The work of `trace ingest`."""
     if watch and dry_run:
         raise click.UsageError("--watch takes files, and --dry-run takes none; give one of them")
     if seconds is not None and not watch:

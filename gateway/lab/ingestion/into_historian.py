@@ -8,12 +8,11 @@ from math import isfinite
 from pathlib import Path
 from typing import Any
 
-import click
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers.tag import DType, Quality, Sample, Tag
-from gateway.console import CommandResult, Part, conclude, json_option, map_option, progress
+from gateway.console import CommandResult, Part, conclude, progress
 from gateway.entry import sentences
 from gateway.lab.traces.load import load_with_report
 from gateway.machine import Keeper
@@ -47,21 +46,8 @@ class ImportedRows:
     samples: int
 
 
-@click.command("import", short_help="Take a recording into a historian; what is there already must agree.")
-@click.argument("paths", nargs=-1, required=True)
-@map_option
-@click.option(
-    "--historian", "path", type=click.Path(path_type=Path), required=True, help="The historian's file; made if absent."
-)
-@click.option("--machine", default="", help="The machine that the rows are of.  [default: as the map says]")
-@json_option
 def import_command(paths: Sequence[str], map_name: str, path: Path, machine: str, as_json: bool) -> None:
-    """Take recordings (files, a folder or a glob), read as `trace show` reads them, into a historian.
-
-    Retraining, cycles, familiarity and diagnosis can then be used on them. A sample is stored by the law of a running
-    gateway. A second import of the same stores nothing; rows that contradict what is there are refused, and so are
-    those before the machine's newest ones.
-    """
+    """The work of `historian import`."""
     with sentences(), progress("importing") as report:
         traces, column_map, account = load_with_report(paths, map_name)
         named = [replace(trace, machine=machine or trace.machine) for trace in traces]

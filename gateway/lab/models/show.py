@@ -186,8 +186,15 @@ _COLOURS = {"fit": "green", "limited": "yellow", "not known": "yellow", "unfit":
 def spread_sentence(spread: MachineSpread, unit: str) -> str:
     """What the training says of the spread between machines, in words; `unit` as people read it."""
     count = len(spread.offsets)
-    if count < 2:
+    if count < 2 and spread.told_apart < 2:
         return "machines: fewer than two are told apart in the training, so nothing is known of how they differ"
+    if count < 2:
+        why = (
+            "of fewer than two of them the runs tell where its targets lie"
+            if spread.has_targets
+            else "no flow of the model has a target by which they could (linear, logarithmic, constant)"
+        )
+        return f"machines: {spread.told_apart} are told apart, but nothing is known of how they differ: {why}"
     if spread.sigma == 0:
         return f"machines: the {count} of the training differ by no more than their errors tell"
     few = {2: "two machines only: wide bands; ", 3: "three machines only: wide bands; "}.get(count, "")

@@ -7,6 +7,7 @@ import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, fields, replace
+from datetime import date
 from math import inf, isnan
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -36,13 +37,14 @@ from sim.lab.recordings import (
     ColumnMap,
     TraceError,
     channel_uses,
+    dated_format,
     list_names,
     load_map,
     load_traces,
     parse_map,
     since_1970,
 )
-from sim.lab.recordings.mapping import Answers, Undecided, draft_map
+from sim.lab.recordings.mapping import Answers, Undecided, draft_map, is_time
 from sim.sha import Array, Model, Trace, encode_trace
 
 if TYPE_CHECKING:
@@ -332,8 +334,10 @@ def _write(frame: Frame, path: Path) -> None:
             f"the data frame has {len(frame)} rows and {len(frame.columns)} columns; give one with readings"
         )
     levels = [frame.index.get_level_values(number) for number in range(frame.index.nlevels)]
-    if len(levels) > 1 or levels[0].name is not None or isinstance(levels[0], _CLOCKS):
-        clocks = ["time" if isinstance(level, _CLOCKS) else f"level {place}" for place, level in enumerate(levels)]
+    if frame.columns.nlevels > 1:
+        frame = frame.set_axis([" ".join(str(part) for part in names if part) for names in frame.columns], axis=1)
+    if len(levels) > 1 or levels[0].name is not None or _is_clock(levels[0]):
+        clocks = ["time" if _is_clock(level) else f"level {place}" for place, level in enumerate(levels)]
         names = [str(level.name or clock) for level, clock in zip(levels, clocks, strict=True)]
         if again := sorted({*names} & set(map(str, frame.columns))):
             raise TraceError(f"the data frame has {again[0]!r} as a column and in its index; drop one of them")
@@ -346,6 +350,15 @@ def _write(frame: Frame, path: Path) -> None:
         raise TraceError(f"the data frame has one column, {frame.columns[0]!r}; it needs a clock and a temperature")
     path.parent.mkdir()
     frame.to_csv(path, index=False)
+
+
+def _is_clock(index: pd.Index) -> bool:
+    """Whether an index is one of times; what merely numbers the rows that a filter has left is none."""
+    if isinstance(index, _CLOCKS):
+        return True
+    if pd.api.types.is_numeric_dtype(index):
+        return bool(dated_format(index.to_numpy(dtype=float), named=False))
+    return bool(index.map(lambda each: isinstance(each, date) or (isinstance(each, str) and is_time(each)))[:1].any())
 
 
 @contextmanager

@@ -19,7 +19,7 @@ from gateway.machine.model.familiar import FamiliarityWord
 from gateway.machine.model.predict import Predictor
 from gateway.machine.reading import Scan
 from gateway.settings import EnsembleSection, ForecastSection
-from sim.engine import Belief, Tracker
+from sim.engine import Belief, Tracker, observe
 from sim.forecast import (
     DENSE_LEVELS,
     FAN_LEVELS,
@@ -35,10 +35,12 @@ from sim.forecast import (
     forecast,
     issue_pool,
     mixture,
+    observe_leap,
     recent_coverage,
     reshape,
     settle_pool,
     thin_levels,
+    walk_outlook,
     weights_by_horizon,
 )
 from sim.forecast import issue as issue_bands
@@ -74,7 +76,7 @@ class ForecastJob:
 
 @dataclass(frozen=True, slots=True)
 class TrendJob:
-    """The local trend's forecast, as `ForecastJob` is a model's; it is drawn from nothing."""
+    """The local trend's forecast, or a walk's, as `ForecastJob` is a model's; it is drawn from nothing."""
 
     outlook: LocalOutlook
     factors: Mapping[float, float]
@@ -205,12 +207,13 @@ class Ensemble:
         self.first, self.section, self.forecasts = first, section, forecasts
         plain = first.model.plain if section.plain else ()
         self.hashes = [*hashes, *(f"{hashes[0]} {member.name}" for member in plain)]
+        corrections = [observe] * len(models) + [observe_leap] * len(plain)
         models = [*models, *(plain_model(first.model, member) for member in plain)]
         names = [f"{m.sha.name} {key[:8]}" for key, m in zip(hashes, (first.model, *models), strict=False)]
         names += [member.name for member in plain]
         self.members = [
-            Member(name, Predictor(model, first.temperature), bands(model, forecasts, scan_period))
-            for name, model in zip(names[1:], models, strict=True)
+            Member(name, Predictor(model, first.temperature, correct), bands(model, forecasts, scan_period))
+            for name, model, correct in zip(names[1:], models, corrections, strict=True)
         ]
         self.given = 1 + len(self.members) - len(plain)
         # A reading may come some scans after the moment that a forecast spoke of, and still counts as of that moment.
@@ -284,7 +287,8 @@ class Ensemble:
     def _track(self, member: Member, scan: Scan) -> None:
         """Move a member on; one that failed rests for a while, then begins without a past: its state may be why."""
         if member.failure and scan.time - member.failed >= RETRY_SECONDS:
-            member.predictor, member.failure = Predictor(member.predictor.model, self.first.temperature), ""
+            former = member.predictor
+            member.predictor, member.failure = Predictor(former.model, former.temperature, former.correct), ""
         if not member.failure:
             try:
                 member.known = member.predictor.track(scan)
@@ -312,7 +316,13 @@ class Ensemble:
             # numpy's SeedSequence takes a 0 at the end for nothing, and the draws would be the first model's again.
             seed = (self.forecasts.seed, int(belief.time * 1000.0), place)
             widening, plain = self.widen(factors(member.calibration, integral=False)), place >= self.given
-            jobs.append(ForecastJob(member.predictor.tracker, belief, widening, member.calibration, seed, plain))
+            tracker = member.predictor.tracker
+            walk = walk_outlook(tracker, belief, self.forecasts.horizons) if plain else None
+            jobs.append(
+                ForecastJob(tracker, belief, widening, member.calibration, seed, plain)
+                if walk is None
+                else TrendJob(walk, widening, member.calibration)
+            )
         if self.trend is not None:
             outlook, own = self.trend.trend.look_ahead(), self.trend.calibration
             widening = self.widen(factors(own, integral=False))

@@ -1,6 +1,6 @@
 """From scans to what the model expects: events, belief, a prediction for every scan, the free run beside it."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from math import sqrt
 from typing import Any, Literal
@@ -11,6 +11,7 @@ from gateway.machine.model.virtual_sensor import PastBeliefs, VirtualReading
 from gateway.machine.reading import Scan
 from sim.engine import (
     Belief,
+    Tracker,
     advance,
     anomaly,
     compile_model,
@@ -83,9 +84,15 @@ class ScanPrediction:
 
 
 class Predictor:
-    """The encoder and the belief of one model, moved on by each scan. `temperature` is the tag that it predicts."""
+    """The encoder and the belief of one model, moved on by each scan. `temperature` is the tag that it predicts.
 
-    def __init__(self, model: Model, temperature: str) -> None:
+    `correct` takes a reading into a belief.
+    """
+
+    def __init__(
+        self, model: Model, temperature: str, correct: Callable[[Tracker, Belief, float, float], Belief] = observe
+    ) -> None:
+        self.correct = correct
         self.model = model
         self.temperature = temperature
         self.tracker = compile_model(model)
@@ -160,7 +167,7 @@ class Predictor:
         # Inputs have advanced it already where the model reads any; time never goes back.
         if expected.time < scan.time:
             expected = advance(self.tracker, expected, scan.time)
-        self.belief = expected if measured is None else observe(self.tracker, expected, scan.time, measured)
+        self.belief = expected if measured is None else self.correct(self.tracker, expected, scan.time, measured)
         self.past.keep(scan.time, events, signals, self.belief)
         return events, signals, measured, expected
 

@@ -123,7 +123,7 @@ def unbelievable(step: NamingStep) -> str:
     named, shortest = best.fitted.state.named[-1], shortest_visible(record)
     for time in (named.params[name] for name in TIME_PARAMETERS if name in named.params):
         if 0 < time < shortest:
-            return f"lasts {time:.3g} s, and nothing shorter than {shortest:.3g} s is visible in these rows"
+            return f"lasts {_seconds(time)}, and nothing shorter than {_seconds(shortest)} is visible in these rows"
     most, fastest = greatest_heat(step.before, named), fastest_movement(step.before)
     if most > step.rules.most_heat_times * fastest:
         unit = display_unit(record.model.unit)
@@ -319,6 +319,17 @@ def gap_evidence(
     return (beyond.words(),) if beyond is not None and beyond.wide(rules) and not covered else ()
 
 
+def beyond_chance(path: NamingResult, reasons: Sequence[str]) -> tuple[str, ...]:
+    """What explains the fitted cycles beyond chance, where model and data agree all the same, and why it has no name;
+    `reasons` are those against the names of the path. What is too small to matter is told as a trace."""
+    step, refusal = path.steps[0]
+    why = refusal or "; ".join(reasons)
+    if step.best is None or not why or insignificant(step):
+        return ()
+    name, gain = step.members[0], step.best.gain
+    return (f"{name} explains the fitted cycles better by {gain:.0f} nats, and is not named: {why}",)
+
+
 def untested_effects(
     entries: Sequence[CatalogueEntry],
     present: Mapping[str, str],
@@ -348,5 +359,10 @@ def too_short(entries: Sequence[CatalogueEntry], path: NamingResult) -> dict[str
     tried = path.steps[0][0].tried
     shortest = shortest_visible(path.base.frame.record)
     timed = [entry for entry in entries if any(name in TIME_PARAMETERS for name in entry.kind.parameters)]
-    reason = f"is looked for up to less than {shortest:.3g} s only, and nothing shorter is visible in these rows"
+    reason = f"is looked for up to less than {_seconds(shortest)} only, and nothing shorter is visible in these rows"
     return {entry.name: reason for entry in timed if entry.name not in tried}
+
+
+def _seconds(time: float) -> str:
+    """A time (s) in words, without an exponent."""
+    return f"{round(time, 1):g} s"

@@ -29,6 +29,7 @@ from sim.lab.discrepancy.held_out import (
 )
 from sim.lab.discrepancy.judging import (
     NamingResult,
+    beyond_chance,
     contradiction,
     description,
     doubts,
@@ -199,7 +200,7 @@ def prove(
             error, limit = f"{told.held.rmse_before:.3g}", f"{floor.interval[1]:.3g} {unit}"
             reasons = (*reasons, f"over held-out cycles the free run is off by {error}, noise alone by {limit} at most")
     else:
-        verdict, reasons = "agree", ()
+        verdict, reasons = "agree", beyond_chance(judged.path, judged.reasons)
         readings = layout.record.reading
         least = min_noticeable_error(readings, sensor, rules)
         if floor.interval[1] > least:

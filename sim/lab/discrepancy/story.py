@@ -45,6 +45,7 @@ def verdict_sentence(
     gap: bool = True,
     little: str = "",
     none_of_these: float | None = None,
+    still: str = "",
 ) -> str:
     """The verdict in one or two sentences; errors are in `unit`, as people read it.
 
@@ -53,10 +54,10 @@ def verdict_sentence(
     """
     if verdict == "too-little-data" and not little:
         return f"Too little data: {cycles} cycle{'s' if cycles != 1 else ''} cannot tell an effect from chance."
-    moved = ""
+    moved = f" {still}" if still else ""
     if shifts:
         surest = shifts[0]
-        moved = (
+        moved += (
             f" Parameters have moved: {surest.parameter} in {surest.location} {shown_move(surest)}, "
             f"{abs(surest.sigma):.0f} sigma."
         )
@@ -130,6 +131,14 @@ def little_sentence(floor: NoiseFloor, held: HeldOutProof, varies: float, least:
     # What chance adds to the floor goes with one over the root of the data.
     times = ((floor.interval[1] - floor.error) / (least - floor.error)) ** 2
     return f"{said} About {np.ceil(times):.0f} times as much of it is needed."
+
+
+def still_sentence(temperature: str, readings: Array, unit: str) -> str:
+    """Why a temperature that never moves says nothing; `unit` as people read it."""
+    return (
+        f"Too little data: each of the {readings.size} readings of {temperature} is {readings[0]:.6g} {unit}. What "
+        "never changes tells nothing of the machine: look at its sensor."
+    )
 
 
 def none_words(share: float | None) -> str:

@@ -36,7 +36,8 @@ from sim.lab.discrepancy.path import name
 from sim.lab.discrepancy.posterior import NamesEvidence, posterior, remaining_shares, step_gains
 from sim.lab.discrepancy.proving import NamesSearched, ProvenFindings, prove, with_agreed_floor, with_laws
 from sim.lab.discrepancy.rules import RULES, DecisionRules
-from sim.lab.discrepancy.story import diagnosis_course, verdict_sentence
+from sim.lab.discrepancy.standing import find_still_reading
+from sim.lab.discrepancy.story import diagnosis_course, still_sentence, verdict_sentence
 from sim.sha import EffectLine, Model, Trace, display_unit
 
 MAX_NAMES = 3
@@ -82,7 +83,13 @@ def diagnose(
     layout = build_layout(model, traces, experiments, {**roles, **own_roles(lines)}, rules)
     count = int(layout.cycles.size)
     if count < rules.least_cycles:
-        return DiagnosisOutcome(_too_little(layout.model, count, rules), (), None, None)
+        few = f"{count} cycle{'' if count == 1 else 's'} in all; at least {rules.least_cycles} are needed, better ten"
+        return DiagnosisOutcome(_too_little(layout.model, count, few), (), None, None)
+    readings = layout.record.runs.reading[layout.record.rows]
+    if np.ptp(readings) == 0.0:
+        still = still_sentence(layout.model.temperature, readings, display_unit(layout.model.unit))
+        alike = f"all {readings.size} readings are one value"
+        return DiagnosisOutcome(_too_little(layout.model, count, alike, still), (), None, None)
     entries = tuple(entry for entry in catalogue(lines) if entry.name not in without)
     split = split_cycles(layout, rules)
     allowed = min(most, count // rules.each_name_least_cycles) if count >= rules.first_name_least_cycles else 0
@@ -151,6 +158,7 @@ def describe(
     moved = shifts(told.after, rules)
     unexplained = remaining if unnamed or (kept and systematic(found.judged.ceiling, rules)) else ()
     described = description(path) if unnamed else ""
+    still = find_still_reading(layout.record)
     return Diagnosis(
         verdict=found.verdict,
         sentence=verdict_sentence(
@@ -168,6 +176,7 @@ def describe(
             gap=found.gap,
             little=found.little,
             none_of_these=none_of_these,
+            still="" if still is None else still.sentence(unit),
         ),
         reasons=found.reasons,
         effects=tuple(effects),
@@ -235,12 +244,13 @@ def path_settings(found: ProvenFindings, seed: int, rules: DecisionRules) -> dic
     }
 
 
-def _too_little(model: Model, cycles: int, rules: DecisionRules) -> Diagnosis:
-    needed = f"at least {rules.least_cycles} are needed, better ten"
+def _too_little(model: Model, cycles: int, reason: str, little: str = "") -> Diagnosis:
     return Diagnosis(
         verdict="too-little-data",
-        sentence=verdict_sentence("too-little-data", (), unexplained=(), shifts=(), held=None, cycles=cycles, unit=""),
-        reasons=(f"{cycles} cycle{'' if cycles == 1 else 's'} in all; {needed}",),
+        sentence=verdict_sentence(
+            "too-little-data", (), unexplained=(), shifts=(), held=None, cycles=cycles, unit="", little=little
+        ),
+        reasons=(reason,),
         effects=(),
         shifts=(),
         places=(),

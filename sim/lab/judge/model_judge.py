@@ -13,7 +13,7 @@ import numpy as np
 
 from sim.artefacts import FORECAST_CRITERION, JudgedCriterion, ModelVerdict, rate_criteria
 from sim.lab.judge.rows import MIN_FORECASTS
-from sim.lab.learning import MOST_WIDENING, Coverage, first_switch, level_signals
+from sim.lab.learning import HORIZONS_S, MOST_WIDENING, Coverage, first_switch, level_signals
 from sim.proof import Verification, verify
 from sim.sha import DEFAULT_UNIT, RELAXING_FLOWS, Array, Mask, Model, Trace, display_unit, distributions
 
@@ -22,6 +22,7 @@ WORSE_CRPS_RATIO = 1.05
 MIN_BAND_SHARE = 0.5
 """A 90 % band that holds less than this of what it did not see was wrong about what the model knows."""
 DAY_S = 86_400.0
+ZERO_CELSIUS_K = 273.15
 FEW_CYCLES, FEW_DAYS = 4, 2
 """Cycles and days below which nothing is known of how one differs from the next."""
 CODE_DISTANCE_DEGC = 25.0
@@ -33,8 +34,11 @@ MAX_CODE_SHARE = 0.005
 REVERSED_LOAD_RATIO = 20.0
 """The load while "off" over that while "on" from which a switch is upside down: what runs draws something. A level that
 is merely lower while a machine runs, as a compressor's suction pressure is, says nothing."""
-FAHRENHEIT_REST_RANGE = (50.0, 110.0)
-"""Where a machine at rest settles if its degrees are Fahrenheit's (10 to 43 °C)."""
+FAHRENHEIT_REST_RANGE, KELVIN_REST_RANGE = (50.0, 110.0), (240.0, 330.0)
+"""Where a machine at rest settles if its degrees are Fahrenheit's (10 to 43 °C), or kelvin (-33 to 57 °C)."""
+NOISE_ROW_S, MIN_NOISE_DEGC, MAX_NOISE_SHARE = 60.0, 1.0, 0.1
+"""Heat takes minutes: from row to row within so many seconds no bearing jumps by as many degC, and by such a share of
+all that it moves (from its 5th to its 95th percentile; of noise alone that is 3.3 times its sigma)."""
 MIXED_SHARE, MIXED_S = 0.1, 1800.0
 """A location mixes running and rest where both take this share of its time, and so many seconds, at least."""
 MIN_SPAN = 0.05
@@ -102,6 +106,12 @@ def _foresees(case: LearnedCase) -> Said:
         return False, f"worse than holding the last reading at every horizon (CRPS {said})"
     if worse:
         return None, f"worse than holding the last reading at some horizons (CRPS {said})"
+    if few := sorted(set(HORIZONS_S) - {row.horizon for row in rows}):
+        most = max((row.independent for row in case.coverage if row.horizon in few), default=0.0)
+        return None, (
+            f"at {' and '.join(f'{horizon:g} s' for horizon in few)} {most:.0f} independent held-out forecasts at most "
+            f"had an outcome; else better than holding the last reading (CRPS {said})"
+        )
     return True, f"as good as holding the last reading or better (CRPS {said})"
 
 
@@ -147,6 +157,20 @@ def _readings_are_readings(case: LearnedCase) -> Said:
     ((common, count),) = Counter(values).most_common(1)
     what = f", {count} of them {common:g}: a code for no reading?" if count > apart / 2 else ""
     return False, f"{apart} of {usual} readings of {case.model.temperature} stand apart from those around them{what}"
+
+
+def _move_as_heat_does(case: LearnedCase) -> Said:
+    if case.model.unit != DEFAULT_UNIT:
+        return True, f"in {display_unit(case.model.unit)}"
+    columns = case.readings()
+    jumps = [np.abs(np.diff(column))[np.diff(times) <= NOISE_ROW_S] for times, column in columns]
+    jump = float(np.median(np.concatenate(jumps))) if sum(map(len, jumps)) else 0.0
+    # Of each trace alone: one that was taken in summer makes no other one quiet.
+    span = max((float(np.ptp(np.quantile(column, (0.05, 0.95)))) for _, column in columns if column.size), default=0.0)
+    if jump <= max(MIN_NOISE_DEGC, MAX_NOISE_SHARE * span):
+        return True, f"from row to row it moves by {jump:.2g} °C"
+    said = f"from row to row {case.model.temperature} jumps by {jump:.2g} °C, of {span:.0f} °C that it moves in all"
+    return None, f"{said}: noise, a loose contact, or rows of two machines?"
 
 
 def _switch_is_upright(case: LearnedCase) -> Said:
@@ -215,11 +239,14 @@ def _degrees_are_celsius(case: LearnedCase) -> Said:
         and np.isfinite(column).any()
     ]  # fmt: skip
     rest = min(lowest, default=None)
-    low, high = FAHRENHEIT_REST_RANGE
-    if rest is None or not low < rest < high:
+    if rest is None or rest <= FAHRENHEIT_REST_RANGE[0]:
         return True, "its degrees are what a machine at rest has" if rest is not None else "it was never seen at rest"
-    celsius = (rest - 32.0) / 1.8
-    return None, f"at rest it is never below {rest:.0f} °C: are these degrees Fahrenheit ({celsius:.0f} °C)?"
+    asked = "in which unit is it?"
+    if rest < FAHRENHEIT_REST_RANGE[1]:
+        asked = f"are these degrees Fahrenheit ({(rest - 32.0) / 1.8:.0f} °C)?"
+    elif KELVIN_REST_RANGE[0] < rest < KELVIN_REST_RANGE[1]:
+        asked = f"are these kelvin ({rest - ZERO_CELSIUS_K:.0f} °C)?"
+    return None, f"at rest it is never below {rest:.0f} °C: {asked}"
 
 
 def _judge_places(case: LearnedCase) -> Said:
@@ -238,8 +265,15 @@ def _judge_places(case: LearnedCase) -> Said:
 
 def _were_seen(case: LearnedCase) -> Said:
     known = [place for place in case.model.sha.locations if place.distribution is not None]
-    borrowed = [place for place in known if place.name in case.model.borrowed]
+    borrowed = [place.name for place in known if place.name in case.model.borrowed]
     few = len(borrowed) <= MAX_BORROWED_SHARE * len(known)
+    switch = first_switch(case.model.alphabet)
+    stays = _stays(case, switch.signal) if switch is not None and not few else {}
+    if unlike := [sum(stays[name]) for name in borrowed if sum(stays.get(name, ())) > MIXED_S]:
+        said = (
+            f"{len(borrowed)} of {len(known)} locations have no values of their own, {len(unlike)} of which were seen"
+        )
+        return None, f"{said}, for {sum(unlike) / 3600:.1f} h: is it one machine in one state?"
     return few or None, f"{len(borrowed)} of {len(known)} locations were never seen"
 
 
@@ -305,11 +339,15 @@ CRITERIA: Mapping[str, tuple[Callable[[LearnedCase], Said], str]] = {
     "band": (_covers, "learn with more days, or look at the sensor's noise"),
     "units": (_taught_enough, "learn with more days and starts"),
     "readings": (_readings_are_readings, "say the code for no reading in the column map (bad = [...])"),
+    "noise": (_move_as_heat_does, "look at the sensor and its wiring; give each machine a file of its own"),
     "switch": (_switch_is_upright, "derive it in the column map from what says standstill: [derived], below = 0.5"),
     "from a plant": (_from_a_plant, "learn from the plant's own recordings"),
     "degrees": (_degrees_are_celsius, "say the unit in the column map, or go on if the machine is kept so warm"),
     "locations": (_judge_places, "learn with --method bins, which keeps the switch's positions apart"),
-    "seen": (_were_seen, "learn with traces that show them, or with fewer thresholds"),
+    "seen": (
+        _were_seen,
+        "learn with traces that show them, with fewer thresholds, or with a file for each machine",
+    ),
     "targets": (_judge_range, "learn with longer stays"),
     "scale": (_moves_in_its_unit, "give the readings in a smaller unit, by the column map"),
 }

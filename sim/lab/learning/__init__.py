@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 from sim.doors import lazy_getattr
 
 if TYPE_CHECKING:
-    from sim.lab.learning.calibrate import MOST_WIDENING, Coverage, HeldOutForecasts, independent_forecasts
+    from sim.lab.learning.calibrate import HORIZONS_S, MOST_WIDENING, Coverage, HeldOutForecasts, independent_forecasts
     from sim.lab.learning.correction import FORMS, corrected_model, learn_correction
     from sim.lab.learning.data import in_order
     from sim.lab.learning.drivers import DriverEvidence, find_drivers

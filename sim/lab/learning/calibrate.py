@@ -1,14 +1,14 @@
 """By how much a model's bands must be widened, learned from forecasts of what the model was not fitted to."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import exp, inf, log, nan
 
 import numpy as np
 
 from sim.anomaly import AnomalyRecord, ScorePeaks
-from sim.engine import Belief, anomaly, compile_tracker, observe, on_event, start, with_inputs
-from sim.forecast import FAN_LEVELS, Z90, fans, member_weights
+from sim.engine import Belief, Tracker, anomaly, compile_tracker, observe, on_event, start, with_inputs
+from sim.forecast import FAN_LEVELS, Z90, fans, member_weights, observe_leap
 from sim.lab.learning.anomaly_level import record_scores
 from sim.lab.learning.outcomes import clean_readings
 from sim.lab.learning.plain import PERSISTENCE
@@ -97,12 +97,13 @@ def score_forecasts(
     *,
     origins: int = FORECAST_COUNT,
     most_rows: int = MAX_ROWS,
+    correct: Callable[[Tracker, Belief, float, float], Belief] = observe,
     scores: HeldOutScores | None = None,
 ) -> list[Scored]:
     """`origins` forecasts with unknown events from moments at or after `since` (one per trace, absolute s), scored.
 
-    The belief is filtered over each whole trace, as it would be on the plant; isolated spikes are no outcomes. What the
-    anomaly score does meanwhile is added to `scores`.
+    The belief is filtered over each whole trace, as it would be on the plant, and `correct` takes in each reading;
+    isolated spikes are no outcomes. What the anomaly score does meanwhile is added to `scores`.
     """
     # The factors of an earlier calibration would widen the very bands that are judged here.
     tracker = compile_tracker(replace(model, calibration={}))
@@ -126,7 +127,7 @@ def score_forecasts(
                 upcoming += 1
             belief = with_inputs(tracker, belief, time, {name: column[row] for name, column in inputs.items()})
             # The filter gets the raw reading, spikes included: on the plant nobody takes them out beforehand.
-            belief = observe(tracker, belief, time, value)
+            belief = correct(tracker, belief, time, value)
             if scores is not None and time >= first:
                 scores.peaks.take(anomaly(belief))
                 scores.seconds += min(time - before, model.alphabet.gap)
@@ -190,7 +191,9 @@ class HeldOutForecasts:
             own = np.random.default_rng((self.seed, number + 1, len(self.scored)))
             beside = replace(plain_model(model, member), calibration={})
             self.of_plain.setdefault(member.name, []).extend(
-                score_forecasts(beside, traces, since, own, origins=origins, most_rows=MAX_PLAIN_ROWS)
+                score_forecasts(
+                    beside, traces, since, own, origins=origins, most_rows=MAX_PLAIN_ROWS, correct=observe_leap
+                )
             )
 
     @property

@@ -37,13 +37,16 @@ class MachineSpread:
     """`offsets` (degC) of the machines in the training by name, `between` their standard deviation beyond errors.
 
     `sigma` (degC) is that of the next machine's offset as far as so few tell it; 0 where there is only one. `errors`
-    (degC) are the standard errors of the offsets.
+    (degC) are the standard errors of the offsets. So many machines were `told_apart`; one whose offset is not known has
+    none. `has_targets` says whether any flow has a target that could lie off.
     """
 
     offsets: dict[str, float]
     between: float
     sigma: float
     errors: Mapping[str, float] = field(default_factory=dict)
+    told_apart: int = 0
+    has_targets: bool = True
 
     @property
     def effects(self) -> tuple[Effect, ...]:
@@ -90,9 +93,10 @@ def machine_spread(
 
     `groups` (L,) numbers the locations that share a process noise.
     """
-    if len(set(machines)) < 2:
-        return MachineSpread({}, 0.0, 0.0)
     names = sorted(set(machines))
+    has_targets = any(kind in RELAXING_FLOWS for kind in shape.kinds)
+    if len(names) < 2 or not has_targets:
+        return MachineSpread({}, 0.0, 0.0, told_apart=len(names), has_targets=has_targets)
     numbers = np.array([names.index(each) for each in machines], dtype=np.intp)
     value, variance = _offsets(runs, shape, fit, noise=noise, groups=groups, machine=numbers)
     return offset_spread(
@@ -109,12 +113,12 @@ def offset_spread(offsets: Mapping[str, float], errors: Mapping[str, float]) -> 
     error = {name: max(float(errors[name]), MIN_OFFSET_ERROR_DEGC) for name in offset}
     count = len(offset)
     if count < 2:
-        return MachineSpread(offset, 0.0, 0.0, error)
+        return MachineSpread(offset, 0.0, 0.0, error, len(offsets))
     means, weight = np.array(list(offset.values())), 1.0 / np.square(list(error.values()))
     heterogeneity = float(weight @ (means - np.average(means, weights=weight)) ** 2)
     spread = (heterogeneity - (count - 1)) / (weight.sum() - float(weight @ weight) / weight.sum())
     between = float(np.sqrt(max(spread, 0.0)))
-    return MachineSpread(offset, between, between * small_sample(count - 1), error)
+    return MachineSpread(offset, between, between * small_sample(count - 1), error, len(offsets))
 
 
 def machine_corrections(model: Model, traces: Sequence[Trace], spread: MachineSpread) -> dict[str, MachineCorrection]:

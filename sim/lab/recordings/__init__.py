@@ -18,7 +18,7 @@ if TYPE_CHECKING:
         rewrite_points,
     )
     from sim.lab.recordings.channel_use import channel_uses
-    from sim.lab.recordings.clock import longest_rising_rows, read_clock, to_utc, unroll_midnight
+    from sim.lab.recordings.clock import join_days, longest_rising_rows, read_clock, to_utc, unroll_midnight
     from sim.lab.recordings.clock_counts import COUNTS, dated_format, since_1970
     from sim.lab.recordings.clock_words import plain_time, wall_zone
     from sim.lab.recordings.column_map import (
@@ -31,12 +31,14 @@ if TYPE_CHECKING:
     from sim.lab.recordings.cycles import split_cycles
     from sim.lab.recordings.fault_codes import find_codes
     from sim.lab.recordings.load_report import LoadReport, TraceError, list_names
-    from sim.lab.recordings.readings import unread_hash
+    from sim.lab.recordings.readings import join_cells, unread_hash
     from sim.lab.recordings.sources import named_after, read_head, recording_name
     from sim.lab.recordings.text_table import (
         MAX_HEADER_LINE,
+        MAX_ROW_LINES,
         SEPARATORS,
         UNNAMED_COLUMN,
+        compose_names,
         decode_head,
         drop_invisible,
         fold_name,

@@ -32,6 +32,8 @@ _GROUPED_PATTERNS = {
     for mark in ".,"
 }
 """Thousands, or hundreds above a thousand as India writes them, set apart by a mark; twice a mark is nothing else."""
+_MINUS = "\N{MINUS SIGN}"
+"""What typesetters and pandas' tables write before a number below 0."""
 _LONE_POINT = re.compile(r"\s*[+-]?\s*[1-9]\d{0,2}\.\d{3}\s*")
 """1.234, whose point is a decimal one or sets apart thousands: the cell does not say which."""
 _MEASURED = re.compile(r"([+-]?[\d.,'’\xa0\u202f ]*\d(?:[eE][+-]?\d+)?)\s*([^\d\s].*)")
@@ -118,6 +120,8 @@ def numbers(cells: Sequence[str], decimal: Decimal = "auto", unit: str = "") -> 
     if plain is not None:
         return plain, np.zeros(plain.shape, dtype=bool)
     stripped = list(map(str.strip, cells))
+    if _MINUS in "".join(stripped):
+        stripped = [cell.replace(_MINUS, "-") for cell in stripped]
     decimal = decimal_mark(stripped) if decimal == "auto" else decimal
     filled = np.fromiter(map(bool, stripped), dtype=bool, count=len(stripped))
     texts = list(filter(None, stripped))

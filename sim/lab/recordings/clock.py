@@ -28,6 +28,10 @@ _MIDNIGHT = re.compile(r"(?<=[ T])24(?=[:.]00)")
 """The end of a day, which programs read as no hour of any."""
 
 
+_OWN_MIDNIGHT = re.compile(r"[ T]0?0:00(?::00(?:\.0+)?)?$")
+"""What stands behind a day that a program knows as a moment."""
+
+
 def clock_columns(clock: ClockColumns) -> tuple[Names, ...]:
     """The columns that the clock needs, in the order in which `read_clock` wants their cells."""
     day = clock.time_of_day
@@ -43,7 +47,7 @@ def read_clock(clock: ClockColumns, columns: Sequence[Sequence[str]], decimal: D
         return seconds, np.zeros(seconds.shape, dtype=bool)
     cells = list(map(str.strip, columns[0]))
     if clock.date:
-        cells = [f"{day.strip()} {cell}" for day, cell in zip(columns[1], cells, strict=True)]
+        cells = join_days(columns[1], cells)
     seconds, local = np.full(len(cells), np.nan), np.zeros(len(cells), dtype=bool)
     for format_ in clock.formats:
         left = np.flatnonzero(np.isnan(seconds))
@@ -58,6 +62,12 @@ def read_clock(clock: ClockColumns, columns: Sequence[Sequence[str]], decimal: D
     if clock.daily:
         return np.mod(seconds, _DAY_S), np.zeros(seconds.shape, dtype=bool)
     return seconds, local
+
+
+def join_days(days: Sequence[str], times: Sequence[str]) -> list[str]:
+    """Times of day with their days, which spreadsheets and data frames write with a midnight of their own."""
+    bare = {day: _OWN_MIDNIGHT.sub("", day.strip()) for day in set(days)}
+    return [f"{bare[day]} {time}" for day, time in zip(days, times, strict=True)]
 
 
 def _count(cells: Sequence[str], decimal: Decimal) -> Array:

@@ -42,6 +42,10 @@ _ZONE = re.compile(rf"\s*\b({'|'.join(_ZONES)})(?=$| \d{{4}}$)")
 _WALL_ZONE = re.compile(r"\s+(?:CT|ET|MT|PT)$")
 """A zone's name that says neither its offset nor its half of the year: the time is a local one."""
 _COUNTED_DATE = re.compile(r"(\d{4})[年년]\s*(\d\d?)[月월]\s*(\d\d?)[日일]")
+_FRAME = re.compile(r"^(?:\[|DT#|DATE_AND_TIME#)|\]$")
+"""What web servers and controllers write around a time."""
+_HOURS = re.compile(r"(?<!\d)(\d\d?) ?h ?(\d\d)(?: ?(?:min|m|:) ?(\d\d) ?s?|(?: ?(?:min|m))?(?![\d:]))", re.IGNORECASE)
+"""21h17, 21h17m00s."""
 _HALF_BEFORE = re.compile(r"(?:(上午|午前|오전)|下午|午後|오후)\s*(\d[\d:.]*)")
 _NEEDLESS_HALF = re.compile(r"(?<= )(0?0(?=[:\d.,]+ A)|(?:1[3-9]|2[0-3])(?=[:\d.,]+ P))(:[\d:.,]+) [AP]M\b")
 """AM or PM behind an hour of 24, as Niagara writes it; one that contradicts its hour is read as nothing."""
@@ -56,7 +60,8 @@ def plain_time(text: str) -> str:
     "Wed Mar 13 2024 09:58:00 GMT+0100 (Central European Standard Time)" is "Mar 13 2024 09:58:00 +0100", and
     "13. Mrz 2024 09:58:00" is "13 Mar 2024 09:58:00". A year behind the time comes before it.
     """
-    text = _COUNTED_DATE.sub(r"\1-\2-\3", _WALL_ZONE.sub("", text.rstrip()))
+    text = _COUNTED_DATE.sub(r"\1-\2-\3", _WALL_ZONE.sub("", _FRAME.sub("", text.rstrip())))
+    text = _HOURS.sub(lambda match: ":".join(filter(None, match.groups())), text)
     text = _HALF_BEFORE.sub(lambda match: f"{match[2]} {'AM' if match[1] else 'PM'}", text)
     text = _ZONE.sub(lambda match: f" {_ZONES[match[1]]}", _NO_ZONE.sub("", _ASIDE.sub("", text.strip())))
     text = _NEEDLESS_HALF.sub(r"\1\2", _HALF.sub(lambda match: f" {match[1].upper()}M", text))

@@ -69,7 +69,7 @@ class ClockColumns(_MapPart):
     @property
     def daily(self) -> bool:
         """Whether its times are of a day that nothing names, so that they roll over at midnight."""
-        dated = ("%d", "%j", "%x", "%c", "%D", "%F", "%s")
+        dated = ("%d", "%j", "%u", "%x", "%c", "%D", "%F", "%s")
         return self.time_of_day is not None or (
             not self.date and all("%" in each and not any(mark in each for mark in dated) for each in self.formats)
         )
@@ -162,7 +162,10 @@ class Effects(_MapPart):
 
 
 class Long(_MapPart):
-    """The columns of a long file: one row a reading. Rows of objects that are not in `objects` are left aside."""
+    """The columns of a long file: one row a reading. Rows of objects that are not in `objects` are left aside.
+
+    Of several columns of values, one a type, that which holds something is a row's.
+    """
 
     name: Names
     value: Names

@@ -26,8 +26,8 @@ _MAX_QUANTITY = 1e12
 """What no quantity of a plant is in any unit, however many different numbers of this size there are."""
 _MAX_CODES = 3
 """Different large numbers that may be codes; more are readings, as of a pressure in pascals."""
-_TEMPERATURE_CODES = (0.0, -1.0, -40.0, -50.0, -55.0)
-"""What programs write for a temperature that they do not have, and where its sensors' ranges begin.
+_TEMPERATURE_CODES = (0.0, -1.0, -17.78, -17.8, -40.0, -50.0, -55.0)
+"""What programs write for a temperature that they do not have (0 degF too), and where its sensors' ranges begin.
 
 It passes these numbers, and does not jump to them; in a pause it may come to them.
 """

@@ -366,12 +366,16 @@ def _read_long(
     for chunk in _chunks(path, layout, column_map, report):
         header, columns, lines = chunk.header, chunk.columns, chunk.lines
         name_at, value_at = _required_columns(header, long.name), _required_columns(header, long.value)
+        values_at = [place for name in long.value if (place := find_column(header, (name,))) is not None]
+        readings, beside = join_cells([columns[place] for place in values_at])
+        for place, count in zip(values_at[1:], beside, strict=True):
+            report.unused[header[place]] += count
         object_at = _required_columns(header, long.object) if long.objects else None
         taken = {_required_columns(header, each) for each in clock_columns(column_map.clock)}
         taken |= {place for each in column_map.by_column if (place := find_column(header, each)) is not None}
         qualities = _quality_places(path, chunk, column_map, report)
         taken.update(qualities)
-        for place in set(range(len(header))) - taken - {value_at}:
+        for place in set(range(len(header))) - taken - set(values_at):
             # What says which reading a row is of is no reading itself.
             report.unused[header[place] or f"column {place + 1}"] += _count_cells(columns[place])
         groups: defaultdict[str, list[int]] = defaultdict(list)
@@ -384,11 +388,11 @@ def _read_long(
                 report.aside += len(where)
                 what = field or "another object"
                 unmapped[what] += len(where)
-                cells = _count_cells([columns[value_at][index] for index in where])
+                cells = _count_cells([readings[index] for index in where])
                 owners = len(clock_columns(column_map.clock)) + sum(map(bool, column_map.by_column))
                 report.unused[what] += cells + len(where) * owners
                 continue
-            name, cells_ = names[field], [columns[value_at][index] for index in where]
+            name, cells_ = names[field], [readings[index] for index in where]
             values, faults = _convert(name, column_map.signals[name], cells_, column_map, report)
             faults |= _reject_values(name, values, not_good[where])
             # A row of a long file is there to say something: a blank value says that there was none to be had.
@@ -405,6 +409,19 @@ def _read_long(
         report.notes.append(f"rows of {list_names(unmapped)} are not in the map")
     series = {name: _concatenate_series(parts) for name, parts in pieces.items()}
     return _collect_readings(chunks, series, layout, column_map, report)
+
+
+def join_cells(columns: Sequence[Sequence[str]]) -> tuple[list[str], list[int]]:
+    """Of the cells of each row the first that holds something, "" where none does; and of each further column how
+    many of its cells stand beside one that was taken."""
+    joined, beside = list(columns[0]), list[int]()
+    for column in columns[1:]:
+        filled = [(at, cell) for at, cell in enumerate(column) if cell.strip()]
+        free = [(at, cell) for at, cell in filled if not joined[at].strip()]
+        for at, cell in free:
+            joined[at] = cell
+        beside.append(len(filled) - len(free))
+    return joined, beside
 
 
 def _concatenate_series(parts: Sequence[Series]) -> Series:

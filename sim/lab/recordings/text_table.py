@@ -45,6 +45,8 @@ MAX_HEADER_LINE = 200
 """Lines among which a header is looked for, comments not counted: cyclers write their settings before it."""
 UNNAMED_COLUMN = "column 1"
 """What a first column without a name is called: an index that a program has written beside its table."""
+_VALUES = frozenset({"value", "wert", "valore", "valeur", "valor"})
+"""What stands under a tag's name over its readings."""
 _NOTES = frozenset({"", "comment", "comments", "note", "notes", "remark", "remarks", "kommentar", "bemerkung"})
 """Names of last columns of which rows without a note have no cell."""
 _BOMS = ((codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"))
@@ -91,6 +93,18 @@ def number_equal_names(names: Sequence[str]) -> list[str]:
         count = 1 + sum(name == before for before in names[: len(apart)])
         apart.append(f"{name}_{count}" if name and count > 1 and f"{name}_{count}" not in names else name)
     return apart
+
+
+def compose_names(above: Sequence[str], below: Sequence[str]) -> list[str]:
+    """The names in two rows, as under merged cells: what stands over several columns, and what tells these apart."""
+    names, group = list[str](), ""
+    for place in range(max(len(above), len(below))):
+        over, own = (drop_invisible(row[place]).strip() if place < len(row) else "" for row in (above, below))
+        group = over or (group if own else "")
+        # Beside a quality, the value of a tag is the tag.
+        told = "" if group and own.casefold() in _VALUES else own
+        names.append(" ".join(filter(None, (group, told))))
+    return names
 
 
 def with_row_names(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
@@ -169,8 +183,12 @@ def find_layout(
     # An export may begin with a title, its query or a list of columns: the header is the first row that has the names.
     at, fits = first, list[str]()
     for at in range(first, min(first + MAX_HEADER_LINE, len(lines))):
-        headers = {mark: _header(lines[at : at + MAX_ROW_LINES], mark) for mark in marks}
-        fits = [mark for mark in marks if all(find_column(headers[mark][0], group) is not None for group in needed)]
+        # Names in two rows first: one row of them may have those that are needed, and too few of the others.
+        for header_of in (_header_of_two, _header):
+            headers = {mark: header_of(lines[at : at + MAX_ROW_LINES], mark) for mark in marks}
+            fits = [mark for mark in marks if all(find_column(headers[mark][0], group) is not None for group in needed)]
+            if fits:
+                break
         if fits:
             break
     if fits and at > first:
@@ -287,11 +305,23 @@ def _unmarked(head: bytes) -> str:
 
 def _header(lines: Sequence[str], separator: str) -> tuple[tuple[str, ...], int]:
     """The names in the row that begins with the first of `lines`, and how many lines it takes; no names: no row."""
-    reader = csv.reader(lines, delimiter=separator, skipinitialspace=True, strict=True)
+    # A name may have marks within, as "DB1".Speed has; only an open one makes no row.
+    strict = not lines or lines[0].count('"') % 2 == 1
+    reader = csv.reader(lines, delimiter=separator, skipinitialspace=True, strict=strict)
     try:
         return tuple(_trim_header(strip_guards(next(reader)))), reader.line_num
     except csv.Error:
         return (), 1
+
+
+def _header_of_two(lines: Sequence[str], separator: str) -> tuple[tuple[str, ...], int]:
+    """The names in two lines of which the first leaves cells blank; none where it is not so."""
+    rows = [
+        strip_guards(next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])) for line in lines[:2]
+    ]
+    if len(rows) < 2 or len(rows[1]) < 2 or all(map(str.strip, rows[0][: len(rows[1])])) or not any(rows[0]):
+        return (), 1
+    return tuple(_trim_header(compose_names(*rows))), 2
 
 
 def _trim_header(cells: Sequence[str]) -> list[str]:

@@ -73,7 +73,7 @@ def test_a_plc_s_text_in_an_export_is_no_formula(tmp_path: Path) -> None:
     view = store.view(config.machine, [Tag("Name", "holding:1", DType.STRING, length=20, unit="=unit")])
     view.put("samples", [("Name", EPOCH, "=cmd|'/C calc'!A0", int(Quality.GOOD), EPOCH)])
     view.put("scans", [(EPOCH, 0.1, 0)])
-    assert store.flush()
+    assert store.flush(60.0)
     store.close()
     out = tmp_path / "out.csv"
     done = CliRunner().invoke(

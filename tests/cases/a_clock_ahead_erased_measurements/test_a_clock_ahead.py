@@ -99,8 +99,8 @@ def test_rows_of_a_clock_that_had_lost_its_time_are_not_old(tmp_path: Path) -> N
     historian.put("scans", [(EPOCH + n, 0.0, 0) for n in range(4000)])
     historian.put("scans", [(float(n), 0.0, 0) for n in range(4000)])
     historian.put("scans", [(EPOCH + 5000.0 + n, 0.0, 0) for n in range(100)])
-    assert historian.flush()
+    assert historian.flush(60.0)
     store.delete_older(EPOCH + 100.0)
-    assert historian.flush() and historian.flush()
+    assert historian.flush(60.0) and historian.flush(60.0)
     assert store.close()
     assert to_trace(path).times.size >= 8000 - 100 + 100

@@ -163,7 +163,7 @@ def test_a_table_that_goes_bad_while_the_gateway_runs_costs_that_table(tmp_path:
         connection.execute("DROP TABLE events")
     historian.put("scans", [(EPOCH + 5000, 0.0, 0)])
     historian.put("audit", [(EPOCH, "after", "Ada", "test")])
-    assert historian.flush() and historian.failure == "" and "is damaged (no such table" in historian.complaint
+    assert historian.flush(60.0) and historian.failure == "" and "is damaged (no such table" in historian.complaint
     historian.put("scans", [(EPOCH + 5001, 0.0, 0)])
     historian.put("events", [(EPOCH + 5001, "W_ON", "on")])
     assert store.close()
@@ -178,7 +178,7 @@ def test_a_file_that_is_taken_away_under_it_is_begun_anew_and_said(tmp_path: Pat
     for ending in ("", "-wal", "-shm"):
         path.with_name(path.name + ending).unlink(missing_ok=True)
     historian.put("audit", [(EPOCH, "after", "Ada", "test")])
-    assert historian.flush() and "was taken away" in historian.complaint
+    assert historian.flush(60.0) and "was taken away" in historian.complaint
     assert store.close()
     assert table(path, "SELECT what FROM audit") == [("after",)]
 
@@ -201,7 +201,7 @@ def test_once_it_can_be_written_what_waited_is_stored_under_the_right_tag(tmp_pa
     assert not historian.flush(0.2) and "cannot be made" in historian.complaint
     folder.unlink()
     folder.mkdir()
-    assert historian.flush(10.0) and historian.failure == ""
+    assert historian.flush(60.0) and historian.failure == ""
     assert store.close()
     query = "SELECT name, value FROM samples JOIN tags ON tags.id = samples.tag"
     assert table(folder / "h.sqlite", query) == [("B", 2.0)]

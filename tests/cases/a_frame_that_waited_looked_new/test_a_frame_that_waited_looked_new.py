@@ -55,8 +55,8 @@ def busy(hub: Hub, speaker: can.BusABC, said: int = 1) -> float:
 
 
 async def test_over_raw_can_a_frame_is_as_old_as_it_is(hub: Hub, speaker: can.BusABC, tmp_path: Path) -> None:
-    settings = {"interface": "hub", "channel": str(tmp_path / "bus"), "message_timeout": 60.0, "max_silence": 60.0}
-    driver = open_can(settings, clock=clock)
+    place = {"interface": "hub", "channel": str(tmp_path / "bus"), "connect_timeout": 20.0}
+    driver = open_can({**place, "message_timeout": 60.0, "max_silence": 60.0}, clock=clock)
     await driver.open()
     await driver.read([SPEED])
     came = busy(hub, speaker)
@@ -74,6 +74,7 @@ async def test_over_raw_can_it_counts_for_its_timeout_and_no_longer(
         "channel": str(tmp_path / "bus"),
         "message_timeout": BUSY_S / 2,
         "max_silence": 60.0,
+        "connect_timeout": 20.0,
     }
     driver = open_can(settings, clock=clock)
     await driver.open()

@@ -39,7 +39,7 @@ def full(tmp_path_factory: pytest.TempPathFactory) -> Path:
             historian.put("alarms", [(time, "over limit", "T", 1, "unacknowledged", first, "")])
             historian.put("audit", [(time, "entry", "Ada", "test")])
         if second % 3000 == 0:
-            assert historian.flush(20.0), historian.failure
+            assert historian.flush(60.0), historian.failure
             assert historian.complaint == ""
     assert store.close()
     assert (historian.dropped, historian.refused) == (0, 0)

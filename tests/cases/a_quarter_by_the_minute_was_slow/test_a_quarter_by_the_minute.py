@@ -48,7 +48,7 @@ def by_rows(tmp_path: Path) -> Iterator[tuple[Path, sqlite3.Connection]]:
     path = tmp_path / "h.sqlite"
     store, historian = one_machine(path, TAGS)
     historian.put("samples", [(tag.name, MIDNIGHT, None, int(Quality.TIMEOUT), None) for tag in TAGS])
-    assert historian.flush(20.0)
+    assert historian.flush(60.0)
     connection, rng = store._normal, np.random.default_rng(3)
     connection.execute("BEGIN")
     for (number,) in connection.execute("SELECT id FROM tags").fetchall():
@@ -75,7 +75,7 @@ def test_what_is_over_is_packed_while_it_runs_and_today_stays_as_rows(
         quality = int(Quality.TIMEOUT) if value > 62.0 else 0
         historian.put("samples", [(tag.name, minute, value, quality, minute) for tag in TAGS])
         historian.put("scans", [(minute, 0.01, 0)])
-    assert historian.flush(20.0)
+    assert historian.flush(60.0)
     deadline = time.monotonic() + 120.0
     today = MIDNIGHT + (days - 1) * DAY
     while counted(path, "samples") >= 1_500 or counted(path, "tiers WHERE width = 60 AND start < ?", today):

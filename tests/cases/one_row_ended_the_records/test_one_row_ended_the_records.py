@@ -60,7 +60,7 @@ def test_a_row_that_cannot_be_stored_costs_that_row_and_is_counted_and_said(tmp_
     historian.put("audit", [(EPOCH, "before", "Ada", "test")])
     historian.put(table, [bad])
     historian.put("audit", [(EPOCH, "after", "Ada", "test")])
-    assert historian.flush()
+    assert historian.flush(60.0)
     assert (historian.refused, historian.dropped, historian.failure) == (1, 0, "")
     assert f"a row of {table} cannot be stored" in historian.complaint
     historian.put("scans", [(EPOCH + 5, 0.0, 0)])
@@ -86,7 +86,7 @@ def test_whatever_ends_the_thread_it_is_begun_anew_and_no_row_is_lost(
     store, historian = one_machine(tmp_path / "h.sqlite", TAGS, supervisor=supervisor)
     historian.put("audit", [(EPOCH, "a row", "Ada", "test")])
     until(lambda: len(calls) == 3)
-    assert historian.flush()
+    assert historian.flush(60.0)
     part = supervisor.report()["historian"]
     assert part["restarts"] == 2 and part["running"] and "nobody has thought of" in str(part["failure"])
     assert "nobody has thought of" in supervisor.complaint

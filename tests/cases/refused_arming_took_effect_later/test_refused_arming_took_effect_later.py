@@ -90,7 +90,7 @@ class SlowDisk(sqlite3.Connection):
 
     def __exit__(self, *reason: object) -> bool:
         self.begun.set()
-        self.go.wait(10.0)
+        self.go.wait(60.0)
         return bool(super().__exit__(*reason))  # type: ignore[arg-type]
 
 

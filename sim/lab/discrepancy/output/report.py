@@ -36,7 +36,8 @@ MEANINGS: Mapping[str, str] = {
     "unexplained": "The gap is real, and nothing that is known here explains it well enough to be named. Where "
     "it lies is described; no cause is claimed and nothing was added to the model.",
     "too-little-data": "There are too few cycles to fit the model on some and judge it on others, or noise alone "
-    "errs by so much on these that to agree with them would say nothing: neither agreement nor a gap is claimed.",
+    "errs by so much on these that to agree with them would say nothing, or what was read never changes: neither "
+    "agreement nor a gap is claimed.",
 }
 """What each verdict says and does not say."""
 COLOURS: Mapping[str, str] = {

@@ -12,7 +12,7 @@ NO_COLUMN = "none"
 BLANK_IS_GOOD = "blank"
 """The answer that a reading is good where its quality is not written."""
 CHOICES: Mapping[str, tuple[str, ...]] = {
-    "dates": ("day", "month"),
+    "dates": ("day", "month", "year"),
     "stored": ("each row", "on change"),
     "duplicates": ("average", "last", "keep", "spread"),
     "clock_back": ("refuse", "split", "sort"),
@@ -25,7 +25,7 @@ with the same time, and of a clock that goes back."""
 class Answers:
     """What a person has decided; "" is left to what the file shows.
 
-    `current` are the columns of what loads the machine; `dates` is the order of dates, day or month; `on` the words of
+    `current` are the columns of what loads the machine; `dates` is what comes first in dates; `on` the words of
     a switch or of states that mean running; `unit` are texts NAME=UNIT; `good` the words of good readings, or
     BLANK_IS_GOOD; `machine` and `session` are columns; the others are the map's own keys. Raises TraceError for a word
     that is none of CHOICES.

@@ -11,13 +11,23 @@ from typing import Literal
 
 import numpy as np
 
-from sim.lab.recordings import COUNTS, ClockColumns, dated_format, plain_time, read_clock, since_1970, unroll_midnight
+from sim.lab.recordings import (
+    COUNTS,
+    ClockColumns,
+    dated_format,
+    join_days,
+    plain_time,
+    read_clock,
+    since_1970,
+    unroll_midnight,
+)
 from sim.sha import Array
 
 Order = Literal["year", "day", "month"]
 
 _DATES: tuple[tuple[Order, str], ...] = (
     ("year", "%Y-%m-%d"), ("year", "%Y/%m/%d"), ("year", "%Y.%m.%d"), ("year", "%Y%m%d"),
+    ("year", "%G-W%V-%u"), ("year", "%Y-%j"), ("year", "%Y/%j"), ("year", "%y-%m-%d"), ("year", "%y/%m/%d"),
     ("day", "%d.%m.%Y"), ("day", "%d/%m/%Y"), ("day", "%d-%m-%Y"), ("day", "%d.%m.%y"), ("day", "%d/%m/%y"),
     ("day", "%d-%b-%Y"), ("day", "%d-%b-%y"), ("day", "%d %b %Y"), ("day", "%d/%b/%Y"),
     ("day", "%d-%m-%y"), ("day", "%d %m %Y"), ("day", "%d %b %y"), ("year", "%Y-%b-%d"), ("year", "%Y %b %d"),
@@ -26,9 +36,9 @@ _DATES: tuple[tuple[Order, str], ...] = (
 )  # fmt: skip
 _TIMES = (
     "%H:%M:%S", "%H:%M:%S.%f", "%H:%M:%S,%f", "%H:%M:%S:%f", "%H:%M", "%H.%M.%S", "%H.%M",
-    "%I:%M:%S %p", "%I:%M:%S.%f %p", "%I:%M %p",
+    "%H-%M-%S", "%I:%M:%S %p", "%I:%M:%S.%f %p", "%I:%M %p", "%I.%M.%S %p", "%I.%M.%S.%f %p",
 )  # fmt: skip
-_DATE_TIME_MARKS = (" ", "T", ", ", "  ", "_", " - ")
+_DATE_TIME_MARKS = (" ", "T", ", ", "  ", "_", " - ", "-", ":", "/")
 _COUNT_UNITS = {
     "s": "seconds", "sec": "seconds", "seconds": "seconds", "ms": "milliseconds", "msec": "milliseconds",
     "milliseconds": "milliseconds", "us": "microseconds", "µs": "microseconds", "ns": "nanoseconds", "min": "minutes",
@@ -38,7 +48,12 @@ _COUNT_UNITS = {
 _WORDS = re.compile(r"[^\W\d_]+")
 _TENTHS_OF_US = re.compile(r"100 ?ns", re.IGNORECASE)
 """What Windows and .NET count in, which is no unit of elapsed time."""
-_COMPACT_FORMAT = "%Y%m%d%H%M%S"
+_COMPACT = re.compile(
+    r"((?:19|20)\d{6}|(?:19|20)\d\dW\d{3}|(?:19|20)\d{5}(?=T))([T_-]?)\d{6}(\.\d{3,6}|\d{3})?( ?(?:[+-]\d\d:?\d\d|Z))?"
+)
+"""Of our centuries, and with milliseconds at most: ticks and nanoseconds are as many digits."""
+_COMPACT_DATES = {8: "%Y%m%d", 7: "%Y%j"}
+"""By their digits; those of a week have its W."""
 _ROUNDED = re.compile(r"\d[.,]\d+[eE]\+?\d\d$")
 _MAX_CHECKED_CELLS = 400
 _LOOKED_AT, _MOST_FORMATS, _ENOUGH = 5, 4, 0.8
@@ -66,7 +81,7 @@ class FoundClock:
 
 def _fits(text: str, format_: str) -> bool:
     # Python compiles an expression for each format: only those whose own marks the text has are worth it.
-    if not set(_MARKS.findall(format_)) <= set(text):
+    if not set(_MARKS.findall(format_)) <= set(text) or ("%j" in format_ and not _DAY_OF_YEAR.match(text)):
         return False
     try:
         datetime.strptime(text, format_)
@@ -75,8 +90,13 @@ def _fits(text: str, format_: str) -> bool:
     return True
 
 
+_DAY_OF_YEAR = re.compile(r"\d{4}[-/]?\d{3}(?!\d)")
+"""Three digits: of fewer, as in 2024-12, nobody knows whether they are a month."""
+
+
 def _iso(cell: str) -> bool:
-    if not (cell[:4].isdigit() and "-" in cell[4:8] and len(cell) > 10) or "," in cell:
+    # Weeks are ISO 8601 too, but not what reads a format of that name; nor any mark between day and time.
+    if not (cell[:4].isdigit() and "-" in cell[4:8] and cell[10:11] in ("T", " ")) or "," in cell or cell[5] == "W":
         return False
     try:
         datetime.fromisoformat(cell)
@@ -100,12 +120,12 @@ _MAX_TIME_CHARS = 90
 
 
 def _match_formats(cell: str) -> tuple[tuple[Order, str], ...]:
-    if len(cell) == 14 and cell.isdigit() and _fits(cell, _COMPACT_FORMAT):
-        return (("year", _COMPACT_FORMAT),)
-    if len(cell) >= 15 and cell[:8].isdigit() and cell[8] == "T" and _fits(cell.rstrip("Z")[:15], "%Y%m%dT%H%M%S"):
-        rest = cell[15:]
-        suffix = "%z" if rest in ("Z",) or _ZONE.fullmatch(rest) else ""
-        return (("year", f"%Y%m%dT%H%M%S{suffix}"),) if suffix or not rest else ()
+    if (match := _COMPACT.fullmatch(cell)) is not None:
+        date = "%GW%V%u" if "W" in match[1] else _COMPACT_DATES[len(match[1])]
+        parts = "" if match[3] is None else ".%f" if match[3].startswith(".") else "%f"
+        offset = "" if match[4] is None else " %z" if match[4].startswith(" ") else "%z"
+        format_ = f"{date}{match[2]}%H%M%S{parts}{offset}"
+        return (("year", format_),) if _fits(cell, format_) else ()
     if not 8 <= len(cell) <= 40 or _DATED.match(cell) is None:
         return ()
     if _iso(cell):
@@ -151,13 +171,14 @@ def pure_date(cell: str) -> tuple[tuple[Order, str], ...]:
 
 def pure_time(cell: str) -> tuple[str, ...]:
     """The formats of a time of day without a date that read a cell."""
-    return tuple(format_ for format_ in _TIMES if ":" in cell and _fits(cell, format_))
+    marked = ":" in cell or cell.count(".") == 2
+    return tuple(format_ for format_ in _TIMES if marked and _fits(cell, format_))
 
 
 def find_clocks(place: int, cells: Sequence[str], date: tuple[int, Sequence[str]] | None = None) -> list[FoundClock]:
     """The ways to read a column of times (after a column of dates): one for each order of day and month that fits."""
     if date is not None:
-        cells = [f"{day} {time}" for day, time in zip(date[1], cells, strict=True)]
+        cells = join_days(date[1], cells)
     # The last row may be that of the export's own moment, in another form.
     sample = [*cells[:_MAX_CHECKED_CELLS], *cells[_MAX_CHECKED_CELLS:][-_LOOKED_AT:]]
     filled = sum(map(bool, sample))

@@ -198,5 +198,7 @@ def has_levels(values: Array) -> bool:
     finite = values[np.isfinite(values)]
     if finite.size < 10 or finite.max() <= 0 or finite.min() < -0.1 * finite.max():
         return False
+    if np.all(np.diff(finite) > 0):
+        return False  # the numbers of the rows
     low = finite < 0.1 * finite.max()
     return 0.02 < float(low.mean()) < 0.98 and dwells(low.tolist())

@@ -15,6 +15,7 @@ from sim.lab.recordings import (
     TraceError,
     booleans,
     conversion,
+    join_days,
     known_unit,
     list_names,
     numbers,
@@ -61,6 +62,8 @@ COLDEST, HOTTEST = -80.0, 300.0
 """degC that no bearing reaches: its grease burns before, and no plant stands in such a cold."""
 _LOOP_CURRENT = 0.025
 """A that a sensor's loop of 4 to 20 mA carries at most, out of range too."""
+_LOOP_MA = (3.6, 21.0)
+"""mA that a loop of 4 to 20 mA carries: below and above it says a fault."""
 _IDLE_CURRENT_SHARE = 0.05
 """Of its most, a current below which no motor turns anything."""
 _ALONGSIDE = 0.98
@@ -87,6 +90,14 @@ class Parts:
 def choose_clock(table: FoundTable, answers: Answers) -> FoundClock:
     """The column of times. Raises Undecided where two fit or the day and month may be either, TraceError for none."""
     by_place: dict[int, list[FoundClock]] = {}
+    # Days that a program writes with a midnight are no clock beside times of day.
+    first = [next(filter(None, table.column(place)), "") for place in range(len(table.header))]
+    timed = any(map(pure_time, first))
+    days = {
+        at
+        for at, cell in enumerate(first)
+        if timed and is_time(cell) and all(map(_is_day, set(table.column(at)) - {""}))
+    }
     for place, header in enumerate(table.header):
         if answers.time and header != answers.time:
             continue
@@ -101,12 +112,12 @@ def choose_clock(table: FoundTable, answers: Answers) -> FoundClock:
                 f"seconds are lost; "
                 "export the file again, with that column as text"
             )
+        if place in days:
+            continue
         if is_time(filled[0]):
             by_place[place] = find_clocks(place, cells)
-        elif pure_time(filled[0]):
-            dated = [
-                at for at in range(len(table.header)) if at != place and pure_date(next(iter(table.column(at)), ""))
-            ]
+        elif pure_time(filled[0]) and not all(map(pure_date, set(filled))):
+            dated = [at for at in range(len(table.header)) if at != place and _is_day(next(iter(table.column(at)), ""))]
             dates = (dated[0], table.column(dated[0])) if dated else None
             by_place[place] = find_clocks(place, cells, dates) if dates else daily_clock(place, cells)
         else:
@@ -138,6 +149,11 @@ def choose_clock(table: FoundTable, answers: Answers) -> FoundClock:
     _check_one_column(table, found[rivals[0]][0])
     chosen = next((place for place in same if found[place][0].has_zone or "Z" in table.column(place)[0]), rivals[0])
     return _one_order(table, found[chosen], answers)
+
+
+def _is_day(cell: str) -> bool:
+    """Whether a cell is a date, alone or with its midnight."""
+    return bool(pure_date(join_days([cell], [""])[0].strip()))
 
 
 def _check_one_clock(table: FoundTable, place: int) -> None:
@@ -224,6 +240,7 @@ def sample_seconds(table: FoundTable, clock: FoundClock) -> tuple[Array, Mask]:
 
 def _one_order(table: FoundTable, clocks: Sequence[FoundClock], answers: Answers) -> FoundClock:
     """Of readings day first and month first the one that leaves a clock in order, else what the language says."""
+    clocks = _written_before(table, clocks)
     wanted = [clock for clock in clocks if clock.order == answers.dates]
     if wanted or len(clocks) == 1:
         return (wanted or list(clocks))[0]
@@ -242,14 +259,41 @@ def _one_order(table: FoundTable, clocks: Sequence[FoundClock], answers: Answers
         return (in_order if len(in_order) == 1 else smooth)[0]
     orders = {clock.order: clock for clock in clocks}
     numbers_ = find_decimal([table.column(place) for place in range(len(table.header))], table.separator)
-    if "day" in orders and (numbers_ == "," or table.separator == ";" or day_first(" ".join(table.header))):
+    if (
+        "year" not in orders
+        and "day" in orders
+        and (numbers_ == "," or table.separator == ";" or day_first(" ".join(table.header)))
+    ):
         return orders["day"]
-    if "month" in orders and any("%p" in format_ for format_ in orders["month"].formats):
+    if "year" not in orders and "month" in orders and any("%p" in format_ for format_ in orders["month"].formats):
         return orders["month"]
     shown = table.column(clocks[0].date if clocks[0].date is not None else clocks[0].place)[0]
     raise Undecided(
-        table.path, f"in {shown!r} the day or the month may come first", "dates", [clock.order for clock in clocks]
+        table.path,
+        f"in {shown!r} the {' or the '.join(sorted(orders))} may come first",
+        "dates",
+        [clock.order for clock in clocks],
+        guess="year",
     )
+
+
+def _written_before(table: FoundTable, clocks: Sequence[FoundClock]) -> list[FoundClock]:
+    """The clocks, without one that begins with a year of two digits and is not likely so: 31-03-24 is none of 2031.
+
+    It is where it says a later year than the others do, and the file was not written before.
+    """
+    written = table.path.stat().st_mtime
+    latest = {clock.order: float(np.nanmax(clock.times)) for clock in clocks}
+    others = max((time for order, time in latest.items() if order != "year"), default=-np.inf)
+    return [
+        clock
+        for clock in clocks
+        if clock.order != "year" or others == -np.inf or others < latest["year"] <= written + _ZONES_APART_S
+    ]
+
+
+_ZONES_APART_S = 86400.0
+"""s by which a local time may be ahead of the clock of the computer that wrote its file."""
 
 
 def choose_parts(where: object, columns: Sequence[FoundColumn], answers: Answers) -> Parts:
@@ -273,7 +317,9 @@ def choose_parts(where: object, columns: Sequence[FoundColumn], answers: Answers
         near=_near_temperature,
     )
     if temperature is None:
-        slow = [column for column in moving if is_slow(column.values)]
+        # What is named like a load, or measures something else, moves as slowly where it is the only one.
+        unnamed = [column for column in moving if not (column.unit or _loads(column))]
+        slow = [column for column in unnamed if is_slow(column.values)]
         if len(moving) != 1 or not slow:
             raise Undecided(
                 where,
@@ -282,7 +328,7 @@ def choose_parts(where: object, columns: Sequence[FoundColumn], answers: Answers
                 else "no column is named like one temperature, or moves like one",
                 "temperature",
                 [column.header for column in slow or counted],
-                guess=slow[0].header if len(slow) == 1 else counted[0].header if len(counted) == 1 else "",
+                guess=slow[0].header if len(slow) == 1 else counted[0].header if counted == unnamed[:1] else "",
             )
         temperature, reasons["temperature"] = slow[0], "the only column of numbers"
     others = [column for column in counted if column is not temperature]
@@ -336,6 +382,7 @@ def _load(
         where, "current", moving, lambda column: current_score(column.name, column.unit), reasons, near=_near_current
     )
     if found is not None:
+        _check_loop(where, found, answers)
         return found
     loops = [column for column in others if column.moves and current_score(column.name, column.unit)]
     # A small motor's may be as small: one that is named a current is asked for beside other loads.
@@ -368,6 +415,26 @@ def _load(
         [*(column.header for column in levels), NO_COLUMN],
         guess=levels[0].header if len(levels) == 1 else "",
     )
+
+
+def _check_loop(where: object, load: FoundColumn, answers: Answers) -> None:
+    """Raises Undecided for a load without a unit that rests at 4 and stays below 20, as a loop's mA do."""
+    finite = load.values[np.isfinite(load.values)]
+    if load.unit or not finite.size or any(text.startswith(f"{load.header}=") for text in answers.unit):
+        return
+    low, high = float(finite.min()), float(finite.max())
+    if _LOOP_MA[0] <= low and high <= _LOOP_MA[1] and np.mean(finite <= _LOOP_REST_MA) > _LOOP_REST_SHARE:
+        raise Undecided(
+            where,
+            f"{load.header!r} says no unit, rests at {low:.3g} and stays below {_LOOP_MA[1]:g}, as a loop of 4 to 20 "
+            "mA does: export it in A, give the map its scale and offset, or say that it is in A",
+            "unit",
+            [f"{load.header}=A"],
+        )
+
+
+_LOOP_REST_MA, _LOOP_REST_SHARE = 4.4, 0.02
+"""mA below which a loop says nothing, and the share of the readings that must."""
 
 
 def _switch(
@@ -495,6 +562,15 @@ def check_temperature(
     if any(text.startswith(f"{header}=") for text in answers.unit):
         return
     low, high = float(finite.min()), float(finite.max())
+    if not temperature.unit and 0.0 <= low < high <= _LOOP_MA[1]:
+        raise Undecided(
+            where,
+            f"{header!r} says no unit, and all its readings lie between {low:.4g} and {high:.4g}, as those of a loop "
+            "of 4 to 20 mA or of 0 to 10 V do, and no bearing's that works: export it in degC, give the map its scale "
+            "and offset, or say that it is in degC",
+            "unit",
+            [f"{header}=degC"],
+        )
     whole = bool(np.all(finite % 1 == 0))
     kelvin = _KELVIN_REST_RANGE[0] < low < _KELVIN_REST_RANGE[1]
     # Whole numbers that no bearing reaches are tenths, whatever unit the header names.

@@ -46,7 +46,7 @@ from sim.lab.recordings.mapping.decide import (
 from sim.lab.recordings.mapping.folder import one_table
 from sim.lab.recordings.mapping.quality import FoundQuality, find_quality
 from sim.lab.recordings.mapping.rows import Rows, Stored, describe_rows, find_storage, separate_times
-from sim.lab.recordings.mapping.table import FoundTable, find_table, with_rows
+from sim.lab.recordings.mapping.table import FoundTable, find_table, with_joined, with_rows
 from sim.lab.recordings.mapping.words import (
     ROLE_WORDS,
     current_score,
@@ -94,6 +94,8 @@ class _LongForm:
     object: int | None
     objects: tuple[str, ...]
     unit: int | None = None
+    others: tuple[int, ...] = ()
+    """Further columns of values, one a type, of which each row fills one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,13 +143,17 @@ def draft_map(path: Path, answers: Answers, names: Mapping[str, str] | None = No
     timed = np.isfinite(times)
     table, times, local = with_rows(table, timed.tolist()), times[timed], local[timed]
     long = _long_form(table, clock)
+    if long is not None:
+        table = with_joined(table, [long.value, *long.others])
     series = [""] * times.size if long is None else [f"{row[long.name]}\n{_object(row, long)}" for row in table.rows]
     rows = describe_rows(table, clock, times, local, series=series, answers=answers)
     taken = {clock.place, clock.date, rows.machine, rows.session}
     if long is None:
         quality = find_quality(table, taken, answers)
     else:
-        quality = find_quality(table, taken | {long.name, long.value, long.unit}, answers, value=long.value)
+        quality = find_quality(
+            table, taken | {long.name, long.value, long.unit, *long.others}, answers, value=long.value
+        )
     columns, own, marks = _columns(table, clock, long, taken | set(quality.places), separate_times(table, rows, times))
     columns = [replace(column, name=names.get(column.header, column.name)) for column in columns]
     columns = with_units(path, with_words(path, _number_equal_names(columns), own, answers), answers)
@@ -384,14 +390,14 @@ def _long_form(table: FoundTable, clock: FoundClock) -> _LongForm | None:
     ]
     names = [p for p in named if sum(not _plain_number(word) for word in words[p]) > len(words[p]) / 2]
     names = names or [p for p in named if len(words[p]) > 1 and all(word.isdigit() for word in words[p])]
-    if len(values) != 1 or not names:
+    rows = [[row[place] for place in values] for row in table.rows]
+    if not values or not names or any(sum(map(bool, cells)) > 1 for cells in rows):
         return None
     name = max(names, key=lambda place: (len(words[place]), place))
     unit = next((place for place in others if named_unit(table.header[place])), None)
     rest = [place for place in names if place not in (name, unit) and "object" in table.header[place].casefold()]
-    if not rest:
-        return _LongForm(name, values[0], None, (), unit)
-    return _LongForm(name, values[0], rest[0], tuple(words[rest[0]]), unit)
+    found = _LongForm(name, values[0], None, (), unit, tuple(values[1:]))
+    return replace(found, object=rest[0], objects=tuple(words[rest[0]])) if rest else found
 
 
 def _plain_number(word: str) -> bool:
@@ -447,7 +453,8 @@ def _text(found: _Found, alphabet: Alphabet | None = None) -> str:
         ]
     if long is not None:
         lines += ["", "[long]    # one row a reading", f"name = {quoted(table.header[long.name])}"]
-        lines.append(f"value = {quoted(table.header[long.value])}")
+        values = [table.header[place] for place in (long.value, *long.others)]
+        lines.append(f"value = {quoted(values[0]) if len(values) == 1 else _quoted_list(values)}")
         if long.object is not None:
             lines += [f"object = {quoted(table.header[long.object])}", f"objects = {_quoted_list(long.objects)}"]
     zoned = clock.has_zone or any("Z" in cell or "+" in cell for cell in table.column(clock.place)[:1])

@@ -11,11 +11,12 @@ from sim.lab.recordings.mapping.table import FoundTable, has_numbers
 from sim.lab.recordings.mapping.words import named_value
 
 _NAMED = re.compile(
-    r"quality|qualit(?:y|à|é|ät|aet)?$|qualität|calidad|(?:^|[._ ])q(?:ual|c)?$|opc.?status|g[üu]e?ltig|valid",
+    r"quality|qualit(?:y|à|é|ät|aet)?$|qualität|calidad|(?:^|[._ ])q(?:ual|c)?(?:_\d+)?$|opc.?status|integrity|"
+    r"g[üu]e?ltig|valid",
     re.IGNORECASE,
 )
 _GOOD = re.compile(
-    r"good\b.*|ok|valid|gut|gültig|buon[oa]|valid[oae]|bon(?:ne)?|buen[oa]|true|(?:0x0*)?c0|192(?:\.0+)?|\(?192\)?.*",
+    r"good\b.*|ok|valid|gut|gültig|buon[oa]|valid[oae]|bon(?:ne)?|buen[oa]|true|(?:0x0*)?c0|0x0{8}|192(?:\.0+)?|\(?192\)?.*",
     re.IGNORECASE,
 )
 """Words of good readings; 192 (hexadecimal C0) is OPC's."""
@@ -24,12 +25,14 @@ _SAYS_VALID, _YES = re.compile(r"g[üu]e?ltig|valid", re.IGNORECASE), re.compile
 _BAD = re.compile(
     r"(?:bad|uncertain|invalid|not|no|non|error|fault|fail|timeout|stale|unknown|schlecht|ung[üu]e?ltig|unsicher|fehler"
     r"|cattiv[oa]|incert[oa]|errore|guast[oa]|mauvaise?|incertaine?|erreur|mal[oa]|inv[aá]lid[oa]|inciert[oa])\b.*"
-    r"|bad_.*|uncertain_.*|false|(?:0x)?0+(?:\.0+)?",
+    r"|bad_.*|uncertain_.*|false|(?:0x)?0+(?:\.0+)?|0x[48][0-9a-f]{7}",
     re.IGNORECASE,
 )
 """Words that are never taken for good ones unless a person says so."""
-_STATUS = re.compile(r"status$", re.IGNORECASE)
-_TOLD = re.compile(r"\{?(?:good|ok|bad|uncertain|gut|schlecht|unsicher|valid|invalid|stale)\b.*", re.IGNORECASE)
+_STATUS = re.compile(r"status(?:.?code)?(?:_\d+)?$", re.IGNORECASE)
+_TOLD = re.compile(
+    r"\{?(?:good|ok|bad|uncertain|gut|schlecht|unsicher|valid|invalid|stale)\b.*|0x[048][0-9a-f]{7}", re.IGNORECASE
+)
 """Words of a status that is a quality, and not that of a machine."""
 _MAX_QUALITY_WORDS = 30
 """Words that a quality may have: more are notes or readings."""

@@ -1,7 +1,8 @@
 """A CSV that nobody has described: its separator, where its header stands, what lies before and under it, its rows."""
 
 import csv
-from collections.abc import Sequence, Set
+import re
+from collections.abc import Iterator, Sequence, Set
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -10,14 +11,17 @@ import numpy as np
 from drivers.csv_rows import strip_guards
 from sim.lab.recordings import (
     MAX_HEADER_LINE,
+    MAX_ROW_LINES,
     SEPARATORS,
     UNITS,
     UNNAMED_COLUMN,
     TraceError,
+    compose_names,
     dated_format,
     decode_head,
     drop_invisible,
     fold_name,
+    join_cells,
     number_equal_names,
     numbers,
     parse_quantity,
@@ -67,7 +71,8 @@ def find_table(path: Path) -> FoundTable:
     lines = text.splitlines()
     if len(head) == _HEAD_BYTES:
         lines.pop()  # cut in the middle
-    usable = [(at, line) for at, line in enumerate(lines) if not line.startswith("#") and set(line) - _RULED]
+    whole = _whole_rows(lines) if '"' in text else enumerate(lines)
+    usable = [(at, line) for at, line in whole if not line.startswith("#") and set(line) - _RULED]
     # The separator under which most of the first rows have the same number of cells, and most of them.
     best: tuple[int, str, list[list[str]]] = (0, "", [])
     for name, mark in SEPARATORS.items():
@@ -106,10 +111,17 @@ def find_table(path: Path) -> FoundTable:
         above, before = rows[header_at], rows[header_at - 1]
         if not any(units) and _is_units(above) and len(before) >= len(above):
             units = [UNITS.get(bare_unit(cell), "") for cell in above] + [""] * (width - len(above))
-        elif len(before) != width or (above[0] and any(above[1:])):
+        elif not _is_types(above) and (len(before) != width or (above[0] and any(above[1:]))):
             break
         header_at -= 1
     header = list(map(drop_invisible, rows[header_at][:width]))
+    # Names under names: those of merged cells are blank, or equal ones stand below.
+    beside = [at - header_at for at, _ in enumerate(usable) if abs(usable[at][0] - usable[header_at][0]) == 1]
+    over, under = (rows[header_at - 1] if -1 in beside else []), rows[header_at + 1]
+    if header_at + 1 < first and 1 in beside and not _is_units(under) and _lacks_names(header, under):
+        rows[header_at] = header = compose_names(header, under[:width])
+    elif _has_equal(header) and sum(map(bool, over)) > 1 and not all(over) and _lacks_names(over, header):
+        rows[header_at] = header = compose_names(over[:width], header)
     if width > 1 and len(header) < width:
         # A header with commas over rows with semicolons.
         others = [_cells(usable[header_at][1], mark) for mark in SEPARATORS.values()]
@@ -150,6 +162,22 @@ def find_table(path: Path) -> FoundTable:
         units=(*units[:width], *[""] * more),
         rows=tuple(sample),
     )
+
+
+_OPEN_CELL = re.compile(r'(?:^|[,;\t|]) *"(?:[^"]|"")*$')
+"""A quoted cell that does not end in its line; a mark within a cell, as of inches, opens none."""
+
+
+def _whole_rows(lines: Sequence[str]) -> Iterator[tuple[int, str]]:
+    """The lines, those joined over which a quoted cell goes on; a mark that is never closed joins none."""
+    at = 0
+    while at < len(lines):
+        end = at + 1
+        if _OPEN_CELL.search(lines[at]):
+            closed = (other for other in range(end, min(at + MAX_ROW_LINES, len(lines))) if lines[other].count('"') % 2)
+            end = next(closed, at) + 1
+        yield at, "\n".join(lines[at:end])
+        at = end
 
 
 def _first_data(rows: Sequence[Sequence[str]]) -> int | None:
@@ -222,8 +250,22 @@ def with_rows(table: FoundTable, kept: Sequence[bool]) -> FoundTable:
     return replace(table, rows=tuple(row for row, keep in zip(table.rows, kept, strict=True) if keep))
 
 
+def with_joined(table: FoundTable, places: Sequence[int]) -> FoundTable:
+    """The table with what stands in one of the columns at `places` in the first of them."""
+    if len(places) < 2:
+        return table
+    joined, _ = join_cells([table.column(place) for place in places])
+    rows = []
+    for row, cell in zip(table.rows, joined, strict=True):
+        cells = ["" if at in places else each for at, each in enumerate(row)]
+        cells[places[0]] = cell
+        rows.append(tuple(cells))
+    return replace(table, rows=tuple(rows))
+
+
 def _cells(line: str, mark: str) -> list[str]:
-    return [cell.strip() for cell in strip_guards(next(csv.reader([line], delimiter=mark, skipinitialspace=True), []))]
+    lines = line.splitlines(keepends=True) if "\n" in line else [line]
+    return [cell.strip() for cell in strip_guards(next(csv.reader(lines, delimiter=mark, skipinitialspace=True), []))]
 
 
 def _is_data(row: Sequence[str]) -> bool:
@@ -234,6 +276,32 @@ def _is_data(row: Sequence[str]) -> bool:
         return True
     filled = [cell for cell in row if cell]
     return bool(row[0]) and len(filled) > 1 and all(_numeric(cell) for cell in filled)
+
+
+def _has_equal(names: Sequence[str]) -> bool:
+    filled = [name for name in names if name]
+    return len(set(filled)) < len(filled)
+
+
+def _lacks_names(above: Sequence[str], below: Sequence[str]) -> bool:
+    """Whether a row of words leaves blank what the words in the row below it name."""
+    words = not any(map(_numeric, filter(None, (*above, *below))))
+    blank = [place for place, cell in enumerate(below) if cell and not "".join(above[place : place + 1])]
+    return words and len(blank) > 0
+
+
+_TYPE = re.compile(
+    r"(?:dt_)?(?:l?real|float|double|u?[sdl]?int|bool|boolean|d?word|byte|string)_?\d*|"
+    r"%?db\d+\.db[xbwd]\d+(?:\.\d+)?|%[miqea][xbwd]?\d+(?:\.\d+)?",
+    re.IGNORECASE,
+)
+"""A data type, or an address of a controller; I1 and M1 are names too."""
+
+
+def _is_types(row: Sequence[str]) -> bool:
+    """Whether a row under the header says types or addresses, behind what may say that it does."""
+    filled = [cell for cell in row[1:] if cell]
+    return len(filled) > 1 and all(map(_TYPE.fullmatch, filled))
 
 
 def _is_reading(row: Sequence[str], sure: Sequence[str]) -> bool:
@@ -273,4 +341,5 @@ def _is_units(row: Sequence[str]) -> bool:
     """Whether a row under the header says units: one that is known and nothing that is long, or several."""
     filled = [bare_unit(cell) for cell in row if cell]
     known = sum(cell in UNITS for cell in filled)
-    return known > 1 or (known == 1 and all(len(cell) <= 6 for cell in filled))
+    # min beside max and mean is no minute.
+    return (known > 1 and 2 * known >= len(filled)) or (known == 1 and all(len(cell) <= 6 for cell in filled))

@@ -46,12 +46,13 @@ _FREQUENCY = re.compile(r"[\[({_ ][kMG]?Hz[\])}]?(?:_\d+)?\s*$", re.IGNORECASE)
 """The end of a header that says hertz: the clock of a processor is a frequency."""
 _NAME = re.compile(
     r"^(?:.*(?:name|tag|variable|field|point|signal|series|metric|parameter|channel|entity|alias|property|measurement|messstelle|nome|nom|nombre|bezeichn|"
-    r"punto|sensor|item|descri|beschreib|label|libell).*)$",
+    r"punto|sensor|item|path|descri|beschreib|label|libell).*)$",
     re.IGNORECASE,
 )
+_KIND = "num|float|int|bool|dbl|double|real|str|string|text"
 _VALUE = re.compile(
-    r"^_?(?:var|v|tag|num|float|int|process|raw)?_?(?:value|wert|valore|valeur|valor|val|reading|messwert)s?"
-    r"(?:[ _\[(].*)?$",
+    rf"^_?(?:var|v|tag|process|raw|date|{_KIND})?_?(?:value|wert|valore|valeur|valor|val|reading|messwert)s?"
+    rf"(?:{_KIND})?(?:[ _\[(].*)?$",
     re.IGNORECASE,
 )
 _BRACKETED = re.compile(r"\s*[\[({]\s*([^\])}]*)\s*[\])}]\s*$")

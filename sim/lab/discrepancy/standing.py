@@ -1,0 +1,69 @@
+"""Stretches in which the reading stood still though the machine was started and stopped: a sensor, and no heat."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sim.effects import moment_words
+from sim.lab.discrepancy.fitting import Record
+from sim.lab.learning import Indices
+from sim.sha import Array
+
+LEAST_MOVED_SHARE = 0.5
+"""Of what the temperature varies by (rms) that a run or a rest usually moves it by, where one that does not stands
+out."""
+LEAST_LASTED_SHARE = 0.5
+"""Of the time that the usual one takes, from which one would have moved it."""
+LEAST_MOVED = 3
+"""Runs, or rests, that moved it: of fewer nothing is usual."""
+
+
+@dataclass(frozen=True, slots=True)
+class StillReading:
+    """The reading was `value` in every row from `begin` to `end` (absolute s), through so many whole `visits`: runs,
+    and rests between two of them."""
+
+    value: float
+    begin: float
+    end: float
+    visits: int
+
+    def sentence(self, unit: str) -> str:
+        """It as a sentence; `unit` as people read it."""
+        through = "a run or a rest" if self.visits == 1 else f"{self.visits} runs and rests"
+        return (
+            f"The reading stood still at {self.value:.6g} {unit} from {moment_words(self.begin)} to "
+            f"{moment_words(self.end)}, through {through}: look at the sensor."
+        )
+
+
+def find_still_reading(record: Record) -> StillReading | None:
+    """The longest stretch of one reading that holds a whole run or a whole rest of about the usual length, where such
+    a one moves the temperature by much; None where there is none."""
+    reading, time = record.runs.reading[record.rows], record.runs.time[record.rows]
+    running, run = record.running[record.rows] > 0.5, record.runs.run[record.rows]
+    firsts, lasts = _stretches(np.column_stack([running, run]))
+    # What rows without a break begin or end with may go on beyond them.
+    joined = run[lasts[:-1]] == run[firsts[1:]]
+    whole = np.r_[False, joined] & np.r_[joined, False]
+    moved = np.maximum.reduceat(reading, firsts) - np.minimum.reduceat(reading, firsts)
+    lasted, on = time[lasts] - time[firsts], running[firsts]
+    still = np.zeros(firsts.size, dtype=bool)
+    for kind in (True, False):
+        usual = whole & (on == kind) & (moved > 0)
+        if usual.sum() >= LEAST_MOVED and np.median(moved[usual]) > LEAST_MOVED_SHARE * np.std(reading):
+            still |= whole & (on == kind) & (moved == 0) & (lasted >= LEAST_LASTED_SHARE * np.median(lasted[usual]))
+    if not still.any():
+        return None
+    begins, ends = _stretches(np.column_stack([reading, run]))
+    held = np.searchsorted(begins, firsts[still], side="right") - 1
+    longest = held[np.argmax(time[ends[held]] - time[begins[held]])]
+    first, last = begins[longest], ends[longest]
+    visits = int((whole & (firsts >= first) & (lasts <= last)).sum())
+    return StillReading(float(reading[first]), float(time[first]), float(time[last]), visits)
+
+
+def _stretches(columns: Array) -> tuple[Indices, Indices]:
+    """(the first, the last) row of each stretch of rows that are the same."""
+    turns = np.flatnonzero((np.diff(columns, axis=0) != 0).any(axis=1)) + 1
+    return np.r_[0, turns], np.r_[turns, columns.shape[0]] - 1

@@ -1,0 +1,63 @@
+"""A reading that stands still while the machine starts and stops is a sensor's, and is told."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sim.lab.discrepancy.fitting import build_record, patiently
+from sim.lab.discrepancy.standing import StillReading, find_still_reading
+from sim.lab.discrepancy.workflow import diagnose
+from sim.sha.trace import Trace
+from tests.discrepancy.plants import model, plant
+
+ROW_S = 240.0
+
+
+def starts(trace: Trace) -> np.ndarray:
+    """The rows in which the machine starts."""
+    return np.flatnonzero(np.diff(trace.signals["MarciaDecanter"]) > 0) + 1
+
+
+def stuck(trace: Trace, first: int, last: int) -> Trace:
+    """The trace with the reading of row `first` up to row `last`, which reads something else again."""
+    reading = trace.signals["T"].copy()
+    reading[first:last] = reading[first]
+    reading[last] = reading[first] + 0.1
+    return replace(trace, signals={**trace.signals, "T": reading}, events=())
+
+
+def found(trace: Trace) -> StillReading | None:
+    return find_still_reading(build_record(model(), [patiently(trace, model().alphabet)], ("Assorbimento",)))
+
+
+def test_a_sensor_that_stands_still_through_runs_and_rests_is_found_with_its_time() -> None:
+    trace = plant(8, days=3, period=ROW_S)
+    first, last = starts(trace)[4] - 3, starts(trace)[6] + 3
+    still = found(stuck(trace, first, last))
+    assert still is not None and still.visits == 4
+    assert (still.begin, still.end) == (trace.times[first], trace.times[last - 1])
+    assert still.value == trace.signals["T"][first]
+
+
+@pytest.mark.parametrize("step", [0.1, 0.5, 2.0])
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_rounding_and_a_rest_that_has_cooled_down_are_no_sensor_that_stands_still(seed: int, step: float) -> None:
+    trace = plant(seed, days=3, period=ROW_S)
+    reading = step * np.round(trace.signals["T"] / step)
+    assert found(replace(trace, signals={**trace.signals, "T": reading}, events=())) is None
+
+
+def test_a_switch_that_chatters_over_an_even_reading_is_no_sensor_that_stands_still() -> None:
+    trace = plant(4, days=3, period=ROW_S)
+    switch, rng = trace.signals["MarciaDecanter"].copy(), np.random.default_rng(4)
+    turned = rng.random(switch.size) < 0.2
+    reading = 2.0 * np.round(trace.signals["T"] / 2.0)
+    signals = {**trace.signals, "MarciaDecanter": np.where(turned, 1.0 - switch, switch), "T": reading}
+    assert found(replace(trace, signals=signals, events=())) is None
+
+
+def test_a_diagnosis_says_that_its_sensor_stood_still() -> None:
+    trace = plant(8, days=3, period=ROW_S)
+    said = diagnose(model(), [stuck(trace, starts(trace)[6] + 9, trace.times.size - 1)], seed=0, most=1).diagnosis
+    assert "The reading stood still at" in said.sentence and "look at the sensor." in said.sentence

@@ -1,0 +1,221 @@
+"""Headers over several rows, clocks by weeks and days of the year, typed values, and readings of a current loop."""
+
+import os
+from collections.abc import Callable
+from datetime import datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sim.lab.recordings import load_map
+from sim.lab.recordings.mapping import is_time
+from sim.lab.recordings.mapping.columns import has_levels
+from sim.lab.recordings.text_table import compose_names
+from tests.traces.exports import comma, recording, wide, written
+from tests.traces.test_dialects import EPOCH, asked, is_the_plant, mapped
+
+PLANT = recording()
+ROWS = list(zip(PLANT.moments, PLANT.heat.tolist(), PLANT.current.tolist(), PLANT.running.tolist(), strict=True))
+BEGIN = (PLANT.moments[0] - EPOCH).total_seconds()
+
+CLOCKS: dict[str, Callable[[datetime], str]] = {
+    "week": lambda t: t.strftime("%G-W%V-%u %H:%M:%S"),
+    "week in one word": lambda t: t.strftime("%GW%V%uT%H%M%S"),
+    "week with its zone": lambda t: t.strftime("%G-W%V-%uT%H:%M:%SZ"),
+    "day of the year": lambda t: t.strftime("%Y-%j %H:%M:%S"),
+    "day of the year in one word": lambda t: t.strftime("%Y%jT%H%M%S"),
+    "compact": lambda t: t.strftime("%Y%m%d_%H%M%S"),
+    "compact with milliseconds": lambda t: t.strftime("%Y%m%d%H%M%S") + "000",
+    "points and half a day": lambda t: t.strftime("%d-%b-%y %I.%M.%S.000000 %p").upper(),
+    "French hours": lambda t: t.strftime("%d/%m/%Y %Hh%Mm%Ss"),
+    "web server": lambda t: t.strftime("[%d/%b/%Y:%H:%M:%S +0000]"),
+    "controller": lambda t: t.strftime("DT#%Y-%m-%d-%H:%M:%S"),
+}
+
+
+@pytest.mark.parametrize("form", CLOCKS)
+def test_clocks_of_weeks_days_of_the_year_and_controllers(form: str, tmp_path: Path) -> None:
+    (trace,), report, _ = mapped(wide(tmp_path / "a.csv", clock=CLOCKS[form]), tmp_path / "m.toml")
+    is_the_plant(trace, tmp_path / "m.toml")
+    assert trace.times[0] == BEGIN and report.refused == 0
+
+
+def test_a_month_is_no_day_of_the_year(tmp_path: Path) -> None:
+    export = wide(tmp_path / "a.csv", clock=lambda t: t.strftime("%Y-%m %H:%M:%S"))
+    assert "no column holds times" in asked(export, tmp_path / "m.toml")
+
+
+@pytest.mark.parametrize("day", ["2024-03-13 00:00:00", "2024-03-13", "13.03.24"])
+@pytest.mark.parametrize("time", ["%H:%M:%S", "%H.%M.%S"])
+def test_a_day_with_a_midnight_of_its_own_is_that_of_the_time_beside_it(day: str, time: str, tmp_path: Path) -> None:
+    rows = [f"{day};{moment.strftime(time)};{comma(heat)};{comma(current)}" for moment, heat, current, _ in ROWS]
+    export = written(tmp_path / "a.csv", "Datum;Zeit;Lagertemperatur;Motorstrom", rows)
+    (trace,), _, _ = mapped(export, tmp_path / "m.toml")
+    is_the_plant(trace, tmp_path / "m.toml")
+    assert trace.times[0] == BEGIN
+
+
+def test_a_year_of_two_digits_may_come_first_and_is_none_of_the_future(tmp_path: Path) -> None:
+    """24-03-13 was the 24th of March 2013."""
+    export = wide(tmp_path / "a.csv", clock=lambda t: t.strftime("%y-%m-%d %H:%M:%S"))
+    assert "most likely 'year'" in asked(export, tmp_path / "m.toml")
+    (trace,), _, _ = mapped(export, tmp_path / "m.toml", "--dates", "year")
+    assert trace.times[0] == BEGIN
+    export = wide(tmp_path / "b.csv", clock=lambda t: (t + timedelta(days=18)).strftime("%d-%m-%y %H:%M:%S"))
+    os.utime(export, (BEGIN + 30 * 86400.0,) * 2)
+    (trace,), _, _ = mapped(export, tmp_path / "n.toml")
+    assert trace.times[0] == BEGIN + 18 * 86400.0
+
+
+HEADERS = {
+    "merged cells": (["Zeit;Lager;;Motor;", ";Temperatur;Qualität;Strom;Qualität", ";°C;;A;"], "Lager Temperatur",
+                     True),
+    "tag and quality": (["Date/Time;Bearing_T;;Motor_I;", ";Value;Quality;Value;Quality"], "Bearing_T", True),
+    "names apart": ([";Lagertemperatur;;Motorstrom;", "Zeit;mittel;Qualität;mittel;Qualität"], "Lagertemperatur mittel",
+                    True),
+    "types and addresses": (["Time;Bearing temp;Motor current", ";DB10.DBD0;DB10.DBD4", ";Real;Real", "s;°C;A",
+                             "DT_DOUBLE;DT_DOUBLE;DT_DOUBLE"], "Bearing temp", False),
+    "marks in names": (['Time;"DB1".Bearing_temp;"DB1".Motor_current'], "DB1.Bearing_temp", False),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", HEADERS)
+def test_names_that_stand_in_several_rows(case: str, tmp_path: Path) -> None:
+    """Of merged cells no column was named; of `"DB1".Speed` the map was drafted and read no file."""
+    above, temperature, quality = HEADERS[case]
+    word = {False: "good", True: "bad"}
+    rows = [
+        f"{moment};{heat};{word[place == 7]};{current};good" if quality else f"{moment};{heat};{current}"
+        for place, (moment, heat, current, _) in enumerate(ROWS)
+    ]
+    (trace,), _, said = mapped(written(tmp_path / "a.csv", "\n".join(above), rows), tmp_path / "m.toml")
+    assert said["temperature"] == temperature
+    heat = trace.signals[load_map(tmp_path / "m.toml").temperature]
+    expected = np.where(np.arange(PLANT.heat.size) == 7, np.nan, PLANT.heat) if quality else PLANT.heat
+    assert np.array_equal(heat, expected, equal_nan=True)
+
+
+def test_a_workbook_with_merged_cells_and_a_column_of_days(tmp_path: Path) -> None:
+    from openpyxl import Workbook
+
+    book = Workbook()
+    for row in ([None], ["Zeit", None, "Lager", None], ["Tag", "Uhrzeit", "Temperatur °C", "Strom A"]):
+        book.active.append(row)
+    for moment, heat, current, _ in ROWS:
+        book.active.append([moment.date(), moment.time(), heat, current])
+    book.save(tmp_path / "a.xlsx")
+    (trace,), _, said = mapped(tmp_path / "a.xlsx", tmp_path / "m.toml")
+    is_the_plant(trace, tmp_path / "m.toml")
+    assert trace.times[0] == BEGIN and said["temperature"] == "Temperatur °C"
+
+
+@pytest.mark.parametrize("count", ["638112150000000000", "1710123012000000000", "133548394200000000"])
+def test_ticks_and_nanoseconds_are_no_compact_dates(count: str) -> None:
+    assert not is_time(count)
+
+
+def test_currents_that_are_called_as_inputs_are_names(tmp_path: Path) -> None:
+    rows = [f"{m},{current},{heat}" for m, heat, current, _ in ROWS]
+    export = written(tmp_path / "a.csv", "Logger 7,of,Hall 2\nTime,I1,T1", rows)
+    (trace,), _, said = mapped(export, tmp_path / "m.toml")
+    assert np.array_equal(trace.signals["T1"], PLANT.heat) and said["temperature"] == "T1"
+
+
+def test_names_over_names() -> None:
+    assert compose_names(["t", "A", "", "B"], ["", "Value", "Quality", "max", "min"]) == [
+        "t",
+        "A",
+        "A Quality",
+        "B max",
+        "B min",
+    ]
+
+
+def test_a_reading_stands_in_the_column_of_its_type(tmp_path: Path) -> None:
+    """The columns were signals, and the tags machines with a trace each."""
+    rows = [
+        line
+        for moment, heat, current, running in ROWS
+        for line in (f"brg_temp,{moment},{heat},,192", f"motor_current,{moment},{current},,192",
+                     f"motor_run,{moment},,{running},192")
+    ]  # fmt: skip
+    export = written(tmp_path / "a.csv", "tagpath,t_stamp,floatvalue,intvalue,dataintegrity", rows)
+    (trace,), report, _ = mapped(export, tmp_path / "m.toml")
+    is_the_plant(trace, tmp_path / "m.toml")
+    # A cell beside one that was taken is counted.
+    rows[5] = rows[5].replace(",,", ",3,")
+    written(export, "tagpath,t_stamp,floatvalue,intvalue,dataintegrity", rows)
+    text = (tmp_path / "m.toml").read_text(encoding="utf-8")
+    assert 'value = ["floatvalue", "intvalue"]' in text
+    assert report.files[0].unused["intvalue"] == 0
+
+
+@pytest.mark.parametrize("bad", ["0x80310000", "0x40000000"])
+def test_a_status_code_of_opc_ua_is_a_quality(bad: str, tmp_path: Path) -> None:
+    rows = [f"{m};{heat};{bad if place == 9 else '0x00000000'};{current}" for place, (m, heat, current, _) in
+            enumerate(ROWS)]  # fmt: skip
+    export = written(tmp_path / "a.csv", "Time;Bearing temp;StatusCode;Motor current", rows)
+    (trace,), _, _ = mapped(export, tmp_path / "m.toml")
+    heat = trace.signals[load_map(tmp_path / "m.toml").temperature]
+    assert np.flatnonzero(np.isnan(heat)).tolist() == [9]
+
+
+def test_each_of_two_columns_of_quality_judges_its_own(tmp_path: Path) -> None:
+    rows = [f"{m};{heat};{24 if place == 9 else 192};{current};192" for place, (m, heat, current, _) in enumerate(ROWS)]
+    export = written(tmp_path / "a.csv", "Time;Bearing temp;Q;Motor current;Q", rows)
+    (trace,), _, _ = mapped(export, tmp_path / "m.toml")
+    assert [int(np.isnan(column).sum()) for name, column in trace.signals.items() if name != "Running"] == [1, 0]
+
+
+def test_readings_of_a_current_loop_without_a_unit_are_asked_for(tmp_path: Path) -> None:
+    """A bearing of 20 to 60 degC was read as one of 6 to 10 degC, and a motor that stands as one that draws 4 A."""
+    loop = wide(tmp_path / "a.csv", cells=(lambda heat: f"{4 + 16 * heat / 150:.3f}", str, str))
+    said = asked(loop, tmp_path / "m.toml", "--yes")
+    assert "4 to 20 mA" in said and "--unit 'Bearing temperature=degC'" in said
+    mapped(loop, tmp_path / "m.toml", "--unit", "Bearing temperature=degC")
+    loop = wide(tmp_path / "b.csv", cells=(str, lambda current: f"{4 + 16 * current / 200:.3f}", str))
+    said = asked(loop, tmp_path / "n.toml", "--yes")
+    assert "rests at 4.03" in said and "--unit 'Motor current=A'" in said
+    mapped(loop, tmp_path / "n.toml", "--unit", "Motor current=A")
+
+
+def test_a_note_of_several_lines_is_one_cell(tmp_path: Path) -> None:
+    rows = [f'{m},"opened\nby ""hand""",{heat},{current}' for m, heat, current, _ in ROWS]
+    export = written(tmp_path / "a.csv", "Time,Note,Bearing temperature,Motor current", rows)
+    (trace,), report, _ = mapped(export, tmp_path / "m.toml")
+    is_the_plant(trace, tmp_path / "m.toml")
+    assert report.refused == 0
+
+
+def test_inches_open_no_cell_and_lines_above_a_blank_one_are_no_names(tmp_path: Path) -> None:
+    rows = [f'{m},{heat},{current},5" line' for m, heat, current, _ in ROWS]
+    header = "Report,,Plant 1,\n\nTime,Value,Value,Place"
+    export = written(tmp_path / "a.csv", header, rows)
+    (trace,), report, _ = mapped(export, tmp_path / "m.toml", "--temperature", "Value", "--current", "Value_2")
+    assert np.array_equal(trace.signals["Value"], PLANT.heat) and report.refused == 0
+
+
+@pytest.mark.parametrize("header", ["Motor current", "Motor [mA]", "Bearing [V]"])
+def test_a_load_is_no_temperature_where_it_is_the_only_column_of_numbers(header: str, tmp_path: Path) -> None:
+    """A bearing whose cells were all blank left the motor's current, of which a model would have been learned."""
+    export = written(tmp_path / "a.csv", f"Time,Bearing,{header}", [f"{m},,{current}" for m, _, current, _ in ROWS])
+    assert f"--temperature '{header}'" in asked(export, tmp_path / "m.toml", "--yes")
+
+
+def test_numbers_of_rows_are_no_load() -> None:
+    assert not has_levels(np.arange(300.0)) and has_levels(PLANT.current)
+
+
+def test_a_minus_of_typesetters_is_one(tmp_path: Path) -> None:
+    export = wide(tmp_path / "a.csv", cells=(lambda heat: f"{heat - 30:.2f}".replace("-", "\N{MINUS SIGN}"), str, str))
+    (trace,), report, _ = mapped(export, tmp_path / "m.toml")
+    assert np.allclose(trace.signals[load_map(tmp_path / "m.toml").temperature], PLANT.heat - 30, atol=0.006)
+    assert report.files[0].bad_cells == 0
+
+
+def test_0_degf_is_no_temperature_of_a_warm_bearing(tmp_path: Path) -> None:
+    rows = [f"{m},{-17.8 if place % 60 == 50 else heat},{current}" for place, (m, heat, current, _) in enumerate(ROWS)]
+    export = written(tmp_path / "a.csv", "Time,Bearing temperature,Motor current", rows)
+    (trace,), _, _ = mapped(export, tmp_path / "m.toml")
+    assert np.isnan(trace.signals[load_map(tmp_path / "m.toml").temperature]).sum() == 4
