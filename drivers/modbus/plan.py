@@ -60,6 +60,8 @@ class RefusedRange:
 
 
 Quarantine = tuple[RefusedRange, ...]
+_ECHOED_BYTES = 3
+"""Bytes of address and count behind the first one, which in a reply says how many follow."""
 
 
 def plan(tags: Sequence[Tag], limits: RequestLimits, quarantine: Quarantine = ()) -> tuple[AddressBlock, ...]:
@@ -77,7 +79,8 @@ def plan_spans(
     """As `plan`, for tags that are already located.
 
     Taking the lowest address first and every further tag that still fits gives the fewest blocks: the first block must
-    reach down to the lowest address anyway, and reaching further up never costs a request.
+    reach down to the lowest address anyway, and reaching further up never costs a request. A block whose request
+    could also be its reply is two: nothing would tell what a line gives back from what the device says.
     """
     free = [span for span in spans if find_refusal(span, quarantine) is None]
     blocks: list[AddressBlock] = []
@@ -96,7 +99,12 @@ def plan_spans(
             blocks[-1] = replace(block, count=stop - block.start, spans=(*block.spans, span))
         else:
             blocks.append(AddressBlock(span.area, span.start, span.count, (span,)))
-    return tuple(blocks)
+    return tuple(part for block in blocks for part in (halves(block) if _may_be_reply(block) else None) or (block,))
+
+
+def _may_be_reply(block: AddressBlock) -> bool:
+    """True if address and count of the request can stand for a byte count of 3 and the bits of so many bytes."""
+    return block.area.is_bits and block.start >> 8 == _ECHOED_BYTES and -(-block.count // 8) == _ECHOED_BYTES
 
 
 def check_span(span: TagSpan, limits: RequestLimits) -> TagSpan:

@@ -125,7 +125,7 @@ def check_reply(request: Asked, reply: bytes) -> None:
         raise DeviceException(body[0], f"{request}: exception {body[0]}, {sentence}")
     if function != request.function:
         raise ReplyMismatch(f"{request}: the reply is of function {function} and {request.function} was asked")
-    # Before the counts: of 17 to 24 bits from 0x0300 on it looks like a reply.
+    # Before the counts: of 17 to 24 bits from 0x0300 on it looks like a reply, and no plan asks for them in one.
     if len(body) == _ECHO and _is_echo(request, function, body):
         raise ReplyMismatch(f"{request}: what comes back is the request itself: something gives back what is sent")
     if function == IDENTIFY:

@@ -140,6 +140,19 @@ def test_tables_are_never_mixed_and_bits_have_their_own_limit() -> None:
     ]
 
 
+@settings(max_examples=100)
+@given(
+    st.sets(st.integers(0x02E0, 0x0420), min_size=1, max_size=60),
+    st.integers(0, 30),
+    st.sampled_from(("coil", "discrete")),
+)
+def test_no_request_for_bits_can_be_taken_for_its_reply(numbers: set[int], max_gap: int, table: str) -> None:
+    blocks = plan([Tag(f"c{n}", f"{table}:{n}", DType.BOOL) for n in numbers], RequestLimits(max_gap=max_gap))
+    assert sorted(span.start for block in blocks for span in block.spans) == sorted(numbers)
+    # What follows the function in the request, read as a reply: how many bytes come, then these.
+    assert all(not (block.start >> 8 == 3 and 17 <= block.count <= 24) for block in blocks)
+
+
 def test_a_tag_wider_than_one_request_is_refused_and_not_torn() -> None:
     with pytest.raises(AddressError, match="never put together from two replies"):
         plan([Tag("x", "holding:0", DType.FLOAT64)], RequestLimits(max_registers=3))
