@@ -268,10 +268,12 @@ class NumberedWire(asyncio.Protocol):
         try:
             check_reply(question.asked, frame)
         except (ReplyMismatch, DeviceException) as error:
-            if leaves_open(question.asked, frame) and waiting is question:
+            if leaves_open(question.asked, frame):
                 self._questions[number] = question
-                loop = asyncio.get_running_loop()
-                loop.call_later(rest_of_wait(loop.time(), question.until), self._give_up, number, error)
+                # To an earlier attempt it says nothing of the one that waits.
+                if waiting is question:
+                    loop = asyncio.get_running_loop()
+                    loop.call_later(rest_of_wait(loop.time(), question.until), self._give_up, number, error)
                 return
             waiting.reply.set_exception(error)
             return

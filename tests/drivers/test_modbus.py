@@ -1,6 +1,7 @@
 """The Modbus driver against a device whose every byte a test can bend."""
 
 import asyncio
+import random
 import struct
 import time
 from collections.abc import Callable
@@ -21,7 +22,11 @@ from drivers.errors import (
     WriteForbidden,
     WriteUnverified,
 )
+from drivers.modbus.address import Area
 from drivers.modbus.driver import open_modbus
+from drivers.modbus.numbered import NumberedWire
+from drivers.modbus.replies import TransactionIds
+from drivers.modbus.wire import read_request
 from drivers.tag import DType, Order, Quality, Tag
 from tests.drivers.conftest import OpenModbus, read_until_good
 from tests.drivers.scripted import (
@@ -137,6 +142,48 @@ async def test_a_wrong_reply_is_never_a_value_and_the_next_honest_one_is(
     plc.bend = None
     assert [sample.value for sample in await driver.read(block_of(4))] == [0, 1, 2, 3]
     assert complaints == []
+
+
+@pytest.mark.parametrize("count", [17, 21, 24])
+async def test_bits_that_are_by_chance_the_bytes_of_their_request_are_read(
+    plc: ScriptedPlc, opened: OpenModbus, count: int
+) -> None:
+    bits = [int.from_bytes(bytes((5, 0, count)), "little") >> n & 1 for n in range(count)]
+    plc.coils = {0x0305 + n: bit for n, bit in enumerate(bits)}
+    tags = [Tag(f"C{n}", f"coil:{0x0305 + n}", DType.BOOL) for n in range(count)]
+    samples = await (await opened(timeout=10.0)).read(tags)
+    assert [(sample.quality, sample.value) for sample in samples] == [(Quality.GOOD, bool(bit)) for bit in bits]
+
+
+async def test_another_units_answer_to_a_first_attempt_does_not_end_the_second() -> None:
+    asked: list[bytes] = []
+
+    async def bend(plc: ScriptedPlc, request: bytes, honest: bytes, writer: asyncio.StreamWriter) -> None:
+        asked.append(request)
+        if len(asked) == 1:
+            return
+        # One behind the other, as the first one ended the question where it was taken for its answer.
+        writer.write(read_reply(asked[0], [7], unit=9) + honest)
+
+    plc = ScriptedPlc(bend=bend)
+    await plc.start()
+    wire = NumberedWire(
+        "127.0.0.1",
+        plc.port,
+        ids=TransactionIds(random.Random(1)),
+        clock=time.time,
+        on_lost=lambda _: None,
+        on_late=lambda *_: None,
+    )
+    try:
+        await wire.connect()
+        question = read_request(Area.HOLDING, 5, 1, 1)
+        with pytest.raises(ReplyTimeout):
+            await wire.ask(question, 0.05)
+        assert (await wire.ask(question, 30.0, again=True)).words == (5,)
+    finally:
+        wire.abandon()
+        await plc.stop()
 
 
 @pytest.mark.parametrize("transaction", [0, 999, 65535])
