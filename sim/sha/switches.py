@@ -13,10 +13,12 @@ _Word = TypeVar("_Word", bool, int)
 
 @dataclass(frozen=True, slots=True)
 class SwitchLocations:
-    """Where the last word on a switch is always that it is `on`, and where it may be `either`; in their order."""
+    """Where a last word on a switch is always that it is `on`, where it may be `either`, and where it is always `off`;
+    in their order. A location that is reached without a word on it only is none of them."""
 
     on: tuple[str, ...]
     either: tuple[str, ...]
+    off: tuple[str, ...]
 
 
 def switch_locations(sha: SHA, alphabet: Alphabet) -> Mapping[str, SwitchLocations]:
@@ -27,10 +29,14 @@ def switch_locations(sha: SHA, alphabet: Alphabet) -> Mapping[str, SwitchLocatio
 
 def _locations(sha: SHA, switch: Switch) -> SwitchLocations:
     reached = _last_words(sha, {switch.rising: True, switch.falling: False, UNKNOWN: None})
-    names = [location.name for location in sha.locations]
+    words = [
+        (location.name, (location.name, True) in reached, (location.name, False) in reached)
+        for location in sha.locations
+    ]
     return SwitchLocations(
-        tuple(name for name in names if (name, True) in reached and (name, False) not in reached),
-        tuple(name for name in names if (name, True) in reached and (name, False) in reached),
+        tuple(name for name, on, off in words if on and not off),
+        tuple(name for name, on, off in words if on and off),
+        tuple(name for name, on, off in words if off and not on),
     )
 
 

@@ -441,18 +441,13 @@ def _describe_location(model: Model, place: Location) -> dict[str, Any]:
 
 
 def _layout(model: Model) -> dict[str, dict[str, Any]]:
-    """By location, whether the machine runs there (None: either, or there is no switch), and the level of the load."""
+    """By location, whether the machine runs there (None: either, or no word on it), and the level of the load."""
     switches = switch_locations(model.sha, model.alphabet)
     switch = next((switches[each.signal] for each in model.alphabet.channels if each.signal in switches), None)
     bins = next((each for each in model.alphabet.channels if isinstance(each, Bins)), None)
     levels = {} if bins is None else level_of_locations(model.sha, bins)
-    return {
-        place.name: {
-            "runs": None if switch is None or place.name in switch.either else place.name in switch.on,
-            "load": levels.get(place.name),
-        }
-        for place in model.sha.locations
-    }
+    runs = {} if switch is None else dict.fromkeys(switch.on, True) | dict.fromkeys(switch.off, False)
+    return {place.name: {"runs": runs.get(place.name), "load": levels.get(place.name)} for place in model.sha.locations}
 
 
 MOST_ORIGINS = 6
