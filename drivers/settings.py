@@ -6,7 +6,7 @@ It is the only place where such a sentence is made. A field's description is its
 import re
 import tomllib
 from collections.abc import Mapping, Sequence
-from ipaddress import AddressValueError, IPv4Address
+from ipaddress import AddressValueError, IPv4Address, IPv6Address
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_args, get_origin
 from unicodedata import bidirectional, category
@@ -137,14 +137,28 @@ def split_place(host: str) -> tuple[str, int | None]:
 
 
 def _refuse_no_host(name: str) -> None:
-    """Raises ValueError for what neither a name nor an address can be, however a system would complete it."""
-    if _NUMBERS.fullmatch(name):
-        try:
-            IPv4Address(name)
-        except AddressValueError:
-            raise ValueError(f"host {name!r} is no IP address; give four numbers from 0 to 255 with points") from None
-    elif not _HOST.fullmatch(name):
+    """Raises ValueError for what neither a name nor an address can be, however a system would complete it.
+
+    Nothing at all is left for the one who says what a field must have.
+    """
+    if _NUMBERS.fullmatch(name) and not _is_address(IPv4Address, name):
+        plain = re.sub(r"\b0+(?=\d)", "", name)
+        remedy = "give four numbers from 0 to 255 with points"
+        if _is_address(IPv4Address, plain):
+            remedy = f"write its numbers without a 0 before them ({plain})"
+        raise ValueError(f"host {name!r} is no IP address; {remedy}")
+    if name and not _HOST.fullmatch(name):
         raise ValueError(f"host {name!r} holds what no name or address has; give the PLC's address or name")
+    if ":" in name and not _is_address(IPv6Address, name):
+        raise ValueError(f"host {name!r} is no IPv6 address; give a port behind one colon, as in plc.local:502")
+
+
+def _is_address(kind: type[IPv4Address | IPv6Address], text: str) -> bool:
+    try:
+        kind(text)
+    except AddressValueError:
+        return False
+    return True
 
 
 def with_place(settings: Mapping[str, Any]) -> dict[str, Any]:

@@ -592,6 +592,20 @@ def test_a_host_is_taken_as_people_write_it(given: str, host: str, port: int) ->
     assert connection_place(settings) == connection_place(read_settings({"host": host, "port": port}))
 
 
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ("192.168.1.010", r"write its numbers without a 0 before them \(192\.168\.1\.10\)"),
+        ("010.0.0.300", "give four numbers from 0 to 255"), ("...", "give four numbers from 0 to 255"),
+        ("10.0.0.5:", "is no IPv6 address; give a port behind one colon"), (":502", "is no IPv6 address"),
+        ("plc:502:3", "is no IPv6 address"), ("plc:123456", "is no IPv6 address"), ("[plc:502]", "is no IPv6 address"),
+    ],
+)  # fmt: skip
+def test_what_can_be_no_host_is_refused_with_what_would_be_one(given: str, words: str) -> None:
+    with pytest.raises(DriverError, match=words):
+        read_settings({"host": given})
+
+
 def test_a_host_that_contradicts_the_port_is_refused() -> None:
     assert read_settings({"host": "plc:1502", "port": 1502}).port == 1502
     for given in ({"host": "plc:1502", "port": 502}, {"host": "plc:70000"}):
