@@ -14,7 +14,7 @@ import click
 
 from drivers.driver import LINKS
 from drivers.errors import DeviceException, DriverError, LinkDown, LinkFault, ReplyMismatch, ReplyTimeout
-from drivers.survey import AsksRegisters, ReadWords
+from drivers.survey import AsksRegisters
 from gateway.commission.options import SharedOptions
 from gateway.commission.session import (
     CONNECT_S,
@@ -219,18 +219,8 @@ async def _speaks(site: Site, survey: AsksRegisters, steps: list[CheckStep]) -> 
     settings = site.target.settings
     register = first_register(site.target)
     unit = int(settings.get("unit", 1))
-    begun = time.monotonic()
     try:
-        words = await _first_read(survey, register)
-    except DeviceException as error:
-        if error.code in BEHIND_GATEWAY:
-            text = f"a gateway answers for unit {unit} that it cannot reach it (exception {error.code})"
-            text += _hint(await _other_units(survey, unit))
-            steps.append(failed_step("modbus", text, error))
-            return {}
-        # Any other exception is the unit's own: it speaks Modbus, and merely has no such register.
-        took = 1e3 * (time.monotonic() - begun)
-        steps.append(ok("modbus", f"unit {unit} answers in {took:.1f} ms, with a refusal: {error}"))
+        refusal, seconds = await _first_read(survey, register)
     except ReplyTimeout as error:
         # Connected and no reply: another unit, another protocol, or nothing at all. The other units are asked first,
         # because one that answers settles that it is Modbus.
@@ -270,21 +260,32 @@ async def _speaks(site: Site, survey: AsksRegisters, steps: list[CheckStep]) -> 
         sentence = not_modbus(tcp_port(settings), received) if foreign else str(error)
         steps.append(failed_step("modbus", sentence, error))
         return {}
-    else:
-        steps.append(ok("modbus", f"unit {unit} answers in {1e3 * words.seconds:.1f} ms"))
+    if refusal is not None and refusal.code in BEHIND_GATEWAY:
+        text = f"a gateway answers for unit {unit} that it cannot reach it (exception {refusal.code})"
+        text += _hint(await _other_units(survey, unit))
+        steps.append(failed_step("modbus", text, refusal))
+        return {}
+    # Any other exception is the unit's own: it speaks Modbus, and merely has no such register.
+    words = "" if refusal is None else f", with a refusal: {refusal}"
+    steps.append(ok("modbus", f"unit {unit} answers in {1e3 * seconds:.1f} ms{words}"))
     return register
 
 
-async def _first_read(survey: AsksRegisters, register: Register) -> ReadWords:
-    """A register; a gateway's word that its unit is silent is believed when it is the third."""
-    for pause in GATEWAY_PAUSES_S:
-        try:
-            return await survey.read(register.table, register.number, 1)
-        except DeviceException as error:
-            if error.code not in BEHIND_GATEWAY:
-                raise
+async def _first_read(survey: AsksRegisters, register: Register) -> tuple[DeviceException | None, float]:
+    """How a register is refused, or None, and the seconds that this question took by itself.
+
+    A gateway's word that its unit is silent is believed when it is the third.
+    """
+    for pause in (0.0, *GATEWAY_PAUSES_S):
         await asyncio.sleep(pause)
-    return await survey.read(register.table, register.number, 1)
+        begun = time.monotonic()
+        try:
+            return None, (await survey.read(register.table, register.number, 1)).seconds
+        except DeviceException as error:
+            refusal, seconds = error, time.monotonic() - begun
+            if error.code not in BEHIND_GATEWAY:
+                break
+    return refusal, seconds
 
 
 async def _other_units(survey: AsksRegisters, unit: int) -> list[int]:

@@ -11,7 +11,7 @@ from typing import Any, cast
 
 import pytest
 
-from drivers.errors import LinkDown, ReplyTimeout
+from drivers.errors import DeviceException, LinkDown, ReplyTimeout
 from drivers.survey import ReadWords
 from gateway.commission import probe
 from tests.commission.bench import Handler, answer, plc, server
@@ -180,6 +180,29 @@ async def test_a_connection_that_fails_confirms_no_habit(
     assert not result.complaint and "habits" not in result.data
     told = next(step for step in result.data["steps"] if step["step"] == "habit")
     assert "failed (refused: it serves one client)" in told["sentence"] and "nothing is set" in told["sentence"]
+
+
+async def test_the_first_answer_is_timed_without_the_pauses_before_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    now, refusals = 0.0, iter([11, 10, 2])
+
+    class Late(Scripted):
+        async def read(self, *place: object) -> ReadWords:
+            nonlocal now
+            now += 0.02
+            if code := next(refusals, 0):
+                raise DeviceException(code, "refused")
+            return await super().read(*place)
+
+    async def sleep(seconds: float) -> None:
+        nonlocal now
+        now += seconds
+
+    monkeypatch.setattr(probe, "mention_gateway", lambda site: None)
+    monkeypatch.setattr(probe, "asyncio", SimpleNamespace(sleep=sleep))
+    monkeypatch.setattr(probe, "time", SimpleNamespace(monotonic=lambda: now))
+    result = await probe.probe_device(cast(Any, Late(0.0)))
+    told = next(step["sentence"] for step in result.data["steps"] if step["step"] == "modbus")
+    assert told == "unit 1 answers in 20.0 ms, with a refusal: refused"
 
 
 async def test_the_round_trip_counts_what_was_answered(monkeypatch: pytest.MonkeyPatch) -> None:
