@@ -485,6 +485,53 @@ def test_the_forecast_of_a_past_moment_is_shown_as_it_was_made(page: Page, gatew
     eventually(lambda: moments[-1] < moments[0] - 60.0 or page.wait_for_timeout(20))
 
 
+def test_each_of_many_keys_moves_on_and_a_moment_of_another_stretch_has_no_forecast(
+    page: Page, gateway: Served
+) -> None:
+    gateway.put(TEMPERATURE, 45.0)
+    page.goto("/#/trends")
+    expect(page.locator("#trend .u-over")).to_be_visible()
+    asked, moments, ago = list[tuple[float, float]](), list[float](), [2.0]
+
+    def trend(route: Route) -> None:
+        found = dict(parse_qsl(urlsplit(route.request.url).query))
+        asked.append((float(found["start"]), float(found["end"])))
+        route.fulfill(
+            json={"width": 0, "times": list(asked[-1])} | {key: [40.0, 41.0] for key in ("low", "mean", "high")}
+        )
+
+    def forecast(route: Route) -> None:
+        moments.append(float(dict(parse_qsl(urlsplit(route.request.url).query))["at"]))
+        made = moments[-1] - ago[0]
+        lines = {name: [45.0, value] for name, value in (("low", 44.0), ("mean", 46.0), ("high", 48.0))}
+        route.fulfill(json={"made": made, "times": [made, made + 900.0], **lines})
+
+    page.route("**/api/trend?*", trend)
+    page.route("**/api/forecast?*", forecast)
+    page.locator("#trend-horizon").select_option("made")
+    expect(page.locator("main")).to_contain_text("Forecast made ")
+    start, end = asked[-1]
+    span = end - start
+    page.locator("#trend").focus()
+    page.keyboard.press("Shift+ArrowLeft")
+    eventually(lambda: moments[-1] < moments[0] - 0.01 * span or page.wait_for_timeout(20))
+    # Faster than anything is answered.
+    page.evaluate(MANY_KEYS)
+    eventually(lambda: abs(asked[-1][1] - (end - 2 * span)) < span / 8 or page.wait_for_timeout(20))
+    eventually(lambda: moments[-1] <= asked[-1][1] or page.wait_for_timeout(20))
+    ago[0] = 10 * span
+    page.get_by_role("button", name="Back").click()
+    eventually(lambda: abs(asked[-1][1] - (end - 1.75 * span)) < span / 8 or page.wait_for_timeout(20))
+    # The last one that was made before is over by then, and nothing of it can be drawn.
+    expect(page.locator("main")).not_to_contain_text("Forecast made ")
+
+
+MANY_KEYS = """() => {
+  const key = () => new KeyboardEvent("keydown", { key: "ArrowLeft", bubbles: true, cancelable: true });
+  for (let count = 0; count < 8; count += 1) document.getElementById("trend").dispatchEvent(key());
+}"""
+
+
 def test_a_log_in_says_whom_to_ask_for_an_account(page: Page) -> None:
     for language, said in (
         ("en", "whoever looks after it"),

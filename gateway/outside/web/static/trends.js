@@ -13,8 +13,9 @@ const MOVES = { earlier_on: ["←", "ArrowLeft"], later_on: ["→", "ArrowRight"
 const now = (machine) => state.machines[machine].status.time;
 const again = () => dispatchEvent(new HashChangeEvent("hashchange"));
 
-// What is looked at: `past` are the stretches that were zoomed out of, `at` the moment that was pointed at.
-const look = { machine: null, tags: [], span: 3600, range: null, past: [], horizon: "", earlier: "", at: null, asked: "", data: null, error: "" };
+// What is looked at: `range` the stretch that was chosen, `stretch` the one that is shown, until now where none was,
+// `past` those that were zoomed out of, `at` the moment in it that was pointed at.
+const look = { machine: null, tags: [], span: 3600, range: null, stretch: null, past: [], horizon: "", earlier: "", at: null, asked: "", data: null, error: "" };
 let drawn = null; // the chart that is there
 
 export function trendsView([wanted]) {
@@ -24,6 +25,9 @@ export function trendsView([wanted]) {
   look.tags = look.tags.filter((tag) => names.includes(tag));
   if (!look.tags.length) look.tags = [status.temperature];
   const horizons = status.forecast?.horizons ?? [];
+  const step = Math.max(look.span / 100, 2), until = Math.ceil(now(machine) / step) * step;
+  look.stretch = look.range ?? [until - look.span, until];
+  if (look.at < look.stretch[0] || look.at > look.stretch[1]) look.at = null;
   const parts = h("section", { class: "view trends" },
     h("div", { class: "controls" },
       h("label", {}, h("span", {}, say("word.machine")), h("select", { id: "trend-machine" }, state.order.map((name) => h("option", { value: name, selected: name === machine }, state.machines[name].label)))),
@@ -59,7 +63,7 @@ addEventListener("noted", () => (look.asked = ""));
 
 addEventListener("change", (event) => {
   const { target } = event;
-  if (target.id === "trend-machine") Object.assign(look, { machine: target.value, tags: [], past: [], range: null });
+  if (target.id === "trend-machine") Object.assign(look, { machine: target.value, tags: [], past: [], range: null, at: null, data: null, error: "" });
   else if (target.id === "trend-horizon") look.horizon = target.value;
   else if (target.id === "trend-earlier") look.earlier = target.value;
   else if (target.dataset?.tag) look.tags = target.checked ? [...new Set([...look.tags, target.value])].slice(-MOST_TAGS) : look.tags.filter((tag) => tag !== target.value);
@@ -93,8 +97,8 @@ function show(start, end) {
 }
 
 function changeStretch(move) {
-  if (!look.data) return;
-  const { start, end } = look.data, span = end - start;
+  // Of several in a row each goes on from the one before, whatever has been drawn by then.
+  const [start, end] = look.range ?? look.stretch, span = end - start;
   if (move === "earlier_on" || move === "later_on") {
     const by = (move === "later_on" ? 1 : -1) * span / 4;
     show(start + by, end + by);
@@ -106,16 +110,14 @@ function changeStretch(move) {
 
 // Point at a moment by a share of the stretch beside the last one, with its numbers in the legend.
 function point(by) {
-  const { start, end } = look.data, from = look.at !== null && look.at >= start && look.at <= end ? look.at : end;
-  look.at = Math.min(Math.max(from + by * (end - start), start), end);
+  const [start, end] = look.range ?? look.stretch;
+  look.at = Math.min(Math.max((look.at ?? end) + by * (end - start), start), end);
   drawn?.setCursor({ left: drawn.valToPos(look.at, "x"), top: drawn.over.clientHeight / 2 });
 }
 
 // Ask for what is looked at; what goes on until now is asked again as time passes, by a hundredth of the span.
 function fetchOnce(machine, status) {
-  const step = Math.max(look.span / 100, 2);
-  const end = look.range ? look.range[1] : Math.ceil(now(machine) / step) * step;
-  const start = look.range ? look.range[0] : end - look.span;
+  const [start, end] = look.stretch;
   const ofMoment = look.horizon === "made", at = ofMoment ? Math.min(look.at ?? end, now(machine)) : null;
   const key = JSON.stringify([machine, look.tags, start, end, look.horizon, look.earlier, ofMoment && look.at]);
   const place = document.getElementById("trend");
@@ -135,7 +137,9 @@ function fetchOnce(machine, status) {
   Promise.all(asks).then((all) => {
     if (look.asked !== key) return;
     look.error = "";
-    const { labels } = state.machines[machine], said = temperature ? all.at(-1) : null;
+    const { labels } = state.machines[machine], last = temperature ? all.at(-1) : null;
+    // The newest forecast before a moment may be one of long before: of that nothing would be seen.
+    const said = last?.made && !(last.times.at(-1) >= start) ? null : last;
     look.data = {
       width: all[0].width, start, end, notes: [], trends: all.slice(0, shown), shift, earlier: shift ? all.slice(shown, 2 * shown) : [],
       tags: look.tags.map((tag) => (labels[tag] ? `${labels[tag]} (${tag})` : tag)), units: look.tags.map((tag) => unit(status.values[tag].unit)),
@@ -182,7 +186,7 @@ function draw(place) {
     add(said, [said.low, said.high, said.mean], saidOf, faint("5 %", FAN), faint("95 %", FAN), { ...measuredSeries(label, FAN), dash: [6, 4] });
     bands.push({ series: [series.length - 1, series.length - 2], fill: `${FAN}33` });
   }
-  const seen = { start, end: Math.max(look.data.end, said?.made ? said.times.at(-1) : -Infinity) };
+  const seen = { start, end: said?.made ? Math.max(look.data.end, said.times.at(-1)) : look.data.end };
   // A null that stands for a gap is kept as one; a time that only another column has is none (uPlot's modes 2 and 1).
   const data = uPlot.join(tables, tables.map((table) => table.map((_, column) => (column ? 2 : 0))));
   const scales = Object.fromEntries(kinds.map((kind, at) => [`y${at}`, { range: (_, low, high) => (low === null ? [null, null]
