@@ -485,6 +485,15 @@ def test_the_forecast_of_a_past_moment_is_shown_as_it_was_made(page: Page, gatew
     eventually(lambda: moments[-1] < moments[0] - 60.0 or page.wait_for_timeout(20))
 
 
+def test_no_line_ends_between_a_figure_and_its_unit(page: Page, gateway: Served) -> None:
+    gateway.put(TEMPERATURE, 45.0)
+    page.goto("/#/")
+    expect(page.locator(".row .big")).to_have_text("45.0 °C")
+    page.goto("/#/machine/decanter")
+    expect(page.locator(".temperature .fact").first).to_contain_text("°C")
+    assert re.findall(r"\d °C", page.locator("main").text_content() or "") == []
+
+
 def test_each_of_many_keys_moves_on_and_a_moment_of_another_stretch_has_no_forecast(
     page: Page, gateway: Served
 ) -> None:

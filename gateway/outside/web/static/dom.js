@@ -115,18 +115,20 @@ export function shown(value) {
   return Number.isInteger(value) ? String(value) : number(value, Math.abs(value) < 10 ? 2 : 1);
 }
 export const unit = (text) => (text || "").replace("degC", "°C");
+// A figure and its unit, which no line's end parts.
+export const withUnit = (figure, of) => (of ? `${figure}\u00a0${of}` : figure);
 export function duration(seconds) {
   if (seconds === null || seconds === undefined) return "–";
-  if (seconds < 120) return `${number(seconds, seconds < 10 ? 1 : 0)} s`;
-  if (seconds < 7200) return `${number(seconds / 60, 0)} min`;
-  return seconds < 172800 ? `${number(seconds / 3600, 1)} h` : `${number(seconds / 86400, 1)} d`;
+  if (seconds < 120) return withUnit(number(seconds, seconds < 10 ? 1 : 0), "s");
+  if (seconds < 7200) return withUnit(number(seconds / 60, 0), "min");
+  return seconds < 172800 ? withUnit(number(seconds / 3600, 1), "h") : withUnit(number(seconds / 86400, 1), "d");
 }
 export function bytes(count) {
   if (count === null || count === undefined) return "–";
   const steps = ["B", "kB", "MB", "GB", "TB"];
   let place = 0;
   while (count >= 1000 && place < steps.length - 1) [count, place] = [count / 1000, place + 1];
-  return `${number(count, place ? 1 : 0)} ${steps[place]}`;
+  return withUnit(number(count, place ? 1 : 0), steps[place]);
 }
 // English as plants write it: days before months, twenty-four hours.
 const places = language === "en" ? "en-GB" : language;

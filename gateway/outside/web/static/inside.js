@@ -1,5 +1,5 @@
 // What is inside: the model, the links, the computer.
-import { ask, bytes, clock, duration, explained, fact, h, moment, number, s, say, shown } from "./dom.js";
+import { ask, bytes, clock, duration, explained, fact, h, moment, number, s, say, shown, withUnit } from "./dom.js";
 import { isCut, state } from "./live.js";
 import { badge, linkWord } from "./plant.js";
 import { can } from "./records.js";
@@ -93,10 +93,10 @@ function shareChoice(model) {
 function stateTable(model, unit, present, errors) {
   const next = (place) => taken(model).filter((edge) => edge.source === place.name && edge.share !== null).sort((a, b) => b.share - a.share)
     .map((edge) => `${edge.target} ${number(100 * edge.share, 0)} %`).join(", ");
-  const off = (place) => (errors?.[place.name]?.count ? `${number(errors[place.name].mae, 2)} ${unit} (${errors[place.name].count})` : "–");
+  const off = (place) => (errors?.[place.name]?.count ? `${withUnit(number(errors[place.name].mae, 2), unit)} (${errors[place.name].count})` : "–");
   return grid([say("word.state"), say("model.target"), say("model.time_constant"), say("model.stay"), explained("model.error"), say("model.next")], model.locations.map((place) => [
     place.name === present ? h("span", { class: "key present" }, place.name) : place.name,
-    place.target === null ? "–" : `${number(place.target)} ${unit}`, duration(place.time_constant), duration(place.stay), off(place), next(place)]));
+    place.target === null ? "–" : withUnit(number(place.target), unit), duration(place.time_constant), duration(place.stay), off(place), next(place)]));
 }
 
 // What a model was judged by where it was learned, in the judge's own words.

@@ -1,5 +1,5 @@
 // The plant (a row a temperature) and one machine.
-import { clock, duration, explained, fact, h, number, say, shown, unit } from "./dom.js";
+import { clock, duration, explained, fact, h, number, say, shown, unit, withUnit } from "./dom.js";
 import { age, isCut, state } from "./live.js";
 import { fanChart, sparkline, strip } from "./draw.js";
 import { alarmTable, can } from "./records.js";
@@ -14,7 +14,7 @@ export const sign = (level) =>
 
 // A value that is not a present one is never shown like one: what it was, and that it was.
 export function value(row, machine) {
-  const text = row.value === null ? "–" : `${number(row.value)} ${row.unit}`;
+  const text = row.value === null ? "–" : withUnit(number(row.value), row.unit);
   return isCut(machine) && row.value !== null ? h("span", { class: "old" }, say("live.was", { value: text })) : text;
 }
 
@@ -57,7 +57,7 @@ const temperatureRows = () => state.order.flatMap((name) => {
 
 // The three figures of a temperature: what it is, when it is at its limit, what is to be done about it.
 const figures = ({ name, row, cut }) => [
-  h("span", { class: "figure now" }, h("small", {}, say("word.measured")), h("span", { class: "big" }, value(row, name)), h("small", {}, `${say("word.limit")} ${number(row.limit)} ${row.unit}`)),
+  h("span", { class: "figure now" }, h("small", {}, say("word.measured")), h("span", { class: "big" }, value(row, name)), h("small", {}, `${say("word.limit")} ${withUnit(number(row.limit), row.unit)}`)),
   h("span", { class: `figure when ${row.valid}` }, h("small", {}, say("when.title")), h("span", { class: "amount" }, cut ? "–" : row.when[0]), h("small", {}, cut ? say("word.unknown") : row.when[1])),
   h("span", { class: "figure action" }, h("small", {}, say("action.title")), h("span", { class: "doing" }, cut ? "–" : row.action))];
 
@@ -169,8 +169,8 @@ function temperatureCard(name, machine, row) {
     h("p", { class: `validity ${row.valid}` }, `${say("word.validity")}: ${sentence(row, name)[1]}`),
     h("dl", { class: "facts" },
       fact(explained("word.measured"), h("b", { class: "big" }, value(row, name)), h("small", {}, `${isCut(name) ? say("word.unknown") : qualityWord(row.quality)} · ${duration((row.age ?? 0) + (age(name) || 0))}`)),
-      fact(explained("word.limit"), `${number(row.limit)} ${row.unit}`),
-      p && fact(explained("word.predicted"), present ? `${number(p.mean)} ${row.unit}` : "–", present && h("small", {}, `${say("word.band")} ${number(p.low)} – ${number(p.high)}`)),
+      fact(explained("word.limit"), withUnit(number(row.limit), row.unit)),
+      p && fact(explained("word.predicted"), present ? withUnit(number(p.mean), row.unit) : "–", present && h("small", {}, `${say("word.band")} ${number(p.low)} – ${number(p.high)}`)),
       p && fact(explained("word.state"), present && p.known ? p.location : say("word.unknown"), h("small", {}, main && present && p.known && stay(status) && `${say("word.for")} ${stay(status)}`)),
       p && fact(explained("word.confidence"), h("span", { class: `zone ${present ? row.confidence.zone : ""}` }, present ? row.confidence.word : "–")),
       row.familiarity && fact(explained("familiarity.title", "familiarity"), h("span", { class: `zone ${present ? row.familiarity.zone : ""}` }, present ? row.familiarity.word : "–"), present && h("small", {}, [row.familiarity.sentence, row.familiarity.detail].filter(Boolean).join(" · "))),
@@ -203,7 +203,7 @@ function inputs(status, labels, extra, cut) {
     h("thead", {}, h("tr", {}, ["tag", "value", "age", "quality", "reason"].map((key) => h("th", { scope: "col", class: key === "value" || key === "age" ? "number" : null }, say(`word.${key}`))))),
     h("tbody", {}, rows.map(([name, tag]) => h("tr", { class: tag.quality === "GOOD" ? "" : "bad" },
       tagHead(labels, name),
-      valueCell(`${shown(tag.value)} ${unit(tag.unit)}`, cut),
+      valueCell(withUnit(shown(tag.value), unit(tag.unit)), cut),
       h("td", { class: "number" }, duration(tag.age / status.speed + extra)),
       h("td", {}, cut ? say("word.unknown") : qualityWord(tag.quality)), h("td", {}, tag.reason))))));
 }

@@ -1,5 +1,5 @@
 // Alarms and the scorecard.
-import { ask, duration, explained, fact, h, moment, number, person, say, shown, start } from "./dom.js";
+import { ask, duration, explained, fact, h, moment, number, person, say, shown, start, withUnit } from "./dom.js";
 import { state } from "./live.js";
 import { scoreOf } from "./scores.js";
 import { sign, stateKey, worstLevel } from "./plant.js";
@@ -117,10 +117,10 @@ function scores({ start, end, card, warnings }, unit) {
       .map(([key, found]) => fact(explained(`score.${key}`), h("b", {}, String(found))))),
     h("div", { class: "scroll", tabindex: "0" }, h("table", {},
       h("thead", {}, h("tr", {}, [say("score.horizon"), say("score.error"), say("score.persistence"), say("score.against"), say("word.coverage"), say("score.count")].map((text, place) => h("th", { scope: "col", class: place ? "number" : null }, text)))),
-      h("tbody", {}, card.forecasts.map((each) => h("tr", {}, h("th", { scope: "row" }, `${number(each.horizon / 60, 0)} min`),
-        h("td", { class: "number" }, each.count ? `${number(each.mae, 2)} ${unit}` : "–"), h("td", { class: "number" }, each.count ? `${number(each.persistence_mae, 2)} ${unit}` : "–"),
+      h("tbody", {}, card.forecasts.map((each) => h("tr", {}, h("th", { scope: "row" }, withUnit(number(each.horizon / 60, 0), "min")),
+        h("td", { class: "number" }, each.count ? withUnit(number(each.mae, 2), unit) : "–"), h("td", { class: "number" }, each.count ? withUnit(number(each.persistence_mae, 2), unit) : "–"),
         h("td", { class: "number" }, each.count ? better(each.mae, each.persistence_mae) : "–"), h("td", { class: "number" }, each.count ? `${number(100 * each.coverage90, 0)} %` : "–"), h("td", { class: "number" }, each.count)))))),
     h("dl", { class: "facts" },
-      [["score.one_step", card.one_step], ["score.free_run", card.free_run]].map(([key, error]) => fact(explained(key), error.count ? `${number(error.mae, 2)} ${unit}` : "–")),
+      [["score.one_step", card.one_step], ["score.free_run", card.free_run]].map(([key, error]) => fact(explained(key), error.count ? withUnit(number(error.mae, 2), unit) : "–")),
       blocks.length > 0 && fact(say("score.blocks"), blocks.map(([verdict, count]) => h("div", {}, `${say(`verdict.${stateKey(verdict)}`)}: ${count}`)))));
 }

@@ -1,5 +1,5 @@
 // The report of a shift: what was told and what came of it, what was hottest, who did what. It is made to be printed.
-import { ask, clock, duration, fact, h, moment, number, say } from "./dom.js";
+import { ask, clock, duration, fact, h, moment, number, say, withUnit } from "./dom.js";
 import { isCut, state } from "./live.js";
 import { can, pastTitle } from "./records.js";
 import { stateKey } from "./plant.js";
@@ -61,8 +61,8 @@ function machineOf(name, { alarms, temperatures, states, unwatched, writes }) {
   return [
     h("dl", { class: "facts" }, temperatures.flatMap(({ tag, limit, hottest, nearest }) => {
       const unit = about(tag)?.unit ?? "", label = about(tag)?.label ?? tag;
-      return [fact(`${label}: ${say("shift.hottest")}`, hottest ? [h("b", {}, `${number(hottest.value)} ${unit}`), at(hottest.time)] : "–", h("small", {}, `${say("word.limit")} ${number(limit)} ${unit}`)),
-        fact(`${label}: ${say("shift.nearest")}`, nearest.minutes === null ? (nearest.forecasts ? `> ${number(nearest.horizon / 60, 0)} min` : "–") : [h("b", {}, nearest.minutes < 1 ? "< 1 min" : `${number(nearest.minutes, nearest.minutes < 10 ? 1 : 0)} min`), at(nearest.time)],
+      return [fact(`${label}: ${say("shift.hottest")}`, hottest ? [h("b", {}, withUnit(number(hottest.value), unit)), at(hottest.time)] : "–", h("small", {}, `${say("word.limit")} ${withUnit(number(limit), unit)}`)),
+        fact(`${label}: ${say("shift.nearest")}`, nearest.minutes === null ? (nearest.forecasts ? `> ${withUnit(number(nearest.horizon / 60, 0), "min")}` : "–") : [h("b", {}, withUnit(nearest.minutes < 1 ? "< 1" : number(nearest.minutes, nearest.minutes < 10 ? 1 : 0), "min")), at(nearest.time)],
           h("small", {}, nearest.forecasts ? say("shift.median") : say("shift.no_forecasts")))];
     }),
       fact(say("shift.unwatched"), unwatched.count ? `${duration(unwatched.seconds)} (${unwatched.count} ×)` : say("word.none")),
