@@ -116,6 +116,7 @@ Line = Annotated[str, Field(min_length=1, max_length=200), AfterValidator(_one_l
 _SCHEME = re.compile(r"[a-z][a-z0-9+.-]*://", re.IGNORECASE)
 _HOST = re.compile(r"[\w.:%-]+")
 _NUMBERS = re.compile(r"[\d.,]+", re.ASCII)
+_PORTS = re.compile(r"[^:]*:[\d:]*")
 _PLACE = re.compile(r"(?:\[(?P<bracketed>[^\]\[]+)\]|(?P<plain>[^:\[\]]+))(?::(?P<port>\d{1,5}))?")
 
 
@@ -149,7 +150,7 @@ def _refuse_no_host(name: str) -> None:
         raise ValueError(f"host {name!r} is no IP address; {remedy}")
     if name and not _HOST.fullmatch(name):
         raise ValueError(f"host {name!r} holds what no name or address has; give the PLC's address or name")
-    if ":" in name and not _is_address(IPv6Address, name):
+    if _PORTS.fullmatch(name) and not _is_address(IPv6Address, name):
         raise ValueError(f"host {name!r} is no IPv6 address; give a port behind one colon, as in plc.local:502")
 
 
