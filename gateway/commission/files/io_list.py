@@ -184,7 +184,7 @@ _SCALES = re.compile(
 )
 _SUBTRACTS = re.compile(r"^sub$|^subtr")
 _ADDS = re.compile(rf"\bbias\b|intercept|^add$|^addend$|^additive$|{_SUBTRACTS.pattern}")
-_SAYS_A_NUMBER = re.compile(r"^\W*\d|(?:(?<![^\W\d_])x|[×*·/÷:=^+])\s*[-+]?\s*[\d.,]*\d", re.IGNORECASE)
+_SAYS_A_NUMBER = re.compile(r"^\W*\d|(?:(?<![^\W\d_])x|[×*·/÷:=^+])\s*(?:[-+]\s*)?[.,]?\d", re.IGNORECASE)
 """A cell that is a number, or has an operation with one: `PT100 transmitter` has none."""
 _UNREAD = (
     (_SCALES, frozenset({"scale", "decimals", "raw_high", "formula"}), "scale", "how readings are scaled"),
