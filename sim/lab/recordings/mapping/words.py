@@ -59,10 +59,17 @@ _BRACKETED = re.compile(r"\s*[\[({]\s*([^\])}]*)\s*[\])}]\s*$")
 _FIELDS = re.compile(r"\[([^\[\]]+)\]\s*\[([^\[\]]*)\]\s*(?:\[[^\[\]]*\])")
 """Name, unit and number, each in brackets of its own."""
 _IN_NAME = re.compile(
-    r"(?:[_ .,;:/]|(?<=[_ ])in )(?P<unit>deg ?[CFcf]|[°º]\s?[CFK]|℃|[Kk]elvin|[Cc]elsius|[Ff]ahrenheit|"
+    r"(?:[_ .,;:/]|(?<=[_ ])in )(?P<unit>(?i:(?:deg|grad)[ _]?[CF]|kelvin|celsius|fahrenheit)|[°º]\s?[CFK]|℃|"
     r"[Aa]mp(?:s|eres?)?|rpm|[kM]?W|m?bar|kPa|"
     r"[mk]?A|k?V|Nm|Hz|%|[CFK])$"
 )
+_TEMPERATURE_LETTER = re.compile(
+    r"temp(?:erature?|eratura)?(?P<ending>(?:_?(?:deg|grad)|[_ ])?_?(?P<letter>[cf]))$",
+    re.IGNORECASE,
+)
+"""temp_c, TempC, tempDegF: a letter at the end of a temperature's name."""
+_DEGREE_SIGN = re.compile(r"\s+(?P<unit>[°º]\s?[CF]|℃|℉)(?=\s+(?!per\b|pro\b|par\b)[^\W\d]{2})")
+"""A unit with more words behind it, such as the place's."""
 _LOAD = re.compile(
     r"(?:^|[:./_-])[js][it][-_]?\d|power|leist|potenza|potencia|puissance|load|last\b|carico|carga|charge|speed|rpm|drehzahl|velocit|giri|vitesse|torque|"
     r"moment|coppia|couple|frequen|throttle|功率|负荷|负载|转速|频率",
@@ -149,6 +156,12 @@ def split_unit(header: str) -> tuple[str, str]:
             bare = bare[1:-1].strip()
         return (bare, unit) if bare and (unit or not match[1].strip()) else (header, "")
     match = _IN_NAME.search(header)
+    if match is None and (match := _TEMPERATURE_LETTER.search(header)):
+        unit = known_unit(f"deg {match['letter']}")
+        return header[: match.start("ending")] if unit in CONVERTED_UNITS else header, unit
+    if match is None and (match := _DEGREE_SIGN.search(header)):
+        unit = known_unit(match["unit"])
+        return header[: match.start()] + header[match.end() :] if unit in CONVERTED_UNITS else header, unit
     unit = known_unit(match["unit"]) if match else ""
     # Temperature A and Temperature V are the first and the fifth, not amperes and volts.
     if match is None or (unit in ("A", "V") and _TEMPERATURE.search(header)):
