@@ -78,7 +78,7 @@ QUIET = {
         40.0,
     ),
 }
-"""Runs and rests (s) of a machine that warms by 25 degC, its time constant (s) and the most that its cooler lets it be."""
+"""Runs and rests (s) of a machine that warms by 25 degC, its time constant (s) and what it is at most."""
 
 
 @pytest.mark.parametrize("what", QUIET)

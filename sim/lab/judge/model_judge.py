@@ -125,7 +125,9 @@ def _foresees_each_horizon(case: LearnedCase) -> Said:
         )
     if alone:
         said.append(f"at {_list_seconds(alone)} nothing says what holding the last reading would have come to")
-    return (None, "; ".join(said)) if said else (True, f"enough forecasts had an outcome at {_list_seconds(HORIZONS_S)}")
+    if said:
+        return None, "; ".join(said)
+    return True, f"enough forecasts had an outcome at {_list_seconds(HORIZONS_S)}"
 
 
 def _list_seconds(horizons: Sequence[float]) -> str:

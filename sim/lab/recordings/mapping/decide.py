@@ -440,7 +440,7 @@ def _check_loop(where: object, load: FoundColumn, answers: Answers) -> None:
 
 
 _LOOP_ZERO_MA, _LOOP_BAND_MA = 4.0, 0.05
-"""mA by which a loop says 0, and how far from it a resting one is at most; a motor without a load draws what it does."""
+"""mA by which a loop says 0, and how far from it a resting one is at most; what an idling motor draws is elsewhere."""
 _LOOP_REST_MA, _LOOP_REST_SHARE = 4.4, 0.02
 """mA below which a loop says next to nothing, and the share of the readings that must."""
 

@@ -346,5 +346,5 @@ def _is_units(row: Sequence[str]) -> bool:
     return known > 1 or (known == 1 and all(len(cell) <= 6 for cell in filled))
 
 
-_STATISTICS = frozenset({"max", "mean", "avg", "average", "med", "median", "std", "mittel", "mittelwert", "moy", "media"})
+_STATISTICS = frozenset({"max", "mean", "avg", "average", "median", "std", "mittel", "mittelwert", "moy", "media"})
 """What stands beside a min that is a least one."""
