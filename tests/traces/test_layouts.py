@@ -1,7 +1,7 @@
 """Headers over several rows, clocks by weeks and days of the year, typed values, and readings of a current loop."""
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from datetime import datetime, timedelta
 from pathlib import Path
 
@@ -213,6 +213,14 @@ def test_a_motor_that_draws_4_a_without_a_load_is_no_loop(idle: str, tmp_path: P
 def test_units_of_a_temperature_in_its_name(header: str, name: str, unit: str) -> None:
     """A loop's mA, or degC, were asked of columns that say what they are in; degF were believed to be degC."""
     assert split_unit(header) == (name, unit)
+
+
+@pytest.mark.parametrize("names", [("temp_a", "temp_b", "temp_c"), ("Temp F", "Temp E", "Temp D")])
+def test_letters_of_places_are_no_units(names: Sequence[str], tmp_path: Path) -> None:
+    rows = [f"{moment},{heat},{heat + 1},{heat + 2},{current}" for moment, heat, current, _ in ROWS]
+    export = written(tmp_path / "a.csv", f"Time,{','.join(names)},Motor current", rows)
+    said = asked(export, tmp_path / "m.toml")
+    assert all(f"'{name}' (" in said for name in names) and "degC" not in said
 
 
 @pytest.mark.parametrize(

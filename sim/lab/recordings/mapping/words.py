@@ -1,7 +1,7 @@
 """What columns are called in plants' exports, in five languages of Europe and in Chinese: parts, times, units."""
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 
 from sim.lab.recordings import CONVERTED_UNITS, known_unit
 
@@ -143,8 +143,11 @@ def bare_unit(cell: str) -> str:
     return cell.strip().strip("[](){}").strip().casefold()
 
 
-def split_unit(header: str) -> tuple[str, str]:
-    """(header without its unit, unit): "T bearing [°C]" is ("T bearing", "degC"); no unit that is known: ""."""
+def split_unit(header: str, beside: Iterable[str] = ()) -> tuple[str, str]:
+    """(header without its unit, unit): "T bearing [°C]" is ("T bearing", "degC"); no unit that is known: "".
+
+    `beside` are the other headers: temp_c is no degC beside temp_a.
+    """
     if fields := _FIELDS.fullmatch(header.strip()):
         return fields[1].strip(), known_unit(fields[2])
     match = _BRACKETED.search(header)
@@ -155,6 +158,8 @@ def split_unit(header: str) -> tuple[str, str]:
         if bare.startswith("[") and bare.endswith("]"):
             bare = bare[1:-1].strip()
         return (bare, unit) if bare and (unit or not match[1].strip()) else (header, "")
+    if _is_lettered(header, beside):
+        return header, ""
     match = _IN_NAME.search(header)
     if match is None and (match := _TEMPERATURE_LETTER.search(header)):
         unit = known_unit(f"deg {match['letter']}")
@@ -168,6 +173,15 @@ def split_unit(header: str) -> tuple[str, str]:
         return header, ""
     # A unit that the map converts must not stay in the signal's name.
     return header[: match.start()] if unit in CONVERTED_UNITS and unit != CONVERTED_UNITS[unit] else header, unit
+
+
+def _is_lettered(header: str, beside: Iterable[str]) -> bool:
+    """Whether a temperature's name ends in a letter as those of several places do."""
+    units = "cfk"
+    if header[-1:].casefold() not in units or not _DEGREES.search(header):
+        return False
+    letters = (other[-1:].casefold() for other in beside if other[:-1] == header[:-1])
+    return any(letter.isalpha() and letter not in units for letter in letters)
 
 
 def temperature_score(name: str, unit: str) -> int:
