@@ -95,8 +95,7 @@ def _judge_proof(case: LearnedCase) -> Said:
 def _foresees(case: LearnedCase) -> Said:
     rows = case.known_horizons()
     if not rows:
-        most = max((row.independent for row in case.coverage), default=0.0)
-        return None, f"{most:.0f} independent held-out forecasts at most are too few to tell it from persistence"
+        return None, "too few held-out forecasts to tell it from holding the last reading"
     unit = display_unit(case.model.unit)
     worse = [row for row in rows if row.crps > WORSE_CRPS_RATIO * row.persistence]
     said = ", ".join(
@@ -131,7 +130,8 @@ def _foresees_each_horizon(case: LearnedCase) -> Said:
 
 
 def _list_seconds(horizons: Sequence[float]) -> str:
-    return " and ".join(f"{horizon:g} s" for horizon in horizons)
+    *most, last = (f"{horizon:g} s" for horizon in horizons)
+    return f"{', '.join(most)} and {last}" if most else last
 
 
 def _covers(case: LearnedCase) -> Said:
