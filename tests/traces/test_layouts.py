@@ -1,7 +1,7 @@
 """Headers over several rows, clocks by weeks and days of the year, typed values, and readings of a current loop."""
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from datetime import datetime, timedelta
 from pathlib import Path
 
@@ -11,6 +11,7 @@ import pytest
 from sim.lab.recordings import load_map
 from sim.lab.recordings.mapping import is_time
 from sim.lab.recordings.mapping.columns import has_levels
+from sim.lab.recordings.mapping.words import split_unit
 from sim.lab.recordings.text_table import compose_names
 from tests.traces.exports import comma, recording, wide, written
 from tests.traces.test_dialects import EPOCH, asked, is_the_plant, mapped
@@ -171,13 +172,70 @@ def test_each_of_two_columns_of_quality_judges_its_own(tmp_path: Path) -> None:
 def test_readings_of_a_current_loop_without_a_unit_are_asked_for(tmp_path: Path) -> None:
     """A bearing of 20 to 60 degC was read as one of 6 to 10 degC, and a motor that stands as one that draws 4 A."""
     loop = wide(tmp_path / "a.csv", cells=(lambda heat: f"{4 + 16 * heat / 150:.3f}", str, str))
-    said = asked(loop, tmp_path / "m.toml", "--yes")
+    said = asked(loop, tmp_path / "m.toml")
     assert "4 to 20 mA" in said and "--unit 'Bearing temperature=degC'" in said
     mapped(loop, tmp_path / "m.toml", "--unit", "Bearing temperature=degC")
     loop = wide(tmp_path / "b.csv", cells=(str, lambda current: f"{4 + 16 * current / 200:.3f}", str))
-    said = asked(loop, tmp_path / "n.toml", "--yes")
-    assert "rests at 4.03" in said and "--unit 'Motor current=A'" in said
-    mapped(loop, tmp_path / "n.toml", "--unit", "Motor current=A")
+    said = asked(loop, tmp_path / "n.toml")
+    assert "rests at 4.03 and goes to 16.1," in said and "--unit 'Motor current=A'" in said
+    mapped(loop, tmp_path / "n.toml", "--yes")
+
+
+@pytest.mark.parametrize("cold", [1.0, 4.1, 10.6])
+def test_a_cold_machine_is_no_loop(cold: float, tmp_path: Path) -> None:
+    """Each that was never warmer than 21 degC was asked for, and without a guess."""
+    export = wide(tmp_path / "a.csv", cells=(lambda heat: f"{cold + (heat - 21.0) / 5:.1f}", str, str))
+    (trace,), _, _ = mapped(export, tmp_path / "m.toml")
+    heat = trace.signals[load_map(tmp_path / "m.toml").temperature]
+    assert np.allclose(heat, cold + (PLANT.heat - 21.0) / 5, atol=0.051)
+
+
+@pytest.mark.parametrize("idle", ["4.0", "4.1", "4.13"])
+def test_a_motor_that_draws_4_a_without_a_load_is_no_loop(idle: str, tmp_path: Path) -> None:
+    """It was asked for, without a guess."""
+    export = wide(tmp_path / "a.csv", cells=(str, lambda current: idle if current < 1 else f"{current / 10:.1f}", str))
+    mapped(export, tmp_path / "m.toml")
+
+
+@pytest.mark.parametrize(
+    ("header", "name", "unit"),
+    [
+        *((spelling, spelling, "degC") for spelling in ("temp_c", "TempC", "temp_deg_c", "Temperatur_GradC",
+                                                         "T °C DE", "TEMP_CELSIUS")),
+        ("Lagertemp. [Grad C]", "Lagertemp.", "degC"),
+        ("temp_f", "temp", "degF"),
+        ("T °F DE", "T DE", "degF"),
+        ("BEARING TEMP DEG F", "BEARING TEMP", "degF"),
+        ("Temp °C per min", "Temp °C per min", ""),
+        ("tempo_c", "tempo_c", ""),
+    ],
+)  # fmt: skip
+def test_units_of_a_temperature_in_its_name(header: str, name: str, unit: str) -> None:
+    """A loop's mA, or degC, were asked of columns that say what they are in; degF were believed to be degC."""
+    assert split_unit(header) == (name, unit)
+
+
+@pytest.mark.parametrize("names", [("temp_a", "temp_b", "temp_c"), ("Temp F", "Temp E", "Temp D")])
+def test_letters_of_places_are_no_units(names: Sequence[str], tmp_path: Path) -> None:
+    rows = [f"{moment},{heat},{heat + 1},{heat + 2},{current}" for moment, heat, current, _ in ROWS]
+    export = written(tmp_path / "a.csv", f"Time,{','.join(names)},Motor current", rows)
+    said = asked(export, tmp_path / "m.toml")
+    assert all(f"'{name}' (" in said for name in names) and "degC" not in said
+
+
+@pytest.mark.parametrize(
+    ("header", "units"),
+    [
+        ("Time,Bearing temp,Motor current,Acc DE,Acc NDE,Env", "-,degF,A,g rms,g rms,gE"),
+        ("Time,Bearing temp,Motor current,Feed,Level,Text", "ISO,°F,A,pieces an hour,per cent of the tank,Text"),
+    ],
+)
+def test_a_row_of_units_of_which_most_are_unknown_is_one(header: str, units: str, tmp_path: Path) -> None:
+    """It became the header."""
+    rows = [f"{moment},{1.8 * float(heat) + 32:.2f},{current},1,2,3" for moment, heat, current, _ in ROWS]
+    export = written(tmp_path / "a.csv", f"{header}\n{units}", rows)
+    (trace,), _, _ = mapped(export, tmp_path / "m.toml")
+    is_the_plant(trace, tmp_path / "m.toml")
 
 
 def test_a_note_of_several_lines_is_one_cell(tmp_path: Path) -> None:

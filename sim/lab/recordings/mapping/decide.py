@@ -62,7 +62,7 @@ COLDEST, HOTTEST = -80.0, 300.0
 """degC that no bearing reaches: its grease burns before, and no plant stands in such a cold."""
 _LOOP_CURRENT = 0.025
 """A that a sensor's loop of 4 to 20 mA carries at most, out of range too."""
-_LOOP_MA = (3.6, 21.0)
+_LOOP_MA = (3.6, 20.5)
 """mA that a loop of 4 to 20 mA carries: below and above it says a fault."""
 _IDLE_CURRENT_SHARE = 0.05
 """Of its most, a current below which no motor turns anything."""
@@ -418,23 +418,42 @@ def _load(
 
 
 def _check_loop(where: object, load: FoundColumn, answers: Answers) -> None:
-    """Raises Undecided for a load without a unit that rests at 4 and stays below 20, as a loop's mA do."""
+    """Raises Undecided for a load without a unit that rests at 4.00 and is nowhere more than a loop's mA are."""
     finite = load.values[np.isfinite(load.values)]
-    if load.unit or not finite.size or any(text.startswith(f"{load.header}=") for text in answers.unit):
+    if load.unit or not _fits_loop(finite) or any(text.startswith(f"{load.header}=") for text in answers.unit):
         return
-    low, high = float(finite.min()), float(finite.max())
-    if _LOOP_MA[0] <= low and high <= _LOOP_MA[1] and np.mean(finite <= _LOOP_REST_MA) > _LOOP_REST_SHARE:
+    rest = finite[finite <= _LOOP_REST_MA]
+    low, median, high = np.quantile(rest, (0.05, 0.5, 0.95)) if rest.size else (0.0, 0.0, 0.0)
+    if (
+        _LOOP_REST_SHARE * finite.size < rest.size < finite.size
+        and abs(median - _LOOP_ZERO_MA) <= _LOOP_BAND_MA
+        and high - low <= _LOOP_BAND_MA
+    ):
         raise Undecided(
             where,
-            f"{load.header!r} says no unit, rests at {low:.3g} and stays below {_LOOP_MA[1]:g}, as a loop of 4 to 20 "
+            f"{load.header!r} says no unit, rests at {median:.3g} and goes to {finite.max():.3g}, as a loop of 4 to 20 "
             "mA does: export it in A, give the map its scale and offset, or say that it is in A",
             "unit",
             [f"{load.header}=A"],
+            guess=f"{load.header}=A",
         )
 
 
+_LOOP_ZERO_MA, _LOOP_BAND_MA = 4.0, 0.05
+"""mA by which a loop says 0, and how far from it a resting one is at most; what an idling motor draws is elsewhere."""
 _LOOP_REST_MA, _LOOP_REST_SHARE = 4.4, 0.02
-"""mA below which a loop says nothing, and the share of the readings that must."""
+"""mA below which a loop says next to nothing, and the share of the readings that must."""
+
+
+def _fits_loop(values: Array) -> bool:
+    """Whether readings may be a loop's mA: within its range, and most of them finer than tenths, a hundredth of it."""
+    if not values.size or float(values.min()) < _LOOP_MA[0] or float(values.max()) > _LOOP_MA[1]:
+        return False
+    return bool(np.mean(np.abs(10.0 * values - np.round(10.0 * values)) > _NO_TENTH) > 0.5)
+
+
+_NO_TENTH = 1e-3
+"""Of a tenth, by which a reading of few digits is none, however it was stored."""
 
 
 def _switch(
@@ -562,14 +581,15 @@ def check_temperature(
     if any(text.startswith(f"{header}=") for text in answers.unit):
         return
     low, high = float(finite.min()), float(finite.max())
-    if not temperature.unit and 0.0 <= low < high <= _LOOP_MA[1]:
+    if not temperature.unit and _fits_loop(finite):
         raise Undecided(
             where,
-            f"{header!r} says no unit, and all its readings lie between {low:.4g} and {high:.4g}, as those of a loop "
-            "of 4 to 20 mA or of 0 to 10 V do, and no bearing's that works: export it in degC, give the map its scale "
+            f"{header!r} says no unit, and its readings, finer than tenths, lie between {low:.4g} and {high:.4g}, as "
+            "those of a loop of 4 to 20 mA do, or of a cold machine: export a loop's in degC or give the map its scale "
             "and offset, or say that it is in degC",
             "unit",
             [f"{header}=degC"],
+            guess=f"{header}=degC",
         )
     whole = bool(np.all(finite % 1 == 0))
     kelvin = _KELVIN_REST_RANGE[0] < low < _KELVIN_REST_RANGE[1]
