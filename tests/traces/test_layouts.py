@@ -229,11 +229,12 @@ SEVERAL_DAYS = recording(step=600.0, times=400)
 
 @pytest.mark.parametrize("form", [YEAR_FIRST, DAY_FIRST, "%y/%m/%d %H:%M:%S", "%d/%m/%y %H:%M:%S"])
 def test_a_date_that_does_not_jump_is_the_right_one_however_it_is_written(form: str, tmp_path: Path) -> None:
-    """24-03-13 to 24-03-21 were eight years, from 2013 on."""
-    (trace,), _, _ = mapped(
-        wide(tmp_path / "a.csv", clock=lambda t: t.strftime(form), of=SEVERAL_DAYS), tmp_path / "m.toml"
-    )
-    assert trace.times[0] == BEGIN and trace.times[-1] == BEGIN + SEVERAL_DAYS.seconds[-1]
+    """24-03-24 to 24-03-30 were six years, to 2030, by the first 400 rows."""
+    later = timedelta(days=11)
+    export = wide(tmp_path / "a.csv", clock=lambda t: (t + later).strftime(form), of=SEVERAL_DAYS)
+    (trace,), _, _ = mapped(export, tmp_path / "m.toml")
+    begin = BEGIN + later.total_seconds()
+    assert trace.times[0] == begin and trace.times[-1] == begin + SEVERAL_DAYS.seconds[-1]
 
 
 @pytest.mark.parametrize("order", ["year", "day"])
