@@ -46,7 +46,7 @@ MISTAKES: tuple[tuple[str, int, str], ...] = (
     ("plc probe --host no.such.host.invalid", 3, "'no.such.host.invalid' is no address, and"),
     ("plc probe --serial /dev/ttyNONE", 3, "/dev/ttyNONE cannot be opened: no such file"),
     ("plc check --config good.toml --device unknown_plc.toml", 2, "--config and --device exclude each other: a"),
-    ("plc check --config good.toml", 3, "127.0.0.1:1 does not connect: Connect call"),
+    ("plc check --config good.toml", 3, "127.0.0.1:1 does not connect: Connection refused"),
     ("plc read TBearing --config good.toml", 2, "'TBearing' is no register"),
     ("plc read holding:70000 --host 127.0.0.1", 2, "'holding:70000' is beyond the addresses,"),
     ("plc read xyz --host 127.0.0.1", 2, "'xyz' is no register"),
