@@ -42,6 +42,13 @@ _TIME = re.compile(
     r"time|elapsed|^x_value$|^t_(?:ms|s|sec|min|h)$|zeit|datum|date|data\b|\bora\b|tempo\b|heure|horodat|temps|fecha|hora|stamp|\bt\b|\bts\b|clock|epoch|\bsec|时间|日期",
     re.IGNORECASE,
 )
+_DURATION = re.compile(
+    r"(?:run|running|operating|cycle|up|down)[ _-]?time|duration|elapsed|laufzeit|betriebs(?:zeit|dauer)|dauer\b|"
+    r"(?:zyklus|takt)zeit|durata|tempo[ _]?(?:di[ _])?ciclo|dur[ée]e|temps[ _]de[ _]cycle|duraci[óo]n|"
+    r"tiempo[ _]de[ _]ciclo|时长",
+    re.IGNORECASE,
+)
+_DAY = re.compile(r"date|datum|data|fecha|day|tag|giorno|jour|d[ií]a|日期", re.IGNORECASE)
 _FREQUENCY = re.compile(r"[\[({_ ][kMG]?Hz[\])}]?(?:_\d+)?\s*$", re.IGNORECASE)
 """The end of a header that says hertz: the clock of a processor is a frequency."""
 _NAME = re.compile(
@@ -264,7 +271,7 @@ def named_otherwise(name: str, other: str) -> bool:
 
 def running_score(name: str) -> int:
     """The same for the switch that says whether the machine runs."""
-    return 0 if _ALARM.search(name) else 2 if _RUNNING.search(name) else 0
+    return 0 if _ALARM.search(name) or named_duration(name) else 2 if _RUNNING.search(name) else 0
 
 
 def load_score(name: str, unit: str) -> int:
@@ -307,6 +314,16 @@ def named_unit(name: str) -> bool:
 def named_time(name: str) -> bool:
     """Whether a header speaks of time."""
     return _TIME.search(name) is not None and not _FREQUENCY.search(name)
+
+
+def named_duration(name: str) -> bool:
+    """Whether a header speaks of how long something took, which is no time of day."""
+    return _DURATION.search(name) is not None
+
+
+def named_day(name: str) -> bool:
+    """Whether a header says date and nothing else."""
+    return _DAY.fullmatch(name.strip()) is not None
 
 
 def named_part_time(name: str) -> bool:
