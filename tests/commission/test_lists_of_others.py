@@ -1,5 +1,6 @@
 """Register lists as makers and programs write them: each row whole, or refused with its reason; nothing in silence."""
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +14,10 @@ SHARED = Path(__file__).parents[3] / "shared" / "cases" / "devices"
 _PLAIN = Reading()
 
 
-def read(folder: Path, text: str, how: Reading = _PLAIN) -> IoList:
+def read(folder: Path, text: str, how: Reading = _PLAIN, columns: dict[str, str] | None = None) -> IoList:
     path = folder / "list.csv"
     path.write_text(text, encoding="utf-8")
-    return read_io_list(path, how)
+    return read_io_list(path, how, columns)
 
 
 def row(folder: Path, header: str, cells: str, how: Reading = _PLAIN) -> dict[str, Any] | str:
@@ -461,3 +462,171 @@ def test_a_column_is_told_by_its_words_where_no_header_tells_it(tmp_path: Path) 
 def test_a_scale_of_powers_of_ten_is_asked_about(tmp_path: Path) -> None:
     said = row(tmp_path, "Address;Type;Scale (10^x)", "100;INT16;-1")
     assert "power of ten" in said
+
+
+@pytest.mark.parametrize(
+    ("header", "cell"),
+    [
+        ("Alarms", "Low/High"), ("Level", "high low"), ("Contact", "Lo Hi"), ("Bearing", "Big"), ("Bearing", "little"),
+        ("Mode", "swap"), ("Alarm text", "Little Endian"), ("Direction", "Input"), ("Signal", "Discrete"),
+    ],
+)  # fmt: skip
+def test_a_word_that_may_mean_something_else_tells_no_order_and_no_table(
+    header: str, cell: str, tmp_path: Path
+) -> None:
+    assert row(tmp_path, f"Address;Type;{header}", f"100;REAL;{cell}") == row(tmp_path, "Address;Type", "100;REAL")
+
+
+def test_input_as_a_direction_is_no_table_beside_a_word_that_is_one(tmp_path: Path) -> None:
+    found = read(tmp_path, "Name;Address;Type;Direction\nA;100;REAL;Input\nB;102;REAL;Input Register\n")
+    assert [tag.keys["address"] for tag in found.tags] == ["holding:100", "holding:102"]
+
+
+@pytest.mark.parametrize(
+    ("header", "cells"),
+    [
+        ("Range Low;Range High", "-50;150"), ("Low Range;High Range", "-50;150"), ("Max Range;Min Range", "150;-50"),
+        ("Span Low;Span High", "-50;150"), ("Measuring Range (Low);Measuring Range (High)", "-50;150"),
+        ("LRV;URV", "-50;150"), ("Lower Range Value;Upper Range Value", "-50;150"), ("Eng Zero;Eng Full", "-50;150"),
+        ("Range from;Range to", "-50;150"), ("Min/Max", "-50/150"), ("Min - Max", "-50..150"),
+        ("Bereich (min...max)", "-50...150"), ("Range (Low - High)", "-50..150"),
+    ],
+)  # fmt: skip
+def test_the_ends_of_a_range_are_known_by_more_headers(header: str, cells: str, tmp_path: Path) -> None:
+    found = row(tmp_path, f"Address;Type;Raw Low;Raw High;{header}", f"100;UINT16;0;20000;{cells}")
+    assert isinstance(found, dict), found
+    assert (found["scale"], found["offset"], found["low"], found["high"]) == (0.01, -50.0, -50.0, 150.0)
+
+
+@pytest.mark.parametrize(
+    ("header", "cells", "said"),
+    [
+        ("Raw Low;Raw High", "0;27648", "both ends of the range in units"),
+        ("Raw Low;Raw High;Max", "0;27648;150", "both ends of the range in units"),
+        ("Raw Low;Min;Max", "4000;0;150", "both ends of the range in units"),
+        ("Range", "150", "no range"), ("Span", "±50", "no range"), ("Raw Range;Range", "0..27648;0..150", "raw_low="),
+    ],
+)  # fmt: skip
+def test_half_a_range_is_refused(header: str, cells: str, said: str, tmp_path: Path) -> None:
+    try:
+        found = row(tmp_path, f"Address;Type;{header}", f"100;UINT16;{cells}")
+    except ListError as error:
+        found = str(error)
+    assert isinstance(found, str) and said in found
+
+
+@pytest.mark.parametrize("cell", ["0x0000-0xFFFF", "0000h - FFFFh", "0=off;1=on", "in campo", "-"])
+def test_a_range_of_other_things_than_decimal_numbers_refuses_nothing(cell: str, tmp_path: Path) -> None:
+    assert row(tmp_path, "Address;Type;Range", f"100;UINT16;{cell}") == row(tmp_path, "Address;Type", "100;UINT16")
+
+
+@pytest.mark.parametrize("header", ["Scale 10^", "Scale factor 10^", "Factor 10^", "Scale (10x)", "Scale x10^n", "SF"])
+def test_a_power_of_ten_is_no_factor_and_its_refusal_says_how_it_is_read(header: str, tmp_path: Path) -> None:
+    said = row(tmp_path, f"Address;Type;{header}", "100;INT16;-1") if header != "SF" else "--column decimals='SF'"
+    assert isinstance(said, str) and f"--column decimals={header!r}" in said
+    text = f"Name;Address;Type;{header}\nT;100;INT16;-1\n"
+    (tag,) = read(tmp_path, text, columns={"decimals": header}).tags
+    assert tag.keys["scale"] == 0.1
+    assert "power of ten" in read(tmp_path, text, columns={"scale": header}).problems[0]
+
+
+@pytest.mark.parametrize(
+    ("header", "cell", "column", "scale"),
+    [
+        ("Decimal Point", "1", "decimals", 0.1), ("Dec", "2", "decimals", 0.01), ("Precision", "1", "decimals", 0.1),
+        ("SF", "-1", "decimals", 0.1), ("SF", "0.1", "scale", 0.1), ("Pow10", "-2", "decimals", 0.01),
+        ("10^n", "-1", "decimals", 0.1), ("10^-n", "1", "decimals", 0.1), ("Exp", "-1", "decimals", 0.1),
+        ("Power of 10", "-1", "decimals", 0.1), ("Fact.", "0.1", "scale", 0.1), ("Weight", "0.1", "scale", 0.1),
+        ("Unit per count", "0.1", "scale", 0.1), ("Counts per unit", "10", "scale", 0.1), ("Div", "10", "scale", 0.1),
+    ],
+)  # fmt: skip
+def test_the_advice_of_a_refused_column_gives_the_right_scale(
+    header: str, cell: str, column: str, scale: float, tmp_path: Path
+) -> None:
+    text = f"Name;Address;Type;Unit;{header}\nT;100;INT16;degC;{cell}\n"
+    with pytest.raises(ListError, match=f"--column {column}='{re.escape(header)}'"):
+        read(tmp_path, text)
+    (tag,) = read(tmp_path, text, columns={column: header}).tags
+    assert tag.keys["scale"] == scale
+
+
+@pytest.mark.parametrize(
+    ("header", "cells", "refused"),
+    [
+        ("Multiplier;Divisor", "1;10", True), ("Multiplier;Divisor", "10;10", True), ("Scale;Fact", "1;0,1", True),
+        ("Scale;SF", "1;-1", True), ("Offset;Bias", "0;5", True), ("Offset;Sub", "40;40", True), ("Add", "-40", True),
+        ("Sub", "40", True), ("Addend", "-40", True), ("Multiplier;Divisor", "0.1;1", False),
+        ("Scale;SF", "0.1;-1", False), ("Decimals;Fact", "1;0,1", False), ("Offset;Add", "-40;-40", False),
+        ("Scale;Factory", "0.1;3", False), ("Scale;Service Factor", "0.1;1.15", False), ("Bias", "", False),
+        ("Bias", "0", False), ("Slope", "", False), ("Division", "Centrifuge", False), ("Power (kW)", "75", False),
+        ("Converter", "PT100 transmitter", False), ("Precision class", "A", False), ("Exp. date", "2027-01-01", False),
+        ("Response time", "500", False), ("Potenza", "75", False), ("Individual", "1", False),
+        ("Scale;Division", "0.1;3", False),
+    ],
+)  # fmt: skip
+def test_a_column_that_nobody_reads_refuses_the_list_by_its_numbers(
+    header: str, cells: str, refused: bool, tmp_path: Path
+) -> None:
+    text = f"Name;Address;Type;{header}\nT;100;INT16;{cells}\n"
+    if refused:
+        with pytest.raises(ListError, match="may say"):
+            read(tmp_path, text)
+    else:
+        assert len(read(tmp_path, text).tags) == 1
+
+
+@pytest.mark.parametrize(
+    ("header", "address", "place"),
+    [
+        ("Address (Modbus protocol)", "40101", "holding:100"), ("Protocol Register", "30101", "input:100"),
+        ("Protocol Address", "100", "holding:100"), ("PDU Address", "40101", ""), ("PDU Address", "400101", ""),
+        ("Modbus Protocol Address", "30101", ""), ("PDU Offset", "40101", "holding:40101"),
+    ],
+)  # fmt: skip
+def test_reference_numbers_under_protocol_or_pdu_are_asked_about(
+    header: str, address: str, place: str, tmp_path: Path
+) -> None:
+    found = read(tmp_path, f"Name;{header};Type\nT;{address};INT16\n")
+    assert [tag.keys["address"] for tag in found.tags] == ([place] if place else [])
+    assert all("--numbers" in problem for problem in found.problems)
+
+
+@pytest.mark.parametrize(
+    ("header", "cells", "ends"),
+    [
+        ("High Limit;High High Limit", "90;105", (None, None)), ("Hi;HiHi", "90;105", (None, None)),
+        ("Low;High;Low Low;High High", "10;90;5;105", (None, None)), ("High;High-High Alarm", "90;105", (None, None)),
+        ("Low Limit;High Limit;High Alarm Limit", "0;90;95", (None, None)), ("Limits", "90/105", (None, None)),
+        ("Low;High;High Alarm", "0;150;90", (0, 150)), ("Min;Max;Hi;HiHi", "0;150;90;105", (0, 150)),
+        ("EU Low;EU High;HH;LL", "0;150;105;5", (0, 150)),
+    ],
+)  # fmt: skip
+def test_a_limit_beside_one_beyond_it_is_an_alarm(
+    header: str, cells: str, ends: tuple[float | None, float | None], tmp_path: Path
+) -> None:
+    (tag,) = read(tmp_path, f"Name;Address;Type;{header}\nT;100;INT16;{cells}\n").tags
+    assert (tag.keys["low"], tag.keys["high"]) == ends
+
+
+@pytest.mark.parametrize("header", ["Purchase Order", "Order No", "Line Order"])
+def test_an_order_of_something_else_is_none_of_words(header: str, tmp_path: Path) -> None:
+    assert row(tmp_path, f"Address;Type;{header}", "100;REAL;4711") == row(tmp_path, "Address;Type", "100;REAL")
+    found = row(tmp_path, "Address;Type;Order of words", "100;REAL;low first")
+    assert isinstance(found, dict) and found["order"] == "CDAB"
+
+
+@pytest.mark.parametrize(
+    ("units", "unit", "count"),
+    [
+        (("200", "300"), None, 2),
+        (("100", "200"), 1, 2),
+        (("A1", "A2"), None, 2),
+        (("1", "2"), 1, 1),
+        (("1", "2"), None, 0),
+    ],
+)
+def test_a_plants_unit_number_is_no_unit_of_modbus(
+    units: tuple[str, str], unit: int | None, count: int, tmp_path: Path
+) -> None:
+    text = f"Name;Address;Type;Unit No\nA;100;INT16;{units[0]}\nB;101;INT16;{units[1]}\n"
+    assert len(read(tmp_path, text, Reading(unit=unit)).tags) == count

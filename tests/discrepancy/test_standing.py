@@ -61,3 +61,37 @@ def test_a_diagnosis_says_that_its_sensor_stood_still() -> None:
     trace = plant(8, days=3, period=ROW_S)
     said = diagnose(model(), [stuck(trace, starts(trace)[6] + 9, trace.times.size - 1)], seed=0, most=1).diagnosis
     assert "The reading stood still at" in said.sentence and "look at the sensor." in said.sentence
+
+
+HOUR = 3600.0
+DAY = [(0, 6 * HOUR), (1, 10 * HOUR), (0, 8 * HOUR)]
+QUIET = {
+    "a jog at the weekend": (DAY * 5 + [(0, 8 * HOUR), (1, 60.0), (0, 40 * HOUR)], 7200.0, np.inf),
+    "a start that is refused": (
+        [(1, 2 * HOUR), (0, 3 * HOUR)] * 5 + [(1, 2 * HOUR), (0, 6 * HOUR), (1, 30.0), (0, 3 * HOUR)],
+        2400.0,
+        np.inf,
+    ),
+    "short trips of a regulated machine": (
+        [(0, 5 * HOUR), (1, 4 * HOUR), (0, 60.0), (1, 4 * HOUR), (0, 60.0), (1, 3 * HOUR)],
+        2400.0,
+        40.0,
+    ),
+}
+"""Runs and rests (s) of a machine that warms by 25 degC, its time constant (s) and what it is at most."""
+
+
+@pytest.mark.parametrize("what", QUIET)
+def test_a_reading_with_nowhere_to_go_does_not_stand_still(what: str) -> None:
+    """A rest after a start that warmed nothing was called a stuck sensor, where readings are whole degrees."""
+    schedule, constant, most = QUIET[what]
+    step = 30.0
+    on = np.concatenate([np.full(round(seconds / step), float(runs)) for runs, seconds in schedule * 4])
+    heat, now = np.empty(on.size), 20.0
+    for row, runs in enumerate(on):
+        now = min(now + (20.0 + 25.0 * runs - now) * step / constant, most)
+        heat[row] = now
+    whole = plant(1, days=1, period=ROW_S)
+    signals = {name: np.zeros(on.size) for name in whole.signals}
+    signals |= {"T": heat.round(), "MarciaDecanter": on, "Assorbimento": 150.0 * on}
+    assert found(replace(whole, times=1.7e9 + step * np.arange(on.size), signals=signals, events=())) is None

@@ -1,16 +1,18 @@
 """Headers over several rows, clocks by weeks and days of the year, typed values, and readings of a current loop."""
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from datetime import datetime, timedelta
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from sim.lab.recordings import load_map
+from sim.lab.recordings import load_map, load_traces
 from sim.lab.recordings.mapping import is_time
+from sim.lab.recordings.mapping.clocks import bare_time
 from sim.lab.recordings.mapping.columns import has_levels
+from sim.lab.recordings.mapping.words import split_unit
 from sim.lab.recordings.text_table import compose_names
 from tests.traces.exports import comma, recording, wide, written
 from tests.traces.test_dialects import EPOCH, asked, is_the_plant, mapped
@@ -171,13 +173,70 @@ def test_each_of_two_columns_of_quality_judges_its_own(tmp_path: Path) -> None:
 def test_readings_of_a_current_loop_without_a_unit_are_asked_for(tmp_path: Path) -> None:
     """A bearing of 20 to 60 degC was read as one of 6 to 10 degC, and a motor that stands as one that draws 4 A."""
     loop = wide(tmp_path / "a.csv", cells=(lambda heat: f"{4 + 16 * heat / 150:.3f}", str, str))
-    said = asked(loop, tmp_path / "m.toml", "--yes")
+    said = asked(loop, tmp_path / "m.toml")
     assert "4 to 20 mA" in said and "--unit 'Bearing temperature=degC'" in said
     mapped(loop, tmp_path / "m.toml", "--unit", "Bearing temperature=degC")
     loop = wide(tmp_path / "b.csv", cells=(str, lambda current: f"{4 + 16 * current / 200:.3f}", str))
-    said = asked(loop, tmp_path / "n.toml", "--yes")
-    assert "rests at 4.03" in said and "--unit 'Motor current=A'" in said
-    mapped(loop, tmp_path / "n.toml", "--unit", "Motor current=A")
+    said = asked(loop, tmp_path / "n.toml")
+    assert "rests at 4.03 and goes to 16.1," in said and "--unit 'Motor current=A'" in said
+    mapped(loop, tmp_path / "n.toml", "--yes")
+
+
+@pytest.mark.parametrize("cold", [1.0, 4.1, 10.6])
+def test_a_cold_machine_is_no_loop(cold: float, tmp_path: Path) -> None:
+    """Each that was never warmer than 21 degC was asked for, and without a guess."""
+    export = wide(tmp_path / "a.csv", cells=(lambda heat: f"{cold + (heat - 21.0) / 5:.1f}", str, str))
+    (trace,), _, _ = mapped(export, tmp_path / "m.toml")
+    heat = trace.signals[load_map(tmp_path / "m.toml").temperature]
+    assert np.allclose(heat, cold + (PLANT.heat - 21.0) / 5, atol=0.051)
+
+
+@pytest.mark.parametrize("idle", ["4.0", "4.1", "4.13"])
+def test_a_motor_that_draws_4_a_without_a_load_is_no_loop(idle: str, tmp_path: Path) -> None:
+    """It was asked for, without a guess."""
+    export = wide(tmp_path / "a.csv", cells=(str, lambda current: idle if current < 1 else f"{current / 10:.1f}", str))
+    mapped(export, tmp_path / "m.toml")
+
+
+@pytest.mark.parametrize(
+    ("header", "name", "unit"),
+    [
+        *((spelling, spelling, "degC") for spelling in ("temp_c", "TempC", "temp_deg_c", "Temperatur_GradC",
+                                                         "T °C DE", "TEMP_CELSIUS")),
+        ("Lagertemp. [Grad C]", "Lagertemp.", "degC"),
+        ("temp_f", "temp", "degF"),
+        ("T °F DE", "T DE", "degF"),
+        ("BEARING TEMP DEG F", "BEARING TEMP", "degF"),
+        ("Temp °C per min", "Temp °C per min", ""),
+        ("tempo_c", "tempo_c", ""),
+    ],
+)  # fmt: skip
+def test_units_of_a_temperature_in_its_name(header: str, name: str, unit: str) -> None:
+    """A loop's mA, or degC, were asked of columns that say what they are in; degF were believed to be degC."""
+    assert split_unit(header) == (name, unit)
+
+
+@pytest.mark.parametrize("names", [("temp_a", "temp_b", "temp_c"), ("Temp F", "Temp E", "Temp D")])
+def test_letters_of_places_are_no_units(names: Sequence[str], tmp_path: Path) -> None:
+    rows = [f"{moment},{heat},{heat + 1},{heat + 2},{current}" for moment, heat, current, _ in ROWS]
+    export = written(tmp_path / "a.csv", f"Time,{','.join(names)},Motor current", rows)
+    said = asked(export, tmp_path / "m.toml")
+    assert all(f"'{name}' (" in said for name in names) and "degC" not in said
+
+
+@pytest.mark.parametrize(
+    ("header", "units"),
+    [
+        ("Time,Bearing temp,Motor current,Acc DE,Acc NDE,Env", "-,degF,A,g rms,g rms,gE"),
+        ("Time,Bearing temp,Motor current,Feed,Level,Text", "ISO,°F,A,pieces an hour,per cent of the tank,Text"),
+    ],
+)
+def test_a_row_of_units_of_which_most_are_unknown_is_one(header: str, units: str, tmp_path: Path) -> None:
+    """It became the header."""
+    rows = [f"{moment},{1.8 * float(heat) + 32:.2f},{current},1,2,3" for moment, heat, current, _ in ROWS]
+    export = written(tmp_path / "a.csv", f"{header}\n{units}", rows)
+    (trace,), _, _ = mapped(export, tmp_path / "m.toml")
+    is_the_plant(trace, tmp_path / "m.toml")
 
 
 def test_a_note_of_several_lines_is_one_cell(tmp_path: Path) -> None:
@@ -219,3 +278,140 @@ def test_0_degf_is_no_temperature_of_a_warm_bearing(tmp_path: Path) -> None:
     export = written(tmp_path / "a.csv", "Time,Bearing temperature,Motor current", rows)
     (trace,), _, _ = mapped(export, tmp_path / "m.toml")
     assert np.isnan(trace.signals[load_map(tmp_path / "m.toml").temperature]).sum() == 4
+
+
+YEAR_FIRST, DAY_FIRST = "%y-%m-%d %H:%M:%S", "%d-%m-%y %H:%M:%S"
+SEVERAL_DAYS = recording(step=600.0, times=400)
+"""Eight days, with a row every ten minutes."""
+
+
+@pytest.mark.parametrize("form", [YEAR_FIRST, DAY_FIRST, "%y/%m/%d %H:%M:%S", "%d/%m/%y %H:%M:%S"])
+def test_a_date_that_does_not_jump_is_the_right_one_however_it_is_written(form: str, tmp_path: Path) -> None:
+    """24-03-24 to 24-03-30 were six years, to 2030, by the first 400 rows."""
+    later = timedelta(days=11)
+    export = wide(tmp_path / "a.csv", clock=lambda t: (t + later).strftime(form), of=SEVERAL_DAYS)
+    (trace,), _, _ = mapped(export, tmp_path / "m.toml")
+    begin = BEGIN + later.total_seconds()
+    assert trace.times[0] == begin and trace.times[-1] == begin + SEVERAL_DAYS.seconds[-1]
+
+
+@pytest.mark.parametrize("order", ["year", "day"])
+def test_what_a_person_says_of_a_date_is_so_whatever_is_likelier(order: str, tmp_path: Path) -> None:
+    form = {"year": YEAR_FIRST, "day": DAY_FIRST}[order]
+    export = wide(tmp_path / "a.csv", clock=lambda t: t.replace(year=2022, day=23).strftime(form))
+    assert "give --dates year or --dates day" in asked(export, tmp_path / "m.toml", "--yes")
+    (trace,), _, _ = mapped(export, tmp_path / "m.toml", "--dates", order)
+    assert trace.times[0] == (PLANT.moments[0].replace(year=2022, day=23) - EPOCH).total_seconds()
+
+
+@pytest.mark.parametrize(
+    ("form", "header", "mark"),
+    [
+        ("%d/%m/%y %H:%M:%S", "Date,Bearing temperature [°C],Motor current [A],Running", ","),
+        (DAY_FIRST, "Data;Temperatura cuscinetto [°C];Corrente motore [A];Marcia", ";"),
+        ("%d/%m/%y %H:%M:%S", "Datum;Lagertemperatur [°C];Motorstrom [A];Betrieb", ";"),
+        (DAY_FIRST, "Date,Bearing temperature [°C],Motor current [A],Running", ","),
+    ],
+)
+def test_the_day_of_one_day_comes_first_where_the_mark_or_the_language_says_so(
+    form: str, header: str, mark: str, tmp_path: Path
+) -> None:
+    """25/03/24 was asked for, with 2025 as the likeliest."""
+    later = 12 if mark == ";" or "/" in form else -10
+    cell = comma if mark == ";" else str
+    export = wide(
+        tmp_path / "a.csv",
+        header=header,
+        clock=lambda t: (t + timedelta(days=later)).strftime(form),
+        cells=(cell, cell, str),
+        mark=mark,
+    )
+    (trace,), _, _ = mapped(export, tmp_path / "m.toml")
+    assert trace.times[0] == BEGIN + later * 86400.0
+
+
+DAYS_AND_TIMES = {
+    "points between hours and minutes": ("Datum;Uhrzeit", "%d.%m.%Y;%H.%M"),
+    "without the zero of the hour": ("Data;Ora", "%d/%m/%Y;{hour}.%M"),
+    "whole numbers": ("Date;Time", "%Y%m%d;%H%M%S"),
+    "hours and minutes in one number": ("Day;Hour", "%Y-%m-%d;%H%M"),
+    "the day alone a number": ("Date;Time", "%Y%m%d;%H:%M:%S"),
+    "a foot below": ("Date;Time", "%Y-%m-%d;%H:%M:%S"),
+    "day of the week": ("Tag;Zeit", "%a %d.%m.%Y;%H:%M:%S"),
+    "day of the week and month in words": ("Tag;Zeit", "Mittwoch, %d. März %Y;%H:%M:%S"),
+    "day of the week behind": ("Day;Time", "%Y-%m-%d %a;%H.%M"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", DAYS_AND_TIMES)
+def test_days_and_times_in_two_columns(case: str, tmp_path: Path) -> None:
+    """06.00 beside a date was read as seconds, and the date was lost; so was that of a day of the week."""
+    header, form = DAYS_AND_TIMES[case]
+    rows = [
+        f"{moment.strftime(form.replace('{hour}', str(moment.hour)))};{comma(heat)};{comma(current)}"
+        for minute, (_, heat, current, _) in enumerate(ROWS)
+        for moment in [PLANT.moments[0] + timedelta(minutes=minute)]
+    ]
+    foot = ["Total;;;"] if case == "a foot below" else []
+    export = written(tmp_path / "a.csv", f"{header};Lagertemperatur;Motorstrom", [*rows, *foot])
+    (trace,), report, _ = mapped(export, tmp_path / "m.toml")
+    assert report.refused == len(foot) and np.array_equal(trace.times, BEGIN + 60.0 * np.arange(len(ROWS)))
+
+
+def test_numbers_under_a_name_of_time_are_times_of_day_only_where_all_can_be() -> None:
+    assert bare_time(["06.00", "06.50", "07.00"], "Zeit") == "" == bare_time(["0.25", "0.75"], "Zeit")
+    assert bare_time(["06.00", "06.30"], "Time [h]") == "" == bare_time(["0600", "0600"], "Time")
+    assert bare_time(["6.00", "16.30"], "Zeit") == "%H.%M" and bare_time(["0600", "2359"], "Zeit") == "%H%M"
+    assert bare_time(["060000", "235960"], "Time") == "" and bare_time(["060000", "235959"], "Time") == "%H%M%S"
+
+
+@pytest.mark.parametrize("name", ["Runtime", "Duration", "Laufzeit", "Durata", "Durée", "Cycle time"])
+def test_how_long_something_took_is_no_time_of_the_day_beside_it(name: str, tmp_path: Path) -> None:
+    """A day with 07:35:00 of runtime became half past seven of that day."""
+    days = [(PLANT.moments[0].replace(hour=0, minute=0) + timedelta(days=day)) for day in range(len(ROWS))]
+    rows = [f"{day},{8 + at % 3:02}:35:00,{ROWS[at][1]},{ROWS[at][2]}" for at, day in enumerate(days)]
+    export = written(tmp_path / "a.csv", f"Date,{name},Bearing temperature,Motor current", rows)
+    (trace,), _, said = mapped(export, tmp_path / "m.toml")
+    assert said["clock"] == "Date" and np.all(np.diff(trace.times) == 86400.0)
+    assert trace.times[0] == (days[0] - EPOCH).total_seconds()
+    export.write_text(export.read_text().replace(" 00:00:00", ""))
+    assert "nothing says the time of day" in asked(export, tmp_path / "n.toml")
+
+
+def test_of_two_columns_of_days_the_one_that_moves_with_midnight_or_is_called_date(tmp_path: Path) -> None:
+    """The first one was taken, whatever it was called."""
+    for count, name, other in ((180, "Production day", "Batch date"), (20, "Date", "Batch date")):
+        moments = [PLANT.moments[0] + timedelta(minutes=10 * at) for at in range(count)]
+        rows = [f"2024-01-02,{t:%H:%M:%S},{t:%Y-%m-%d},{20 + at % 7},{at % 9}" for at, t in enumerate(moments)]
+        export = written(tmp_path / f"{count}.csv", f"{other},Time,{name},Bearing temperature,Motor current", rows)
+        (trace,), _, _ = mapped(export, tmp_path / f"{count}.toml")
+        assert trace.times[0] == BEGIN and trace.times[-1] == BEGIN + 600.0 * (count - 1)
+    export.write_text(export.read_text().replace("Date,", "Production day,", 1))
+    assert "may stand in 'Batch date' or in 'Production day'" in asked(export, tmp_path / "n.toml")
+    lines = export.read_text().splitlines()
+    with_clock = [
+        f"Timestamp,{lines[0]}",
+        *(f"{t:%Y-%m-%d %H:%M:%S},{line}" for t, line in zip(moments, lines[1:], strict=True)),
+    ]
+    export.write_text("\n".join([*with_clock, ""]))
+    assert mapped(export, tmp_path / "o.toml")[2]["clock"] == "Timestamp"
+
+
+def test_a_row_of_units_under_a_day_and_a_time_is_no_row(tmp_path: Path) -> None:
+    rows = [f"{moment:%d.%m.%Y;%H:%M:%S};{comma(heat)};{comma(current)}" for moment, heat, current, _ in ROWS]
+    export = written(tmp_path / "a.csv", "Datum;Zeit;Lager;Motor", [";;°C;A", *rows])
+    (trace,), report, _ = mapped(export, tmp_path / "m.toml")
+    assert report.refused == 0 and report.rows == len(ROWS) and trace.times[0] == BEGIN
+    assert trace.units["Lager"] == "degC" and trace.units["Motor"] == "A"
+    export = written(tmp_path / "a.csv", "Datum;Zeit;Lager;Motor", [";;21,5;A", *rows])
+    assert load_traces(export, load_map(tmp_path / "m.toml"))[1].refused == 1
+
+
+@pytest.mark.parametrize("names", ["Year,DOY", "Jahr,Tag", "Year,Day of year"])
+def test_a_day_of_the_year_in_a_column_of_its_own_is_not_lost_in_silence(names: str, tmp_path: Path) -> None:
+    rows = [f"{moment:%Y,%j,%H:%M:%S},{heat},{current}" for moment, heat, current, _ in ROWS]
+    export = written(tmp_path / "a.csv", f"{names},Time,Bearing temperature,Motor current", rows)
+    said = asked(export, tmp_path / "m.toml")
+    assert f"columns of their own, {names.replace(',', ', ')}: join them" in said and "--time 'Time'" in said
+    (trace,), _, _ = mapped(export, tmp_path / "m.toml", "--time", "Time")
+    assert np.array_equal(np.diff(trace.times), np.diff(PLANT.seconds))

@@ -3,6 +3,8 @@
 import ast
 import inspect
 import re
+import textwrap
+from importlib.util import find_spec
 from pathlib import Path
 
 import click
@@ -69,6 +71,16 @@ def named_options(command: click.Command) -> set[str]:
     return {name.removeprefix("--") for name in given} | {"help", "version"}
 
 
+def own_files(command: click.Command) -> set[str]:
+    """The file of a command, and those of the modules that it loads when it is asked to work."""
+    assert command.callback is not None
+    work = inspect.unwrap(command.callback)
+    tree = ast.parse(textwrap.dedent(inspect.getsource(work)))
+    loaded = {node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) and node.module}
+    found = [inspect.getsourcefile(work), *(find_spec(name).origin for name in loaded)]  # type: ignore[union-attr]
+    return {file for file in found if file is not None}
+
+
 def whole_texts(file: Path) -> list[str]:
     """The texts of a module that are not docstrings, those with values in them whole."""
     tree = ast.parse(file.read_text(encoding="utf-8"))
@@ -93,10 +105,8 @@ def test_an_option_in_a_message_of_a_command_is_its_own_or_the_command_that_has_
             every |= {name: command.get_command(click.Context(command), command.usual)} if command.usual else {}
     by_file: dict[str, set[str]] = {}
     for command in every.values():
-        assert command.callback is not None
-        file = inspect.getsourcefile(inspect.unwrap(command.callback))
-        assert file is not None
-        by_file[file] = by_file.get(file, set()) | named_options(command)
+        for file in own_files(command):
+            by_file[file] = by_file.get(file, set()) | named_options(command)
     assert len(by_file) > 40
     strange = [
         (Path(file).name, text)

@@ -292,5 +292,10 @@ def test_frames_with_times_in_an_unnamed_index_and_names_of_two_levels_are_read(
     frame = pd.DataFrame(values, index=pd.DatetimeIndex(plant.moments))
     frame.columns = pd.MultiIndex.from_tuples([("bearing", "temp"), ("motor", "current")])
     assert decanter.read(frame).temperature == "bearing_temp"
+    frame.columns = pd.MultiIndex.from_tuples([("bearing temp", 0), ("motor current", 0)])
+    assert decanter.read(frame).temperature == "bearing_temp_0"
+    # Numbers of rows may look like times, beside a column that says them.
+    (trace,) = decanter.read(pd.DataFrame({"time": plant.moments, **values}, index=np.add(counted, 86400))).traces
+    assert trace.times[0] == counted[0] and sorted(trace.signals) == ["Running", "bearing_temp", "motor_current"]
     with pytest.raises(ValueError, match="no column holds times"):
         decanter.read(pd.DataFrame(values, index=np.arange(plant.heat.size) * 3))

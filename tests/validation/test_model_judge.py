@@ -171,7 +171,6 @@ CASES: dict[str, tuple[Callable[[], ModelVerdict], str, str]] = {
         "limited",
         "are these kelvin (20 °C)?",
     ),
-    "an oven": (lambda: judged(spoiled(lambda value: value + 150.0)), "limited", "in which unit is it?"),
     "a loose contact": (
         lambda: judged(spoiled(lambda value: value + np.random.default_rng(0).normal(0.0, 6.0, value.size))),
         "limited",
@@ -186,7 +185,23 @@ CASES: dict[str, tuple[Callable[[], ModelVerdict], str, str]] = {
     "bursts of rows too short for a horizon": (
         lambda: judged(coverage=foreseen()[:1]),
         "limited",
-        "at 300 s and 900 s 0 independent held-out forecasts at most had an outcome",
+        "limited: at 300 s and 900 s 0 independent held-out forecasts at most had an outcome, and 8 are needed; next: "
+        "learn with longer unbroken recordings",
+    ),
+    "a horizon of nearly enough outcomes": (
+        lambda: judged(coverage=[*foreseen()[:2], *foreseen(independent=7.9)[2:]]),
+        "limited",
+        "at 900 s 7 independent held-out forecasts at most had an outcome",
+    ),
+    "a horizon without persistence": (
+        lambda: judged(coverage=[*foreseen()[:2], replace(foreseen()[2], persistence=float("nan"))]),
+        "limited",
+        "limited: at 900 s nothing says what holding the last reading would have come to",
+    ),
+    "some horizons, worse at all of them": (
+        lambda: judged(coverage=foreseen(1.2)[:1]),
+        "unfit",
+        "at every horizon of which enough is known",
     ),
     "one day": (lambda: judged(record(1)), "limited", "on 1 day: how one differs"),
     "few forecasts": (
@@ -215,6 +230,22 @@ def test_each_has_its_word_with_the_reason_and_the_next_step(what: str) -> None:
     assert verdict.word == word, verdict.sentence
     assert reason in verdict.sentence
     assert all(bool(each.next_step) == (each.kept is not True) for each in verdict.criteria)
+
+
+@pytest.mark.parametrize(
+    ("make", "criterion", "said"),
+    [
+        (rare_rows, "noise", "noise was not looked for: its rows lie 3600 s apart"),
+        (lambda: spoiled(lambda value: np.nan * value), "noise", "noise was not looked for: it has no two readings"),
+        (record, "noise", "from row to row it moves by "),
+        (lambda: spoiled(lambda value: value + 150.0), "degrees", "at rest it is never below 170 °C, which is neither"),
+        (lambda: spoiled(lambda value: value + 230.0), "degrees", "at rest it is never below 250 °C, which is neither"),
+    ],
+)
+def test_what_limits_no_model(make: Callable[[], Trace], criterion: str, said: str) -> None:
+    """Rows of an hour were said to move by 0 °C from one to the next, and an oven's degrees to be of another unit."""
+    found = next(each for each in judged(make()).criteria if each.criterion == criterion)
+    assert found.kept and found.sentence.startswith(said)
 
 
 def test_a_verdict_is_kept_and_read_back_and_a_damaged_one_is_refused(tmp_path: Path) -> None:

@@ -46,10 +46,14 @@ class RowError(OneLineError, ValueError):
 
 @dataclass(frozen=True, slots=True)
 class ListRow:
-    """One row: its line in the file (1..) and its cells by the names of the columns that were recognised."""
+    """One row: its line in the file (1..) and its cells by the names of the columns that were recognised.
+
+    `unread` has the cells of the columns that were not, in the order of `ListSheet.ignored`.
+    """
 
     number: int
     cells: Mapping[str, str]
+    unread: tuple[str, ...] = ()
 
     def get(self, column: str) -> str:
         """The cell without the spaces around it; "" where the column or the cell is not there."""
@@ -85,7 +89,7 @@ def read_sheet(
     *,
     given: Mapping[str, str] | None = None,
     sheet: str | None = None,
-    told_by: Mapping[str, Callable[[frozenset[str]], bool]] | None = None,
+    told_by: Mapping[str, Callable[[str, frozenset[str]], bool]] | None = None,
 ) -> ListSheet:
     """The list in `path`. The header is the first line that has every `needed` column.
 
@@ -103,12 +107,17 @@ def read_sheet(
                 if name not in columns and (at := _told_by(tells, set(columns.values()), cells, below)) is not None:
                     columns[name] = at
             used = set(columns.values())
-            ignored = tuple(cell.strip() for at, cell in enumerate(cells) if at not in used and cell.strip())
+            unread = [at for at, cell in enumerate(cells) if at not in used and cell.strip()]
             lines = tuple(
-                ListRow(line, {name: row[at] for name, at in columns.items() if at < len(row)})
+                ListRow(
+                    line,
+                    {name: row[at] for name, at in columns.items() if at < len(row)},
+                    tuple(row[at].strip() if at < len(row) else "" for at in unread),
+                )
                 for line, row in rows[place + 1 :]
                 if any(cell.strip() for cell in row)
             )
+            ignored = tuple(cells[at].strip() for at in unread)
             return ListSheet(path, number, {name: cells[at].strip() for name, at in columns.items()}, ignored, lines)
     if not rows:
         raise ListError(f"{path}: is empty; give a list with a header and one row a tag")
@@ -154,7 +163,7 @@ def _by_content(name: str, columns: Sequence[int], rows: Sequence[Sequence[str]]
 
 
 def _told_by(
-    tells: Callable[[frozenset[str]], bool],
+    tells: Callable[[str, frozenset[str]], bool],
     used: Collection[int],
     headers: Sequence[str],
     rows: Sequence[Sequence[str]],
@@ -162,7 +171,8 @@ def _told_by(
     """The first column that is not used, has a header, and whose cells tell what it is; None for none."""
     for at, header in enumerate(headers):
         told = frozenset(header_key(row[at]) for row in rows if at < len(row) and row[at].strip())
-        if at not in used and header.strip() and told and tells(told):
+        key = header_key(header)
+        if at not in used and key and _ALARMS.isdisjoint(key.split()) and told and tells(key, told):
             return at
     return None
 
@@ -175,6 +185,7 @@ def _recognise_columns(
     A header is used once; a synonym is found within a header as whole words only.
     """
     keys = [header_key(cell) for cell in cells]
+    alarms = _alarm_limits(keys)
     taken: dict[str, int] = {}
     for name, header in given.items():
         if (wanted := header_key(header)) in keys:
@@ -189,6 +200,7 @@ def _recognise_columns(
                 for word in words
                 for at, key in enumerate(keys)
                 if at not in taken.values() and key and _says(name, key, word, exactly=exactly)
+                if name not in ("low", "high") or at not in alarms
             )
             if (place := next(places, None)) is not None:
                 taken[name] = place
@@ -200,12 +212,45 @@ def _says(name: str, key: str, word: str, *, exactly: bool) -> bool:
     if exactly:
         return key.replace(" ", "") == word.replace(" ", "")
     words = key.split()
+    ends = sum(not side.isdisjoint(words) for side in _ENDS)
     other = words.count(word) > 1 or not _NOT_BESIDE.get(name, frozenset()).isdisjoint(words)
-    return word not in _ALONE and not other and f" {word} " in f" {key} "
+    # `Range Low` is an end of a range, and `Min/Max` a range.
+    other = other or ends == {"range": 1, "low": 2, "high": 2}.get(name)
+    alone = word in _ALONE and _ALONE[word].isdisjoint(words)
+    return not alone and not other and f" {word} " in f" {key} "
 
 
-_ALONE = frozenset({"anzahl", "cantidad", "quantity"})
-"""Words that mean by themselves what they do not within others: `Anzahl Nachkommastellen`."""
+def _alarm_limits(keys: Sequence[str]) -> set[int]:
+    """The places of limits that are alarms: `High` beside `High High`, `High Limit` beside `High Alarm Limit`."""
+    levels = [" ".join(word for word in _LEVEL.sub("?", key).split() if word not in _OF_LIMITS) for key in keys]
+    doubled = {level for key, level in zip(keys, levels, strict=True) if _DOUBLED.search(key)}
+    alarms = {
+        level
+        for key, level in zip(keys, levels, strict=True)
+        if "limit" in key.split() and not _ALARMS.isdisjoint(key.split())
+    }
+    return {
+        at
+        for at, (key, level) in enumerate(zip(keys, levels, strict=True))
+        if "?" in level and (level in doubled or (level in alarms and "limit" in key.split()))
+    }
+
+
+_DOUBLED = re.compile(r"\b(?:high ?high|hi ?hi|hh|h h|low ?low|lo ?lo|ll|l l)\b")
+_LEVEL = re.compile(rf"{_DOUBLED.pattern}|\b(?:high|hi|h|low|lo|l)\b")
+_ENDS = (
+    frozenset({"low", "lo", "lower", "min", "mini", "minimum", "minimo"}),
+    frozenset({"high", "hi", "upper", "max", "maxi", "maximum", "massimo", "maximo"}),
+)
+_ALONE: Mapping[str, frozenset[str]] = {
+    **dict.fromkeys(("anzahl", "cantidad", "quantity"), frozenset[str]()),
+    **dict.fromkeys(
+        ("order", "ordine", "ordre", "orden"),
+        frozenset({"word", "words", "byte", "bytes", "octet", "octets", "register", "registers", "registri", "parole"})
+        | {"mots", "palabras", "endian", "float", "real", "data", "dati", "modbus", "swap"},
+    ),
+}
+"""Words that mean by themselves what they do not within others, but beside those: `Anzahl Nachkommastellen`."""
 _PLACES = frozenset({
     "register", "registers", "registro", "registri", "adresse", "address", "indirizzo", "direccion", "word", "words",
     "wort", "byte", "bytes", "modbus", "protocol", "pdu", "start", "base", "based", "group",
@@ -215,22 +260,26 @@ _ALARMS = frozenset({
     "warnung", "vorwarnung", "trip", "blocco", "soglia", "schwelle", "seuil", "umbral", "setpoint", "sollwert",
     "consigne", "consigna",
 })  # fmt: skip
+_OF_LIMITS = _ALARMS | {"limit", "limits", "value", "level"}
 _TIMES = frozenset({
     "age", "interval", "rate", "time", "delay", "period", "scan", "deadband", "hysteresis", "tempo", "ritardo",
     "zeit", "dauer",
 })  # fmt: skip
 _NOT_BESIDE: Mapping[str, frozenset[str]] = {
-    **dict.fromkeys(("low", "high", "range"), _ALARMS | _TIMES | _PLACES | {"length", "gas"}),
-    "offset": _PLACES | {"memory", "db", "bit"},
+    **dict.fromkeys(("low", "high", "range"), _ALARMS | _TIMES | _PLACES | {"length", "gas", "raw"}),
+    "offset": _PLACES | {"memory", "db", "bit", "eng", "eu"},
     "scale": frozenset({
         "register", "registers", "address", "poll", "polling", "priority", "historian", "deadband", "sampling",
         "adc", "display", "power", "turndown",
     }),
     "decimals": frozenset({"display", "displayed", "shown", "hmi", "anzeige"}),
     "order": frozenset({"sort", "work", "tag", "display", "row", "scan"}),
+    "unit": frozenset({"no", "nr", "number", "id", "modbus", "slave", "address", "per", "zero", "full"}).union(*_ENDS),
     "length": frozenset({"offset", "address", "order", "index", "max"}),
 }  # fmt: skip
 """Words beside which a column's own mean something else: `High Alarm` is no end of a range, `Byte Offset` no offset."""
+OF_SOMETHING_ELSE = _NOT_BESIDE["scale"] | {"service", "safety", "filter", "smoothing", "damping", "crest", "form"}
+"""Words beside which a factor is none of a reading."""
 
 
 def header_key(text: str) -> str:

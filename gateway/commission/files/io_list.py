@@ -16,6 +16,7 @@ from drivers.codec import integer_range
 from drivers.named_files import contents
 from drivers.tag import DType
 from gateway.commission.files.cells import (
+    OF_SOMETHING_ELSE,
     ListError,
     ListRow,
     ListSheet,
@@ -52,6 +53,7 @@ _EMPTY = ("", "-", "–", "n/a", "n.a.")
 _MOST_DIGITS = 20
 """A sign, and those of a whole number of 64 bits, or those alone."""
 _SCALE_DECIMALS = 9
+_MOST_EXPONENT = 9
 _RANGE_TOLERANCE = 1e-3
 """A range ends where a type does if they differ by less, as a part of it."""
 _SHORTS = frozenset({"short", "ushort", "unsigned short", "signed short"})
@@ -153,14 +155,40 @@ def _polled(path: Path, how: Reading) -> ListSheet | None:
     return None
 
 
-_SCALES = re.compile(
-    r"scal|factor|fattor|faktor|skalier|gain|multipl|divis|resol|risol"
-    r"|coef|komma|dezim|decim|precis|prazis|echel|facteur|\bteil(?:er|ung)|divid|auflos|potenz|wertig"
-    r"|^(?:sf|dec|dp|digits|div|mult)$|\blsb\b|slope|quantum|increment|conver[st]|umrechn|pendenza|steigung|pente"
+_POWERS = r"\bpow(?:er)?s?(?: of)? ?(?:10|ten)\b|\bsf\b|^exp$|\bscal\w* exp\b|\bexpon|\bespon|zehnerpotenz"
+_EXPONENTS = re.compile(rf"{_POWERS}|^power$|(?<!\d )\b10(?: ?(?:x|n|y|e|exp))?\b")
+"""Headers of powers of ten, where 10 stands as the base: `SF`, `Scale 10^`, `Pow10`."""
+_RAISED = re.compile(r"10\s*(?:\^|\*\*)")
+_OVER_TEN = re.compile(r"10\W*[-−⁻]|[/÷]\s*10")
+"""`10^-n`, which says decimals."""
+
+
+def _power_word(header: str) -> str:
+    """The words by which a header says powers of ten; "" for none."""
+    found = _EXPONENTS.search(header_key(header)) or _RAISED.search(header)
+    return found[0] if found else ""
+
+
+_DECIMALS = re.compile(r"^(?:dec|dp|digits)$|komma|dezim|decim|precis|prazis")
+_RAW = re.compile(
+    r"\braw (?:\w+ )?(?:min|max|low|high|lo|hi|zero|full|span|range)\b|\b(?:min|max|low|high|range) (?:\w+ )?raw\b"
 )
+_FACTORS = re.compile(
+    r"scaling|\bfact\b|factor(?!y)|fattor|faktor|\bfakt\b|facteur|\bgain|\bmult(?:\b|ip)|divis(?:or|eur)|(?<!in)divid|\bdiv\b"
+    r"|coef|\bteiler|slope|convers|umrechn|\bper (?:count|bit|digit|lsb)s?\b|\b(?:count|digit)s? per\b"
+    rf"|^10(?: ?[xn])?$|{_POWERS}"
+)
+_SCALES = re.compile(
+    rf"{_FACTORS.pattern}|{_DECIMALS.pattern}|{_RAW.pattern}|(?<!fi)scal(?!at)|skalier|resol|risol|echel|\bteilung"
+    r"|auflos|wertig|\blsb\b|quantum|increment|convert\b|pendenza|steigung|pente|divis|^weight$"
+)
+_SUBTRACTS = re.compile(r"^sub$|^subtr")
+_ADDS = re.compile(rf"\bbias\b|intercept|^add$|^addend$|^additive$|{_SUBTRACTS.pattern}")
+_SAYS_A_NUMBER = re.compile(r"^\W*\d|(?:(?<![^\W\d_])x|[×*·/÷:=^+])\s*(?:[-+]\s*)?[.,]?\d", re.IGNORECASE)
+"""A cell that is a number, or has an operation with one: `PT100 transmitter` has none."""
 _UNREAD = (
     (_SCALES, frozenset({"scale", "decimals", "raw_high", "formula"}), "scale", "how readings are scaled"),
-    (re.compile(r"\bbias\b|intercept"), frozenset({"offset"}), "offset", "what is added to readings"),
+    (_ADDS, frozenset({"offset"}), "offset", "what is added to readings"),
     (
         re.compile(r"\b(?:word|byte|register)s? order\b|endian|\bswap|wortfolge|bytefolge"),
         frozenset[str](),
@@ -177,19 +205,103 @@ def _of_units(sheet: ListSheet, how: Reading) -> ListSheet:
 
     Raises ListError for a column that nobody reads and that may say what readings are made of.
     """
-    for pattern, known, column, what in _UNREAD:
-        odd = next((header for header in sheet.ignored if pattern.search(header_key(header))), None)
-        if odd is not None and not known & set(sheet.columns):
-            raise ListError(
-                f"{sheet.path}: column {odd!r} may say {what}, and is not understood: give --column {column}={odd!r}, "
-                "or take it out"
-            )
+    _check_unread(sheet)
     headers = {header_key(text) for text in (*sheet.columns.values(), *sheet.ignored)}
+    sheet = _without_plant_units(sheet, how.unit)
     own = is_iobroker(headers)
     rows = [replace(row, cells=of_iobroker(row.cells)) if own else row for row in sheet.lines]
     if "unit_id" in sheet.columns:
         return _of_one_unit(sheet, [ListedUnit(row, row.get("unit_id")) for row in rows], how.unit)
     return replace(sheet, lines=tuple(rows)) if own else sheet
+
+
+def _check_unread(sheet: ListSheet) -> None:
+    """Raises ListError for a column that nobody reads and whose cells may change readings."""
+    for pattern, known, column, what in _UNREAD:
+        first = next((sheet.columns[name] for name in sheet.columns if name in known), "")
+        for at, header in enumerate(sheet.ignored):
+            key = header_key(header)
+            if not pattern.search(key) or (first and not _is_second(column, key)):
+                continue
+            for line in sheet.lines:
+                cell = line.unread[at]
+                if not _may_change(column, cell):
+                    continue
+                if first and _repeats(line, column, key, cell):
+                    continue
+                if first:
+                    raise ListError(
+                        f"{sheet.path}: line {line.number}: {header!r} ({cell}) may say {what} beside {first!r}, and "
+                        "one of them is read: write both as one number, or take it out"
+                    )
+                raise ListError(
+                    f"{sheet.path}: column {header!r} may say {what}, and is not understood: "
+                    f"{_advise(column, header, key)}, or take it out"
+                )
+
+
+def _is_second(column: str, key: str) -> bool:
+    """Whether a column beside one that is read changes readings too: what is shown or polled does not."""
+    if column == "offset":
+        return True
+    return column == "scale" and bool(_FACTORS.search(key)) and OF_SOMETHING_ELSE.isdisjoint(key.split())
+
+
+def _may_change(column: str, cell: str) -> bool:
+    """Whether a cell of a column that nobody reads may change a reading."""
+    if column not in ("scale", "offset"):
+        return cell not in _EMPTY
+    return bool(_SAYS_A_NUMBER.search(cell)) and not (column == "offset" and _factor_of(cell) == 0)
+
+
+def _repeats(line: ListRow, column: str, key: str, cell: str) -> bool:
+    """Whether a cell changes nothing beside the row's own scale or offset: it is neutral, or says the same."""
+    number = _factor_of(cell)
+    if number in (0, 1) if column == "scale" else number == 0:
+        return True
+    own, decimals = _factor_of(line.get(column)), line.get("decimals")
+    if column == "scale" and own is None and re.fullmatch(r"\d", decimals):
+        own = 10.0 ** -int(decimals)
+    if number is None or own is None or not _DIVISORS.isdisjoint(key.split()) or _SUBTRACTS.search(key):
+        return False
+    said = {number, 10.0**number} if _EXPONENTS.search(key) and abs(number) <= _MOST_EXPONENT else {number}
+    return any(abs(own - one) <= 1e-9 * abs(own) for one in said)
+
+
+def _factor_of(cell: str) -> float | None:
+    try:
+        return parse_factor(cell).number
+    except ValueError:
+        return None
+
+
+def _advise(column: str, header: str, key: str) -> str:
+    """How an unread column can be read by what it may be."""
+    if column == "scale" and _RAW.search(key):
+        return "give the ends of raw values in two columns, --column raw_low=HEADER and --column raw_high=HEADER"
+    if column == "scale" and _power_word(header):
+        return f"give --column decimals={header!r} for powers of ten, --column scale={header!r} for units per count"
+    if column == "scale" and _DECIMALS.search(key):
+        return f"give --column decimals={header!r}"
+    if column == "offset" and _SUBTRACTS.search(key):
+        return "write what is added to readings, with its sign, in a column Offset"
+    return f"give --column {column}={header!r}"
+
+
+_MOST_UNIT = 247
+"""The last unit that a Modbus device has; 255 is a gateway itself."""
+_UNITS_OF_PLANTS = re.compile(r"^(?!.*\b(?:modbus|slave)\b).*\bunit (?:no|number)\b")
+
+
+def _without_plant_units(sheet: ListSheet, unit: int | None) -> ListSheet:
+    """The list with `Unit No` as a column that nobody reads, where its cells are no units of Modbus or not the one."""
+    header = sheet.columns.get("unit_id", "")
+    units = {text for line in sheet.lines if (text := line.get("unit_id")) not in _EMPTY}
+    of_modbus = all(text.isdecimal() and (int(text) <= _MOST_UNIT or int(text) == 255) for text in units)
+    if not _UNITS_OF_PLANTS.search(header_key(header)) or (of_modbus and (unit is None or str(unit) in units)):
+        return sheet
+    columns = {name: text for name, text in sheet.columns.items() if name != "unit_id"}
+    return replace(sheet, columns=columns, ignored=(*sheet.ignored, header))
 
 
 def _of_one_unit(sheet: ListSheet, listed: Sequence[ListedUnit], unit: int | None) -> ListSheet:
@@ -426,8 +538,12 @@ def _numbering(sheet: ListSheet, how: Reading) -> Numbering:
     cells = [line.get("address").lower() for line in sheet.lines]
     bare = [cell for cell in cells if re.fullmatch(r"[0-9a-f]{1,4}", cell)]
     based = bool(header & {"based", "base", "from"})
-    if header & {"protocol", "pdu"} and not how.numbers:
-        return Numbering(False, 0, False)
+    if (wire := _WIRE.search(header_key(sheet.columns.get("address", "")))) and not how.numbers:
+        numbers = [cell for cell in cells if cell.isdecimal()]
+        if "offset" in wire[0] or not numbers or not all(_REFERENCE.fullmatch(cell) for cell in numbers):
+            return Numbering(False, 0, False)
+        either = "the header has addresses as they go on the wire, and all are like references: give --numbers decimal"
+        return Numbering(either=f"{either} (40101 is holding:100) or --numbers plain (it is the address itself)")
     first = 1 if header & {"1", "one"} and based else 0
     if how.numbers or header & {"hex", "hexadecimal", "hexa", "esadecimale", "esa"}:
         hexadecimal = how.numbers == "hex" if how.numbers else not header & {"dec", "decimal", "decimale"}
@@ -446,6 +562,10 @@ def _numbering(sheet: ListSheet, how: Reading) -> Numbering:
     elif len(bare) > 1 and all(len(cell) == 4 for cell in bare) and all(cell.startswith("0") for cell in bare[:1]):
         doubt = "numbers of four digits with noughts before them may be hexadecimal; give --numbers hex or decimal"
     return Numbering(False, first, True, doubt)
+
+
+_WIRE = re.compile(r"\bprotocol (?:address|offset)\b|\bpdu\b.*")
+_REFERENCE = re.compile(r"[34]\d{4,5}")
 
 
 def _gain_of_the_list(sheet: ListSheet) -> str:
@@ -473,12 +593,11 @@ _MULTIPLIERS = frozenset(
     | {"faktor", "skalierungsfaktor", "auflosung", "facteur", "resolucion"}
 )
 _DIVISORS = frozenset(
-    {"divisor", "divider", "divisore", "teiler", "diviseur", "divide", "inverse", "inverso", "reciprocal"}
+    {"div", "divisor", "divider", "divisore", "teiler", "diviseur", "divide", "inverse", "inverso", "reciprocal"}
 )
 
 
-_POWER = re.compile(r"\b10 (?:x|n|exp)\b|\bexponent\b|\bpower\b")
-"""A scale's header of powers of ten, `Scale (10^x)`."""
+_PER_UNIT = re.compile(r"\b(?:count|digit|bit)s? per (?:eng )?unit")
 
 
 def _scale_cell(line: ListRow) -> CountFactor | None:
@@ -495,8 +614,12 @@ def _scale_cell(line: ListRow) -> CountFactor | None:
 def _range(line: ListRow) -> tuple[float | None, float | None, str]:
     """(low, high, the column they are from), from their own columns or from that of ranges."""
     low, high = _number(line, "low"), _number(line, "high")
-    if low is None and high is None and (found := parse_range(line.get("range"))) is not None:
-        return *found, "range"
+    text = line.get("range")
+    if low is None and high is None and text not in _EMPTY:
+        if (found := parse_range(text)) is not None:
+            return *found, "range"
+        if re.search(r"\d", text) and not (_NAMES_OF_VALUES.fullmatch(text) or _HEXADECIMAL.search(text)):
+            raise RowError("range", f"{text!r} is no range; give its two ends, such as 0..150, or leave it empty")
     return low, high, "high" if low is None else "low"
 
 
@@ -519,6 +642,7 @@ def _decide_gain(number: float, dtype: str, low: float | None, high: float | Non
     return best[0] if len(best) == 1 else ""
 
 
+_HEXADECIMAL = re.compile(r"0x[0-9a-f]|\b[0-9a-f]{2,}h\b", re.IGNORECASE)
 _NAMES_OF_VALUES = re.compile(r"\s*\d+\s*=\s*[^=;,]+(?:[;,]\s*\d+\s*=\s*[^=;,]+)*[;,]?\s*")
 """`0=Off;1=On` in a unit's cell."""
 
@@ -542,13 +666,16 @@ def _scaling(row: _ListedRow, dtype: str) -> _Scaling:
     except ValueError as error:
         raise RowError("unit", str(error)) from None
     scale, taken = _scale(row, dtype, of_unit, (low, high))
-    ends = raw_high is not None and high is not None and kind not in ("none", "nessuna", "no")
-    if scale is None and ends and raw_high is not None and high is not None:
-        span, least = raw_high - (raw_low or 0.0), low or 0.0
-        if span == 0 or high == least:
+    raw = (raw_low, raw_high) != (None, None) and kind not in ("none", "nessuna", "no")
+    if scale is None and raw and not line.get("scale_from"):
+        if raw_high is None or low is None or high is None:
+            given = "raw_low" if raw_high is None else "raw_high"
+            raise RowError(given, "a raw range needs both ends of the range in units beside it; give them, or a scale")
+        span = raw_high - (raw_low or 0.0)
+        if span == 0 or high == low:
             raise RowError("raw_high", "the raw range or the range in units is empty; give two different ends")
-        slope = (high - least) / span
-        scale, offset = round(slope, _SCALE_DECIMALS), round(least - slope * (raw_low or 0.0), _SCALE_DECIMALS)
+        slope = (high - low) / span
+        scale, offset = round(slope, _SCALE_DECIMALS), round(low - slope * (raw_low or 0.0), _SCALE_DECIMALS)
     elif kind in ("linear", "lineare"):
         raise RowError("scale", f"{line.get('scale')!r} needs the ends of both ranges beside it; give them")
     if header_key(line.get("negate")) in ("1", "true", "yes", "si"):
@@ -567,19 +694,28 @@ def _scale(
     """(units per count, how it was taken), from the scale's cell, the unit's and the number of decimals."""
     line, header = row.line, set(row.header("scale").split())
     own = _scale_cell(line)
-    if own is not None and _POWER.search(row.header("scale")):
-        raise RowError("scale", f"{line.get('scale')!r} may be a power of ten: write the units per count, such as 0.1")
+    power = _power_word(row.sheet.columns.get("scale", ""))
+    # Of `SF` it was said by --column that it is the units a count, which are not negative.
+    if own is not None and power and (power not in ("sf", "exp") or own.number < 0):
+        raise RowError(
+            "scale",
+            f"{line.get('scale')!r} may be a power of ten: write the units per count, such as 0.1, or give --column "
+            f"decimals={row.sheet.columns.get('scale')!r}",
+        )
     if own is not None and own.number == 0:
         raise RowError("scale", "is 0, which would make every reading 0; give the units per count")
     if own is not None and line.get("exact"):
         own = CountFactor(own.number)
-    elif own is not None and header & _DIVISORS:
+    elif own is not None and (header & _DIVISORS or _PER_UNIT.search(row.header("scale"))):
         own = CountFactor(1 / own.number)
     elif own is not None and header & _MULTIPLIERS:
         own = CountFactor(own.number)
     shown = ""
     if (decimals := _whole(line, "decimals")) is not None:
-        is_exponent = "expon" in row.header("decimals") or "espon" in row.header("decimals")
+        decimals_header = row.sheet.columns.get("decimals", "")
+        is_exponent = bool(_power_word(decimals_header)) and not _OVER_TEN.search(decimals_header)
+        if is_exponent and abs(decimals) > _MOST_EXPONENT:
+            raise RowError("decimals", f"{decimals} is no power of ten of a scale; give --column scale for a factor")
         if is_exponent or dtype not in _FLOATS:
             own = _same(own, CountFactor(10.0 ** (decimals if is_exponent else -decimals)), "decimals")
         elif decimals:

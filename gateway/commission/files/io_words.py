@@ -46,7 +46,7 @@ COLUMNS: Mapping[str, tuple[str, ...]] = {
     ),
     "order": (
         *("ordine", "order", "byte order", "word order", "ordine word", "ordine parole", "ordine byte", "endianness"),
-        *("swap", "byte word order"),
+        *("swap", "byte word order", "endian"),
         *("wortfolge", "wortreihenfolge", "bytefolge", "byte reihenfolge", "bytereihenfolge", "ordre"),
         *("ordre des mots", "ordre des octets", "orden", "orden de palabras", "orden de bytes"),
     ),
@@ -80,8 +80,8 @@ COLUMNS: Mapping[str, tuple[str, ...]] = {
         *("kommastellen", "cantidad de decimales", "nombre de decimales"),
     ),
     "range": (
-        *("range", "campo", "intervallo", "value range", "wertebereich", "span", "campo di valori", "limits"),
-        *("messbereich", "plage", "plage de valeurs", "rango", "intervalo"),
+        *("range", "campo", "intervallo", "value range", "wertebereich", "span", "campo di valori"),
+        *("messbereich", "plage", "plage de valeurs", "rango", "intervalo", "min max", "min to max", "low high"),
     ),
     "offset": (
         *("offset", "scostamento", "zero"),
@@ -99,16 +99,24 @@ COLUMNS: Mapping[str, tuple[str, ...]] = {
         *("adresse esclave", "esclave", "no esclave", "numero esclave"),
     ),
     "negate": ("negate value", "negate"),
-    "raw_low": ("raw min", "min raw", "grezzo min", "min grezzo", "raw low", "inizio scala raw", "count min"),
-    "raw_high": ("raw max", "max raw", "grezzo max", "max grezzo", "raw high", "fondo scala raw", "count max"),
+    "raw_low": (
+        *("raw min", "min raw", "grezzo min", "min grezzo", "raw low", "inizio scala raw", "count min"),
+        *("raw zero", "raw lo", "raw value min", "raw value low", "low raw", "raw lower"),
+    ),
+    "raw_high": (
+        *("raw max", "max raw", "grezzo max", "max grezzo", "raw high", "fondo scala raw", "count max"),
+        *("raw full", "raw hi", "raw value max", "raw value high", "high raw", "raw upper"),
+    ),
     "low": (
         *("min", "minimo", "minimum", "low", "eng min", "min eng", "min ing", "ing min", "inizio scala"),
-        *("range min", "limite inferiore", "eu min", "lo"),
+        *("range min", "limite inferiore", "eu min", "lo", "lrv", "lower range", "lower range value"),
+        *("eng zero", "eu zero", "range lower", "range from", "messbereich anfang", "messbereichsanfang"),
         *("min wert", "minwert", "untergrenze", "mini", "valeur min", "valor minimo"),
     ),
     "high": (
         *("max", "massimo", "maximum", "high", "eng max", "max eng", "max ing", "ing max", "fondo scala"),
-        *("range max", "limite superiore", "eu max", "hi"),
+        *("range max", "limite superiore", "eu max", "hi", "urv", "upper range", "upper range value"),
+        *("eng full", "eu full", "range upper", "range to", "messbereich ende", "messbereichsende"),
         *("max wert", "maxwert", "obergrenze", "maxi", "maximo", "valeur max", "valor maximo"),
     ),
     "sentinel": (
@@ -224,13 +232,24 @@ TABLES: Mapping[str, str] = {
 }
 """Register table, by its name, by the digit of references with an x, or by the function code that reads it."""
 _TABLE_WORDS = frozenset(key for key in TABLES if len(key) > 2 and not key[0].isdecimal())
-_ORDER_WORDS = frozenset(key for key in ORDERS if len(key) > 2 and not key.isdecimal()) - {"none", "nessuno", "yes"}
-TOLD_BY: Mapping[str, Callable[[frozenset[str]], bool]] = {
-    # By itself "input" may be the direction of a signal.
-    "table": lambda told: told <= _TABLE_WORDS and told != {"input"},
-    "order": lambda told: told <= _ORDER_WORDS,
+_PLAIN_ORDER = re.compile(
+    r"endian|^[abcd]{4}$|^[a-h]{2}(?: [a-h]{2})+$|\bswap\w* (?:words?|bytes?)\b"
+    r"|\b(?:words?|bytes?|parola|[ml]s[bw])\b.*\b(?:first|prima|swap\w*)"
+)
+_ORDER_WORDS = frozenset(key for key in ORDERS if _PLAIN_ORDER.search(key))
+"""What is an order wherever it stands: `low high` may be alarms, `big` a bearing."""
+_DIRECTIONS = frozenset({"direction", "dir", "direzione", "richtung", "sens", "direccion", "io", "i"})
+_OF_SIGNALS = frozenset({"input", "discrete"})
+TOLD_BY: Mapping[str, Callable[[str, frozenset[str]], bool]] = {
+    # By itself "input" may be the direction of a signal, and "discrete" its kind.
+    "table": lambda header, told: (
+        told <= _TABLE_WORDS
+        and not told <= _OF_SIGNALS
+        and (told.isdisjoint(_OF_SIGNALS) or _DIRECTIONS.isdisjoint(header.split()))
+    ),
+    "order": lambda _, told: told <= _ORDER_WORDS,
 }
-"""Column -> whether these cells, as `cells.header_key` writes them, are its, whatever its header says."""
+"""Column -> whether it is told by its header and its cells, both as `cells.header_key` writes them."""
 _READ_BY = {1: "coil", 2: "discrete", 3: "holding", 4: "input"}
 _WRITTEN_BY = frozenset({5, 6, 10, 15, 16, 22, 23})
 """Functions that write; 10 is 16 in hexadecimal."""

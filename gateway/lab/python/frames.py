@@ -335,8 +335,8 @@ def _write(frame: Frame, path: Path) -> None:
         )
     levels = [frame.index.get_level_values(number) for number in range(frame.index.nlevels)]
     if frame.columns.nlevels > 1:
-        frame = frame.set_axis([" ".join(str(part) for part in names if part) for names in frame.columns], axis=1)
-    if len(levels) > 1 or levels[0].name is not None or _is_clock(levels[0]):
+        frame = frame.set_axis([" ".join(str(part) for part in names if part != "") for names in frame.columns], axis=1)
+    if len(levels) > 1 or levels[0].name is not None or (_is_clock(levels[0]) and not _numbers_rows(frame)):
         clocks = ["time" if _is_clock(level) else f"level {place}" for place, level in enumerate(levels)]
         names = [str(level.name or clock) for level, clock in zip(levels, clocks, strict=True)]
         if again := sorted({*names} & set(map(str, frame.columns))):
@@ -350,6 +350,12 @@ def _write(frame: Frame, path: Path) -> None:
         raise TraceError(f"the data frame has one column, {frame.columns[0]!r}; it needs a clock and a temperature")
     path.parent.mkdir()
     frame.to_csv(path, index=False)
+
+
+def _numbers_rows(frame: Frame) -> bool:
+    """Whether numbers in an index say no times, as a column does."""
+    firsts = (pd.Index(frame.iloc[:, place].dropna().iloc[:1]) for place in range(frame.shape[1]))
+    return pd.api.types.is_numeric_dtype(frame.index) and any(map(_is_clock, filter(len, firsts)))
 
 
 def _is_clock(index: pd.Index) -> bool:

@@ -14,6 +14,9 @@ LEAST_MOVED_SHARE = 0.5
 out."""
 LEAST_LASTED_SHARE = 0.5
 """Of the time that the usual one takes, from which one would have moved it."""
+LEAST_WAY_SHARE, LEAST_WAY_STEPS = 0.3, 3
+"""Of what the usual one moves it by, and how many of the reading's least steps, a run or a rest begins away from where
+those like it end; one that begins nearer, as a rest after a start that was broken off, has nowhere to go."""
 LEAST_MOVED = 3
 """Runs, or rests, that moved it: of fewer nothing is usual."""
 
@@ -38,8 +41,8 @@ class StillReading:
 
 
 def find_still_reading(record: Record) -> StillReading | None:
-    """The longest stretch of one reading that holds a whole run or a whole rest of about the usual length, where such
-    a one moves the temperature by much; None where there is none."""
+    """The longest stretch of one reading that holds a whole run or a whole rest of about the usual length that had
+    some way to go, where such a one moves the temperature by much; None where there is none."""
     reading, time = record.runs.reading[record.rows], record.runs.time[record.rows]
     running, run = record.running[record.rows] > 0.5, record.runs.run[record.rows]
     firsts, lasts = _stretches(np.column_stack([running, run]))
@@ -48,11 +51,19 @@ def find_still_reading(record: Record) -> StillReading | None:
     whole = np.r_[False, joined] & np.r_[joined, False]
     moved = np.maximum.reduceat(reading, firsts) - np.minimum.reduceat(reading, firsts)
     lasted, on = time[lasts] - time[firsts], running[firsts]
+    least_step = np.min(np.diff(np.unique(reading)), initial=np.inf)
     still = np.zeros(firsts.size, dtype=bool)
     for kind in (True, False):
         usual = whole & (on == kind) & (moved > 0)
-        if usual.sum() >= LEAST_MOVED and np.median(moved[usual]) > LEAST_MOVED_SHARE * np.std(reading):
-            still |= whole & (on == kind) & (moved == 0) & (lasted >= LEAST_LASTED_SHARE * np.median(lasted[usual]))
+        if usual.sum() < LEAST_MOVED or np.median(moved[usual]) <= LEAST_MOVED_SHARE * np.std(reading):
+            continue
+        long = np.flatnonzero(whole & (on == kind) & (lasted >= LEAST_LASTED_SHARE * np.median(lasted[usual])))
+        begun, ended = reading[firsts[long]], reading[lasts[long]]
+        rise = np.median(reading[lasts[usual]] - reading[firsts[usual]])
+        # Where all end, and where the one before did: the surroundings are not always as warm.
+        ways = np.sign(rise) * (np.stack([np.full(long.size, np.median(ended)), np.r_[ended[:1], ended[:-1]]]) - begun)
+        least_way = max(LEAST_WAY_SHARE * np.median(moved[usual]), LEAST_WAY_STEPS * least_step)
+        still[long] |= (moved[long] == 0) & (ways.min(axis=0) > least_way)
     if not still.any():
         return None
     begins, ends = _stretches(np.column_stack([reading, run]))

@@ -34,8 +34,8 @@ MAX_CODE_SHARE = 0.005
 REVERSED_LOAD_RATIO = 20.0
 """The load while "off" over that while "on" from which a switch is upside down: what runs draws something. A level that
 is merely lower while a machine runs, as a compressor's suction pressure is, says nothing."""
-FAHRENHEIT_REST_RANGE, KELVIN_REST_RANGE = (50.0, 110.0), (240.0, 330.0)
-"""Where a machine at rest settles if its degrees are Fahrenheit's (10 to 43 °C), or kelvin (-33 to 57 °C)."""
+FAHRENHEIT_REST_RANGE, KELVIN_REST_RANGE = (50.0, 110.0), (270.0, 310.0)
+"""Where a machine at rest settles if its degrees are Fahrenheit's (10 to 43 °C), or kelvin (-3 to 37 °C)."""
 NOISE_ROW_S, MIN_NOISE_DEGC, MAX_NOISE_SHARE = 60.0, 1.0, 0.1
 """Heat takes minutes: from row to row within so many seconds no bearing jumps by as many degC, and by such a share of
 all that it moves (from its 5th to its 95th percentile; of noise alone that is 3.3 times its sigma)."""
@@ -95,24 +95,43 @@ def _judge_proof(case: LearnedCase) -> Said:
 def _foresees(case: LearnedCase) -> Said:
     rows = case.known_horizons()
     if not rows:
-        most = max((row.independent for row in case.coverage), default=0.0)
-        return None, f"{most:.0f} independent held-out forecasts at most are too few to tell it from persistence"
+        return None, "too few held-out forecasts to tell it from holding the last reading"
     unit = display_unit(case.model.unit)
     worse = [row for row in rows if row.crps > WORSE_CRPS_RATIO * row.persistence]
     said = ", ".join(
         f"{row.crps:.3g} against {row.persistence:.3g} {unit} at {row.horizon:g} s" for row in worse or rows
     )
     if len(worse) == len(rows):
-        return False, f"worse than holding the last reading at every horizon (CRPS {said})"
+        known = " of which enough is known" if len(rows) < len(HORIZONS_S) else ""
+        return False, f"worse than holding the last reading at every horizon{known} (CRPS {said})"
     if worse:
         return None, f"worse than holding the last reading at some horizons (CRPS {said})"
-    if few := sorted(set(HORIZONS_S) - {row.horizon for row in rows}):
-        most = max((row.independent for row in case.coverage if row.horizon in few), default=0.0)
-        return None, (
-            f"at {' and '.join(f'{horizon:g} s' for horizon in few)} {most:.0f} independent held-out forecasts at most "
-            f"had an outcome; else better than holding the last reading (CRPS {said})"
-        )
     return True, f"as good as holding the last reading or better (CRPS {said})"
+
+
+def _foresees_each_horizon(case: LearnedCase) -> Said:
+    known = {row.horizon for row in case.known_horizons()}
+    outcomes = {row.horizon: row.independent for row in case.coverage}
+    few = [horizon for horizon in HORIZONS_S if outcomes.get(horizon, 0.0) < MIN_FORECASTS]
+    alone = [horizon for horizon in HORIZONS_S if horizon not in known and horizon not in few]
+    said = []
+    if few:
+        # What is not whole is not had.
+        most = int(max(outcomes.get(horizon, 0.0) for horizon in few))
+        said.append(
+            f"at {_list_seconds(few)} {most} independent held-out forecasts at most had an outcome, and "
+            f"{MIN_FORECASTS:g} are needed"
+        )
+    if alone:
+        said.append(f"at {_list_seconds(alone)} nothing says what holding the last reading would have come to")
+    if said:
+        return None, "; ".join(said)
+    return True, f"enough forecasts had an outcome at {_list_seconds(HORIZONS_S)}"
+
+
+def _list_seconds(horizons: Sequence[float]) -> str:
+    *most, last = (f"{horizon:g} s" for horizon in horizons)
+    return f"{', '.join(most)} and {last}" if most else last
 
 
 def _covers(case: LearnedCase) -> Said:
@@ -164,7 +183,11 @@ def _move_as_heat_does(case: LearnedCase) -> Said:
         return True, f"in {display_unit(case.model.unit)}"
     columns = case.readings()
     jumps = [np.abs(np.diff(column))[np.diff(times) <= NOISE_ROW_S] for times, column in columns]
-    jump = float(np.median(np.concatenate(jumps))) if sum(map(len, jumps)) else 0.0
+    if not sum(map(len, jumps)):
+        apart = np.concatenate([np.diff(times) for times, _ in columns] or [np.zeros(0)])
+        rows = f"its rows lie {np.median(apart):.0f} s apart" if apart.size else "it has no two readings"
+        return True, f"noise was not looked for: {rows}"
+    jump = float(np.median(np.concatenate(jumps)))
     # Of each trace alone: one that was taken in summer makes no other one quiet.
     span = max((float(np.ptp(np.quantile(column, (0.05, 0.95)))) for _, column in columns if column.size), default=0.0)
     if jump <= max(MIN_NOISE_DEGC, MAX_NOISE_SHARE * span):
@@ -239,14 +262,14 @@ def _degrees_are_celsius(case: LearnedCase) -> Said:
         and np.isfinite(column).any()
     ]  # fmt: skip
     rest = min(lowest, default=None)
-    if rest is None or rest <= FAHRENHEIT_REST_RANGE[0]:
-        return True, "its degrees are what a machine at rest has" if rest is not None else "it was never seen at rest"
-    asked = "in which unit is it?"
-    if rest < FAHRENHEIT_REST_RANGE[1]:
-        asked = f"are these degrees Fahrenheit ({(rest - 32.0) / 1.8:.0f} °C)?"
-    elif KELVIN_REST_RANGE[0] < rest < KELVIN_REST_RANGE[1]:
-        asked = f"are these kelvin ({rest - ZERO_CELSIUS_K:.0f} °C)?"
-    return None, f"at rest it is never below {rest:.0f} °C: {asked}"
+    if rest is None:
+        return True, "it was never seen at rest"
+    said = f"at rest it is never below {rest:.0f} °C"
+    if FAHRENHEIT_REST_RANGE[0] < rest < FAHRENHEIT_REST_RANGE[1]:
+        return None, f"{said}: are these degrees Fahrenheit ({(rest - 32.0) / 1.8:.0f} °C)?"
+    if KELVIN_REST_RANGE[0] < rest < KELVIN_REST_RANGE[1]:
+        return None, f"{said}: are these kelvin ({rest - ZERO_CELSIUS_K:.0f} °C)?"
+    return True, f"{said}, which is neither in degrees Fahrenheit nor in kelvin what a machine at rest has"
 
 
 def _judge_places(case: LearnedCase) -> Said:
@@ -336,6 +359,7 @@ CRITERIA: Mapping[str, tuple[Callable[[LearnedCase], Said], str]] = {
         "see what `decanter model judge proof` refutes, and learn with another --method or flow",
     ),
     FORECAST_CRITERION: (_foresees, "learn with more starts and stops; `decanter diagnose` names what is missing"),
+    "horizons": (_foresees_each_horizon, "learn with longer unbroken recordings"),
     "band": (_covers, "learn with more days, or look at the sensor's noise"),
     "units": (_taught_enough, "learn with more days and starts"),
     "readings": (_readings_are_readings, "say the code for no reading in the column map (bad = [...])"),

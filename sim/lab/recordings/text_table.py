@@ -25,6 +25,7 @@ from sim.lab.recordings.cells import Points, booleans, numbers, rewrite_points
 from sim.lab.recordings.column_map import ColumnMap, Names
 from sim.lab.recordings.load_report import FileReport, TraceError, list_names
 from sim.lab.recordings.sources import open_source, read_head, recording_name
+from sim.lab.recordings.unit_table import known_unit
 
 Lines = NDArray[np.intp]
 """Numbers of lines of a file, from 1."""
@@ -215,6 +216,11 @@ def find_layout(
     if not fits:
         report.notes.append(f"it has no header; its columns are taken for {list_names(column_map.columns)}")
     if fits:
+        if len(clock) > 1 and _says_units(
+            (units := _header(lines[skip : skip + MAX_ROW_LINES], separator))[0], header, clock
+        ):
+            report.notes.append(f"line {skip + 1} says the units")
+            skip += units[1]
         shown = [cells for line in lines[skip : skip + _SHOWN_ROWS] if (cells := _header([line], separator)[0])]
         header = tuple(with_row_names(header, shown))
         kept = header[: _narrower(lines[skip:], separator, len(header))]
@@ -322,6 +328,15 @@ def _header_of_two(lines: Sequence[str], separator: str) -> tuple[tuple[str, ...
     if len(rows) < 2 or len(rows[1]) < 2 or all(map(str.strip, rows[0][: len(rows[1])])) or not any(rows[0]):
         return (), 1
     return tuple(_trim_header(compose_names(*rows))), 2
+
+
+def _says_units(row: Sequence[str], header: Sequence[str], clock: Sequence[Names]) -> bool:
+    """Whether the row under the header says the units of the columns, and no time."""
+    times = {row[at] for names in clock if (at := find_column(header, names)) is not None and at < len(row)}
+    bare = [cell.strip("[](){} ") for cell in row if cell not in ("", UNNAMED_COLUMN)]
+    known = sum(map(bool, map(known_unit, bare)))
+    timeless = all(cell in ("", UNNAMED_COLUMN) or known_unit(cell.strip("[](){} ")) for cell in times)
+    return timeless and 2 * known >= max(len(bare), 1) and not np.isfinite(numbers(bare, "auto")[0]).any()
 
 
 def _trim_header(cells: Sequence[str]) -> list[str]:

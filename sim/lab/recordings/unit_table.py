@@ -4,8 +4,11 @@ import math
 
 UNITS = {
     "°c": "degC", "degc": "degC", "c": "degC", "grad": "degC", "deg c": "degC", "ºc": "degC", "celsius": "degC",
-    "℃": "degC",
+    "℃": "degC", "deg_c": "degC", "grad c": "degC", "gradc": "degC", "grad_c": "degC", "grad celsius": "degC",
+    "deg celsius": "degC", "degrees celsius": "degC", "degrees c": "degC",
     "°f": "degF", "degf": "degF", "f": "degF", "deg f": "degF", "ºf": "degF", "fahrenheit": "degF", "℉": "degF",
+    "deg_f": "degF", "grad f": "degF", "gradf": "degF", "grad_f": "degF", "grad fahrenheit": "degF",
+    "deg fahrenheit": "degF", "degrees fahrenheit": "degF", "degrees f": "degF",
     "0.1 degc": "0.1 degC", "0.1 °c": "0.1 degC",
     "k": "K", "kelvin": "K", "°k": "K", "a": "A", "amp": "A", "amps": "A", "ampere": "A", "amperes": "A", "ma": "mA",
     "milliamps": "mA", "ka": "kA",

@@ -163,10 +163,58 @@ def is_time(cell: str) -> bool:
 
 
 def pure_date(cell: str) -> tuple[tuple[Order, str], ...]:
-    """The formats of a date without a time of day that read a cell."""
+    """The formats of a date without a time of day that read a cell, which may have the words that times have."""
+    if _IN_WORDS.fullmatch(cell):
+        cell = plain_time(cell)
     if not 6 <= len(cell) <= 12 or cell.replace(".", "", 1).isdigit():
         return ()
     return tuple((order, format_) for order, format_ in _DATES if _fits(cell, format_))
+
+
+_IN_WORDS = re.compile(r"(?=.*\d\d)(?=.*[^\W\d_]{2}).{8,30}")
+"""What may be a date with a day of the week, or with a month of any language."""
+
+
+def whole_day(cell: str) -> tuple[tuple[Order, str], ...]:
+    """The formats of a date alone that read a cell: without a time, with its midnight, or as a number of our times."""
+    bare = join_days([cell], [""])[0].strip()
+    compact = "%Y%m%d"
+    return ((("year", compact),) if _fits(bare, compact) else ()) if _COMPACT_DAY.fullmatch(bare) else pure_date(bare)
+
+
+_COMPACT_DAY = re.compile(r"(?:19|20)\d{6}")
+
+
+def bare_time(cells: Sequence[str], header: str) -> str:
+    """The format of a column of times of day that are written like numbers, 06.00 or 060000; "" for other numbers.
+
+    It tells them from numbers by their digits only: they are times beside a column of days and under a name of time.
+    """
+    shown = set(cells) - {""}
+    if len(shown) < 2 or any(word in _COUNT_UNITS for word in _WORDS.findall(header.casefold())):
+        return ""
+    form = next((form for form, written in _BARE_TIMES.items() if all(map(written.fullmatch, shown))), "")
+    # Halves of hours: minutes are not 00 and 50 alone.
+    return "" if form == "%H.%M" and {cell[-2:] for cell in shown} == {"00", "50"} else form
+
+
+_BARE_TIMES = {
+    "%H.%M": re.compile(r"(?:[01]?\d|2[0-3])\.[0-5]\d"),
+    "%H%M%S": re.compile(r"(?:[01]\d|2[0-3])[0-5]\d[0-5]\d"),
+    "%H%M": re.compile(r"(?:[01]\d|2[0-3])[0-5]\d"),
+}
+
+
+def bare_times_clocks(place: int, cells: Sequence[str], date: tuple[int, Sequence[str]], form: str) -> list[FoundClock]:
+    """The ways to read times that are written like numbers, in `form`, after a column of dates."""
+    found: dict[Order, FoundClock] = {}
+    joined = join_days(date[1], cells)
+    for order, day in whole_day(next(filter(None, date[1]), "")):
+        formats = (f"{day} {form}",)
+        times, _ = read_clock(ClockColumns(column="t", formats=formats), [joined], "auto")
+        if np.isfinite(times).sum() >= _ENOUGH * sum(map(bool, cells)):
+            found.setdefault(order, FoundClock(place, formats, order, times, date[0]))
+    return list(found.values())
 
 
 def pure_time(cell: str) -> tuple[str, ...]:

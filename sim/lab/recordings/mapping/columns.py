@@ -2,7 +2,7 @@
 
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Literal
@@ -114,10 +114,19 @@ def _numbers_among(cells: Sequence[str], decimal: Literal[".", ","]) -> int:
 
 
 def describe_column(
-    header: str, title: str, unit: str, cells: Sequence[str], decimal: Literal["auto", ".", ","]
+    header: str,
+    title: str,
+    unit: str,
+    cells: Sequence[str],
+    decimal: Literal["auto", ".", ","],
+    *,
+    beside: Iterable[str] = (),
 ) -> FoundColumn:
-    """What a column (or one signal of a long file) holds. `unit` is the one that a row of units gives, or ""."""
-    bare, own_unit = split_unit(title)
+    """What a column (or one signal of a long file) holds. `unit` is the one that a row of units gives, or "".
+
+    `beside` are the titles of all of them.
+    """
+    bare, own_unit = split_unit(title, beside)
     name = signal_name(bare)
     unit = unit or own_unit
     filled = [cell for cell in cells if cell.casefold() not in _NO_VALUE]

@@ -3,7 +3,8 @@
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
+from datetime import UTC, datetime
+from itertools import combinations, pairwise
 
 import numpy as np
 
@@ -15,7 +16,6 @@ from sim.lab.recordings import (
     TraceError,
     booleans,
     conversion,
-    join_days,
     known_unit,
     list_names,
     numbers,
@@ -26,6 +26,8 @@ from sim.lab.recordings import (
 from sim.lab.recordings.mapping.answers import NO_COLUMN, Answers, Undecided
 from sim.lab.recordings.mapping.clocks import (
     FoundClock,
+    bare_time,
+    bare_times_clocks,
     counted_clock,
     daily_clock,
     find_clocks,
@@ -33,6 +35,7 @@ from sim.lab.recordings.mapping.clocks import (
     looks_rounded_count,
     pure_date,
     pure_time,
+    whole_day,
 )
 from sim.lab.recordings.mapping.columns import FoundColumn, dwells, find_decimal, has_levels, is_slow
 from sim.lab.recordings.mapping.table import FoundTable
@@ -42,6 +45,8 @@ from sim.lab.recordings.mapping.words import (
     load_score,
     named_bearing,
     named_current,
+    named_day,
+    named_duration,
     named_part_time,
     named_remainder,
     named_standstill,
@@ -62,7 +67,7 @@ COLDEST, HOTTEST = -80.0, 300.0
 """degC that no bearing reaches: its grease burns before, and no plant stands in such a cold."""
 _LOOP_CURRENT = 0.025
 """A that a sensor's loop of 4 to 20 mA carries at most, out of range too."""
-_LOOP_MA = (3.6, 21.0)
+_LOOP_MA = (3.6, 20.5)
 """mA that a loop of 4 to 20 mA carries: below and above it says a fault."""
 _IDLE_CURRENT_SHARE = 0.05
 """Of its most, a current below which no motor turns anything."""
@@ -90,14 +95,14 @@ class Parts:
 def choose_clock(table: FoundTable, answers: Answers) -> FoundClock:
     """The column of times. Raises Undecided where two fit or the day and month may be either, TraceError for none."""
     by_place: dict[int, list[FoundClock]] = {}
-    # Days that a program writes with a midnight are no clock beside times of day.
+    sure: dict[int, bool] = {}
     first = [next(filter(None, table.column(place)), "") for place in range(len(table.header))]
-    timed = any(map(pure_time, first))
-    days = {
-        at
-        for at, cell in enumerate(first)
-        if timed and is_time(cell) and all(map(_is_day, set(table.column(at)) - {""}))
-    }
+    days = [at for at, cell in enumerate(first) if cell and _has_days(table, at)]
+    bare = _bare_times(table, days)
+    spans = set() if answers.time else {at for at, name in enumerate(table.header) if named_duration(name)}
+    # Days that a program writes with a midnight, or as a number, are no clock beside times of day.
+    timed = bool(bare) or any(pure_time(cell) and at not in spans for at, cell in enumerate(first) if at not in days)
+    passed = {at for at in days if timed and not pure_date(first[at])}
     for place, header in enumerate(table.header):
         if answers.time and header != answers.time:
             continue
@@ -112,14 +117,23 @@ def choose_clock(table: FoundTable, answers: Answers) -> FoundClock:
                 f"seconds are lost; "
                 "export the file again, with that column as text"
             )
-        if place in days:
+        if place in passed and not answers.time:
             continue
         if is_time(filled[0]):
             by_place[place] = find_clocks(place, cells)
-        elif pure_time(filled[0]) and not all(map(pure_date, set(filled))):
-            dated = [at for at in range(len(table.header)) if at != place and _is_day(next(iter(table.column(at)), ""))]
-            dates = (dated[0], table.column(dated[0])) if dated else None
-            by_place[place] = find_clocks(place, cells, dates) if dates else daily_clock(place, cells)
+        elif place in bare:
+            day, sure[place] = _day_beside(table, place, days, bare[place])
+            by_place[place] = bare_times_clocks(place, cells, (day, table.column(day)), bare[place])
+        elif place in spans and pure_time(filled[0]):
+            # How long something took is no time of the day beside it.
+            moves = any(len(set(table.column(at))) > 1 for at in days)
+            by_place[place] = [] if moves else daily_clock(place, cells)
+        elif pure_time(filled[0]) and place not in days:
+            if days:
+                day, sure[place] = _day_beside(table, place, days, pure_time(filled[0])[0])
+                by_place[place] = find_clocks(place, cells, (day, table.column(day)))
+            else:
+                by_place[place] = daily_clock(place, cells)
         else:
             decimal = find_decimal([cells], table.separator)
             counted = counted_clock(
@@ -129,6 +143,8 @@ def choose_clock(table: FoundTable, answers: Answers) -> FoundClock:
     found = {place: clocks for place, clocks in by_place.items() if clocks}
     if not found:
         raise TraceError(_no_clock(table, answers))
+    if any(place not in spans or is_time(first[place]) for place in found):
+        found = {place: clocks for place, clocks in found.items() if place not in spans or not pure_time(first[place])}
 
     def score(place: int) -> int:
         times = found[place][0].times
@@ -147,13 +163,80 @@ def choose_clock(table: FoundTable, answers: Answers) -> FoundClock:
     if len(same) < len(rivals) and not answers.time:
         raise Undecided(table.path, "columns that may be the clock", "time", [table.header[place] for place in rivals])
     _check_one_column(table, found[rivals[0]][0])
-    chosen = next((place for place in same if found[place][0].has_zone or "Z" in table.column(place)[0]), rivals[0])
+    if not answers.time:
+        _check_day(table, found[rivals[0]][0])
+    zoned = (place for place in same if found[place][0].has_zone or "Z" in table.column(place)[0])
+    chosen = next(zoned, next((place for place in same if sure.get(place, True)), rivals[0]))
+    if not sure.get(chosen, True):
+        raise TraceError(
+            f"{table.path}: the days of {table.header[chosen]!r} may stand in "
+            f"{' or in '.join(repr(table.header[at]) for at in days)}: name that column 'Date', or export only that one"
+        )
     return _one_order(table, found[chosen], answers)
 
 
-def _is_day(cell: str) -> bool:
-    """Whether a cell is a date, alone or with its midnight."""
-    return bool(pure_date(join_days([cell], [""])[0].strip()))
+def _has_days(table: FoundTable, place: int) -> bool:
+    """Whether a column holds dates, alone or with their midnight, or as numbers under a name of time."""
+    filled = [cell for cell in table.column(place) if cell]
+    if not whole_day(filled[0]) or (filled[0].isdigit() and not named_time(table.header[place])):
+        return False
+    # A footer is no day; what may be a time of day as 10.11.12 may is one where others can be nothing else.
+    others = {cell for cell in set(filled) if not whole_day(cell)}
+    few = sum(cell in others for cell in filled) <= _FEW_OTHERS * len(filled)
+    return few and not any(map(pure_time, others))
+
+
+_FEW_OTHERS = 0.2
+"""Share of the cells of a column of days that may be none."""
+
+
+def _bare_times(table: FoundTable, days: Sequence[int]) -> dict[int, str]:
+    """place -> format of the columns of times that are written like numbers, beside days."""
+    found: dict[int, str] = {}
+    for place, header in enumerate(table.header):
+        hour = _PARTS_OF_TIME.fullmatch(header.strip())
+        plain = (named_time(header) or hour) and not split_unit(header)[1] and not table.units[place]
+        if days and place not in days and plain and not named_duration(header):
+            form = bare_time(table.column(place), header)
+            found |= {place: form} if form else {}
+    return found
+
+
+def _day_beside(table: FoundTable, place: int, days: Sequence[int], form: str) -> tuple[int, bool]:
+    """The column that says the days of the times of day at `place`, and whether a midnight or a name tells that."""
+    columns = [table.column(at) for at in days]
+    if all(column == columns[0] for column in columns):
+        return days[0], True
+    times, _ = read_clock(ClockColumns(column="t", formats=(form,)), [table.column(place)], "auto")
+    read = np.flatnonzero(np.isfinite(times)).tolist()
+    midnights = [late < early for early, late in pairwise(times[read].tolist())]
+    moving = [
+        at
+        for at, column in zip(days, columns, strict=True)
+        if [column[early] != column[late] for early, late in pairwise(read)] == midnights
+    ]
+    named = [at for at in moving or days if named_day(table.header[at])]
+    if len(named) == 1 or (moving and any(midnights)):
+        return (named or moving)[0], True
+    return days[0], False
+
+
+def _check_day(table: FoundTable, clock: FoundClock) -> None:
+    """Raises TraceError for times of day whose year and day stand in columns of their own: they would be lost."""
+    numbered = bare_time(table.column(clock.place), table.header[clock.place])
+    if clock.date is not None or not (numbered or ClockColumns(column="t", formats=clock.formats).daily):
+        return
+    parts = [
+        name
+        for at, name in enumerate(table.header)
+        if at != clock.place and _PARTS_OF_DAY.fullmatch(name.strip()) and table.column(at)[0].isdigit()
+    ]
+    if len(parts) > 1 and any(_YEAR.fullmatch(name.strip()) for name in parts):
+        raise TraceError(
+            f"{table.path}: the days of its times stand in columns of their own, {list_names(parts)}: join them to "
+            "one, such as 2024-03-13 or, by the day of the year, 2024-073; "
+            f"--time {table.header[clock.place]!r} reads the times without their days"
+        )
 
 
 def _check_one_clock(table: FoundTable, place: int) -> None:
@@ -198,6 +281,14 @@ def _check_one_column(table: FoundTable, clock: FoundClock) -> None:
         )
 
 
+_YEAR = re.compile(r"year|yyyy|yr|jahr|anno|ann[ée]e|a[ñn]o|年", re.IGNORECASE)
+_PARTS_OF_DAY = re.compile(
+    rf"{_YEAR.pattern}|month|monat|mese|mois|m[eê]s|day|tag|giorno|jour|d[ií]a|doy|jday|julian.?day|yday|"
+    r"day.?(?:of.?)?(?:the.?)?year|(?:jahrestag|tag.?(?:im|des).?jahre?s?)|giorno.?dell.?anno|"
+    r"jour.?(?:de.?l.?ann[ée]e|julien)|d[ií]a.?del.?a[ñn]o",
+    re.IGNORECASE,
+)
+"""What a day is told by in several columns, the day of the year too."""
 _COUNTS = ("seconds", "minutes", "hours", "days")
 
 
@@ -221,6 +312,8 @@ def _no_clock(table: FoundTable, answers: Answers) -> str:
     why = (
         "it was rounded by a spreadsheet, and the seconds are lost; export it again as text"
         if looks_rounded_count(shown)
+        else "it is a day, and nothing says the time of day; export that too"
+        if pure_date(shown)
         else "no form that is known reads it, or it does not rise; give --time COLUMN for another column"
     )
     return (
@@ -239,8 +332,7 @@ def sample_seconds(table: FoundTable, clock: FoundClock) -> tuple[Array, Mask]:
 
 
 def _one_order(table: FoundTable, clocks: Sequence[FoundClock], answers: Answers) -> FoundClock:
-    """Of readings day first and month first the one that leaves a clock in order, else what the language says."""
-    clocks = _written_before(table, clocks)
+    """Of readings year, day and month first the one that leaves a clock in order, else what the language says."""
     wanted = [clock for clock in clocks if clock.order == answers.dates]
     if wanted or len(clocks) == 1:
         return (wanted or list(clocks))[0]
@@ -248,52 +340,45 @@ def _one_order(table: FoundTable, clocks: Sequence[FoundClock], answers: Answers
     whole = {clock.order: sample_seconds(table, clock)[0] for clock in clocks}
     read = {order: int(np.isfinite(times).sum()) for order, times in whole.items()}
     clocks = [clock for clock in clocks if read[clock.order] == max(read.values())]
+    latest = {clock.order: float(np.nanmax(whole[clock.order])) for clock in clocks}
+    now = datetime.now(UTC).timestamp() + _ZONES_APART_S
+    clocks = [clock for clock in clocks if latest[clock.order] <= now] or clocks
     if len(clocks) == 1:
         return clocks[0]
     steps = {clock.order: np.diff(whole[clock.order][np.isfinite(whole[clock.order])]) for clock in clocks}
     in_order = [c for c in clocks if np.all(steps[c.order] >= 0) or np.all(steps[c.order] <= 0)]
     # Days that cross a month's end jump by a month when day and month are exchanged.
     longest = {clock.order: float(np.abs(steps[clock.order]).max(initial=0.0)) for clock in clocks}
-    smooth = [c for c in in_order if longest[c.order] <= 0.1 * min(longest[o.order] for o in clocks if o is not c)]
+    smooth = [c for c in clocks if longest[c.order] <= 0.1 * min(longest[o.order] for o in clocks if o is not c)]
     if len(in_order) == 1 or len(smooth) == 1:
         return (in_order if len(in_order) == 1 else smooth)[0]
+    # A year of two digits comes first with dashes, where nothing else is as good.
+    clocks = [clock for clock in clocks if not any("%y/" in format_ for format_ in clock.formats)] or clocks
     orders = {clock.order: clock for clock in clocks}
+    if len(orders) == 1:
+        return clocks[0]
     numbers_ = find_decimal([table.column(place) for place in range(len(table.header))], table.separator)
-    if (
-        "year" not in orders
-        and "day" in orders
-        and (numbers_ == "," or table.separator == ";" or day_first(" ".join(table.header)))
-    ):
+    if "day" in orders and (numbers_ == "," or table.separator == ";" or day_first(" ".join(table.header))):
         return orders["day"]
-    if "year" not in orders and "month" in orders and any("%p" in format_ for format_ in orders["month"].formats):
+    if "month" in orders and any("%p" in format_ for format_ in orders["month"].formats):
         return orders["month"]
+    later = latest.get("year", np.nan) - max(latest[order] for order in orders if order != "year")
+    if later < -_LONG_AGO_S and "day" in orders:
+        return orders["day"]
     shown = table.column(clocks[0].date if clocks[0].date is not None else clocks[0].place)[0]
     raise Undecided(
         table.path,
         f"in {shown!r} the {' or the '.join(sorted(orders))} may come first",
         "dates",
         [clock.order for clock in clocks],
-        guess="year",
+        guess="year" if later > _LONG_AGO_S else "",
     )
 
 
-def _written_before(table: FoundTable, clocks: Sequence[FoundClock]) -> list[FoundClock]:
-    """The clocks, without one that begins with a year of two digits and is not likely so: 31-03-24 is none of 2031.
-
-    It is where it says a later year than the others do, and the file was not written before.
-    """
-    written = table.path.stat().st_mtime
-    latest = {clock.order: float(np.nanmax(clock.times)) for clock in clocks}
-    others = max((time for order, time in latest.items() if order != "year"), default=-np.inf)
-    return [
-        clock
-        for clock in clocks
-        if clock.order != "year" or others == -np.inf or others < latest["year"] <= written + _ZONES_APART_S
-    ]
-
-
 _ZONES_APART_S = 86400.0
-"""s by which a local time may be ahead of the clock of the computer that wrote its file."""
+"""s by which a local time may be ahead of the clock of the computer that reads it."""
+_LONG_AGO_S = 10 * 365.25 * 86400.0
+"""s by which a reading of a date is so much older than another that the other is likelier."""
 
 
 def choose_parts(where: object, columns: Sequence[FoundColumn], answers: Answers) -> Parts:
@@ -418,23 +503,42 @@ def _load(
 
 
 def _check_loop(where: object, load: FoundColumn, answers: Answers) -> None:
-    """Raises Undecided for a load without a unit that rests at 4 and stays below 20, as a loop's mA do."""
+    """Raises Undecided for a load without a unit that rests at 4.00 and is nowhere more than a loop's mA are."""
     finite = load.values[np.isfinite(load.values)]
-    if load.unit or not finite.size or any(text.startswith(f"{load.header}=") for text in answers.unit):
+    if load.unit or not _fits_loop(finite) or any(text.startswith(f"{load.header}=") for text in answers.unit):
         return
-    low, high = float(finite.min()), float(finite.max())
-    if _LOOP_MA[0] <= low and high <= _LOOP_MA[1] and np.mean(finite <= _LOOP_REST_MA) > _LOOP_REST_SHARE:
+    rest = finite[finite <= _LOOP_REST_MA]
+    low, median, high = np.quantile(rest, (0.05, 0.5, 0.95)) if rest.size else (0.0, 0.0, 0.0)
+    if (
+        _LOOP_REST_SHARE * finite.size < rest.size < finite.size
+        and abs(median - _LOOP_ZERO_MA) <= _LOOP_BAND_MA
+        and high - low <= _LOOP_BAND_MA
+    ):
         raise Undecided(
             where,
-            f"{load.header!r} says no unit, rests at {low:.3g} and stays below {_LOOP_MA[1]:g}, as a loop of 4 to 20 "
+            f"{load.header!r} says no unit, rests at {median:.3g} and goes to {finite.max():.3g}, as a loop of 4 to 20 "
             "mA does: export it in A, give the map its scale and offset, or say that it is in A",
             "unit",
             [f"{load.header}=A"],
+            guess=f"{load.header}=A",
         )
 
 
+_LOOP_ZERO_MA, _LOOP_BAND_MA = 4.0, 0.05
+"""mA by which a loop says 0, and how far from it a resting one is at most; what an idling motor draws is elsewhere."""
 _LOOP_REST_MA, _LOOP_REST_SHARE = 4.4, 0.02
-"""mA below which a loop says nothing, and the share of the readings that must."""
+"""mA below which a loop says next to nothing, and the share of the readings that must."""
+
+
+def _fits_loop(values: Array) -> bool:
+    """Whether readings may be a loop's mA: within its range, and most of them finer than tenths, a hundredth of it."""
+    if not values.size or float(values.min()) < _LOOP_MA[0] or float(values.max()) > _LOOP_MA[1]:
+        return False
+    return bool(np.mean(np.abs(10.0 * values - np.round(10.0 * values)) > _NO_TENTH) > 0.5)
+
+
+_NO_TENTH = 1e-3
+"""Of a tenth, by which a reading of few digits is none, however it was stored."""
 
 
 def _switch(
@@ -562,14 +666,15 @@ def check_temperature(
     if any(text.startswith(f"{header}=") for text in answers.unit):
         return
     low, high = float(finite.min()), float(finite.max())
-    if not temperature.unit and 0.0 <= low < high <= _LOOP_MA[1]:
+    if not temperature.unit and _fits_loop(finite):
         raise Undecided(
             where,
-            f"{header!r} says no unit, and all its readings lie between {low:.4g} and {high:.4g}, as those of a loop "
-            "of 4 to 20 mA or of 0 to 10 V do, and no bearing's that works: export it in degC, give the map its scale "
+            f"{header!r} says no unit, and its readings, finer than tenths, lie between {low:.4g} and {high:.4g}, as "
+            "those of a loop of 4 to 20 mA do, or of a cold machine: export a loop's in degC or give the map its scale "
             "and offset, or say that it is in degC",
             "unit",
             [f"{header}=degC"],
+            guess=f"{header}=degC",
         )
     whole = bool(np.all(finite % 1 == 0))
     kelvin = _KELVIN_REST_RANGE[0] < low < _KELVIN_REST_RANGE[1]

@@ -255,7 +255,14 @@ def _columns(
         marks = _find_marks(table, places)
         _check_units(table, places)
         found = [
-            describe_column(table.header[p], table.titles[p], table.units[p], _plain_cells(table, p, marks), decimal)
+            describe_column(
+                table.header[p],
+                table.titles[p],
+                table.units[p],
+                _plain_cells(table, p, marks),
+                decimal,
+                beside=table.titles,
+            )
             for p in places
             for decimal in ["." if table.header[p] in marks.unclear else marks.decimal]
         ]
@@ -278,7 +285,9 @@ def _columns(
                     f"{row[long.unit]}: a signal has one unit; export it in one"
                 )
     found = [
-        describe_column(name, name, units.get(name, ""), each, marks.decimal) for name, each in cells.items() if name
+        describe_column(name, name, units.get(name, ""), each, marks.decimal, beside=cells)
+        for name, each in cells.items()
+        if name
     ]
     return found, [np.array(each) for name, each in own.items() if name], marks
 

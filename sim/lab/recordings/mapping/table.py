@@ -340,6 +340,11 @@ def _numeric(cell: str) -> bool:
 def _is_units(row: Sequence[str]) -> bool:
     """Whether a row under the header says units: one that is known and nothing that is long, or several."""
     filled = [bare_unit(cell) for cell in row if cell]
-    known = sum(cell in UNITS for cell in filled)
     # min beside max and mean is no minute.
-    return (known > 1 and 2 * known >= len(filled)) or (known == 1 and all(len(cell) <= 6 for cell in filled))
+    parts = {"min"} if _STATISTICS.intersection(filled) else set()
+    known = sum(cell in UNITS and cell not in parts for cell in filled)
+    return known > 1 or (known == 1 and all(len(cell) <= 6 for cell in filled))
+
+
+_STATISTICS = frozenset({"max", "mean", "avg", "average", "median", "std", "mittel", "mittelwert", "moy", "media"})
+"""What stands beside a min that is a least one."""

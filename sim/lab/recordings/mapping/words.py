@@ -1,7 +1,7 @@
 """What columns are called in plants' exports, in five languages of Europe and in Chinese: parts, times, units."""
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 
 from sim.lab.recordings import CONVERTED_UNITS, known_unit
 
@@ -42,6 +42,13 @@ _TIME = re.compile(
     r"time|elapsed|^x_value$|^t_(?:ms|s|sec|min|h)$|zeit|datum|date|data\b|\bora\b|tempo\b|heure|horodat|temps|fecha|hora|stamp|\bt\b|\bts\b|clock|epoch|\bsec|时间|日期",
     re.IGNORECASE,
 )
+_DURATION = re.compile(
+    r"(?:run|running|operating|cycle|up|down)[ _-]?time|duration|elapsed|laufzeit|betriebs(?:zeit|dauer)|dauer\b|"
+    r"(?:zyklus|takt)zeit|durata|tempo[ _]?(?:di[ _])?ciclo|dur[ée]e|temps[ _]de[ _]cycle|duraci[óo]n|"
+    r"tiempo[ _]de[ _]ciclo|时长",
+    re.IGNORECASE,
+)
+_DAY = re.compile(r"date|datum|data|fecha|day|tag|giorno|jour|d[ií]a|日期", re.IGNORECASE)
 _FREQUENCY = re.compile(r"[\[({_ ][kMG]?Hz[\])}]?(?:_\d+)?\s*$", re.IGNORECASE)
 """The end of a header that says hertz: the clock of a processor is a frequency."""
 _NAME = re.compile(
@@ -59,10 +66,17 @@ _BRACKETED = re.compile(r"\s*[\[({]\s*([^\])}]*)\s*[\])}]\s*$")
 _FIELDS = re.compile(r"\[([^\[\]]+)\]\s*\[([^\[\]]*)\]\s*(?:\[[^\[\]]*\])")
 """Name, unit and number, each in brackets of its own."""
 _IN_NAME = re.compile(
-    r"(?:[_ .,;:/]|(?<=[_ ])in )(?P<unit>deg ?[CFcf]|[°º]\s?[CFK]|℃|[Kk]elvin|[Cc]elsius|[Ff]ahrenheit|"
+    r"(?:[_ .,;:/]|(?<=[_ ])in )(?P<unit>(?i:(?:deg|grad)[ _]?[CF]|kelvin|celsius|fahrenheit)|[°º]\s?[CFK]|℃|"
     r"[Aa]mp(?:s|eres?)?|rpm|[kM]?W|m?bar|kPa|"
     r"[mk]?A|k?V|Nm|Hz|%|[CFK])$"
 )
+_TEMPERATURE_LETTER = re.compile(
+    r"temp(?:erature?|eratura)?(?P<ending>(?:_?(?:deg|grad)|[_ ])?_?(?P<letter>[cf]))$",
+    re.IGNORECASE,
+)
+"""temp_c, TempC, tempDegF: a letter at the end of a temperature's name."""
+_DEGREE_SIGN = re.compile(r"\s+(?P<unit>[°º]\s?[CF]|℃|℉)(?=\s+(?!per\b|pro\b|par\b)[^\W\d]{2})")
+"""A unit with more words behind it, such as the place's."""
 _LOAD = re.compile(
     r"(?:^|[:./_-])[js][it][-_]?\d|power|leist|potenza|potencia|puissance|load|last\b|carico|carga|charge|speed|rpm|drehzahl|velocit|giri|vitesse|torque|"
     r"moment|coppia|couple|frequen|throttle|功率|负荷|负载|转速|频率",
@@ -136,8 +150,11 @@ def bare_unit(cell: str) -> str:
     return cell.strip().strip("[](){}").strip().casefold()
 
 
-def split_unit(header: str) -> tuple[str, str]:
-    """(header without its unit, unit): "T bearing [°C]" is ("T bearing", "degC"); no unit that is known: ""."""
+def split_unit(header: str, beside: Iterable[str] = ()) -> tuple[str, str]:
+    """(header without its unit, unit): "T bearing [°C]" is ("T bearing", "degC"); no unit that is known: "".
+
+    `beside` are the other headers: temp_c is no degC beside temp_a.
+    """
     if fields := _FIELDS.fullmatch(header.strip()):
         return fields[1].strip(), known_unit(fields[2])
     match = _BRACKETED.search(header)
@@ -148,13 +165,30 @@ def split_unit(header: str) -> tuple[str, str]:
         if bare.startswith("[") and bare.endswith("]"):
             bare = bare[1:-1].strip()
         return (bare, unit) if bare and (unit or not match[1].strip()) else (header, "")
+    if _is_lettered(header, beside):
+        return header, ""
     match = _IN_NAME.search(header)
+    if match is None and (match := _TEMPERATURE_LETTER.search(header)):
+        unit = known_unit(f"deg {match['letter']}")
+        return header[: match.start("ending")] if unit in CONVERTED_UNITS else header, unit
+    if match is None and (match := _DEGREE_SIGN.search(header)):
+        unit = known_unit(match["unit"])
+        return header[: match.start()] + header[match.end() :] if unit in CONVERTED_UNITS else header, unit
     unit = known_unit(match["unit"]) if match else ""
     # Temperature A and Temperature V are the first and the fifth, not amperes and volts.
     if match is None or (unit in ("A", "V") and _TEMPERATURE.search(header)):
         return header, ""
     # A unit that the map converts must not stay in the signal's name.
     return header[: match.start()] if unit in CONVERTED_UNITS and unit != CONVERTED_UNITS[unit] else header, unit
+
+
+def _is_lettered(header: str, beside: Iterable[str]) -> bool:
+    """Whether a temperature's name ends in a letter as those of several places do."""
+    units = "cfk"
+    if header[-1:].casefold() not in units or not _DEGREES.search(header):
+        return False
+    letters = (other[-1:].casefold() for other in beside if other[:-1] == header[:-1])
+    return any(letter.isalpha() and letter not in units for letter in letters)
 
 
 def temperature_score(name: str, unit: str) -> int:
@@ -237,7 +271,7 @@ def named_otherwise(name: str, other: str) -> bool:
 
 def running_score(name: str) -> int:
     """The same for the switch that says whether the machine runs."""
-    return 0 if _ALARM.search(name) else 2 if _RUNNING.search(name) else 0
+    return 0 if _ALARM.search(name) or named_duration(name) else 2 if _RUNNING.search(name) else 0
 
 
 def load_score(name: str, unit: str) -> int:
@@ -280,6 +314,16 @@ def named_unit(name: str) -> bool:
 def named_time(name: str) -> bool:
     """Whether a header speaks of time."""
     return _TIME.search(name) is not None and not _FREQUENCY.search(name)
+
+
+def named_duration(name: str) -> bool:
+    """Whether a header speaks of how long something took, which is no time of day."""
+    return _DURATION.search(name) is not None
+
+
+def named_day(name: str) -> bool:
+    """Whether a header says date and nothing else."""
+    return _DAY.fullmatch(name.strip()) is not None
 
 
 def named_part_time(name: str) -> bool:
