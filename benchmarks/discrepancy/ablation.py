@@ -31,6 +31,7 @@ OFF: Mapping[str, Any] = {
     "follows_least_share": inf, "follows_most_lead_share": inf,
     "least_gain_nats": 0.0, "same_least_cosine": inf, "near_least_cosine": 0.0, "margin_nats": 0.0,
     "margin_share": 0.0, "invisible_most_share": 0.0, "told_apart_times": 0.0, "strength_least_sigmas": 0.0,
+    "once_least_share": inf,
     "robust_least_z": 0.0, "spread_least_cycles": 0.0, "overwhelming_nats": inf,
     "further_nats": 0.0, "further_least_size_share": 0.0, "further_clear_nats": -inf,
     "leftover_share": 0.0, "leftover_of_rival_share": 0.0, "most_heat_times": inf,

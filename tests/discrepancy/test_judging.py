@@ -100,6 +100,7 @@ def test_a_name_is_not_given_whose_strength_its_own_error_does_not_tell_from_not
     reasons = uncertain_strengths(NamingResult(base, unsure, ((pumped, ""),)))
     assert bool(reasons) is withheld
     assert all(reason.startswith("pump-cooling is not told from nothing") for reason in reasons)
+    assert not any("e+" in reason for reason in reasons), "an exponent is no word"
 
 
 def test_an_error_that_the_floor_covers_is_no_gap_however_little_the_model_states(

@@ -16,7 +16,15 @@ from sim.lab.discrepancy import naming
 from sim.lab.discrepancy.augment import augment_model
 from sim.lab.discrepancy.diagnosis import Diagnosis
 from sim.lab.discrepancy.evidence import fate
-from sim.lab.discrepancy.fitting import build_frame, build_record, heat_and_loss, move_frame, rivals
+from sim.lab.discrepancy.fitting import (
+    build_frame,
+    build_record,
+    heat_and_loss,
+    move_frame,
+    rivals,
+    run_frame,
+    window_grid,
+)
 from sim.lab.discrepancy.fitting.candidates import catalogue, catalogue_entry
 from sim.lab.discrepancy.fitting.effects import deviation
 from sim.lab.discrepancy.fitting.free_run_fit import fit
@@ -55,6 +63,23 @@ def test_what_comes_late_runs_on_through_cuts() -> None:
         assert np.array_equal(deviation(cut, effect), whole[kept])
         assert np.abs(deviation(cut, effect)[begun[1:] + 1]).max(initial=0.0) > 0 or begun.size == 1
     assert deviation(record.select(later), effect)[1] != 0.0
+
+
+def test_a_cooling_that_grows_less_ends_at_none_and_nothing_explodes() -> None:
+    """Where a pump's switch chattered, held-out cycles were run with a loss below none, up to 1e23 degC."""
+    record = build_record(model(), [plant(1, days=2)], ())
+    frame = move_frame(build_frame(record), record)
+    entry = next(each for each in rivals() if each.name == "less-and-less-cooling")
+    begin = float(record.runs.time[0])
+    params = {"loss": 1.0, "sink": 17.0, "at": begin, "over": 7000.0, "turning": 0.0, entry.strength: 3.5e-4}
+    state = run_frame(
+        frame,
+        np.concatenate([frame.centre, [3.5e-4]]),
+        record.reading[record.window_first],
+        [Named(entry, {}, params)],
+    )
+    assert (state.k + state.loss).min() == 0.0
+    assert np.abs(window_grid(frame, state).heats).max() < 1e6
 
 
 def test_what_does_no_better_than_its_special_case_is_that_case() -> None:

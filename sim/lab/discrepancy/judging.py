@@ -5,8 +5,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sim.effects import moment_words
 from sim.lab.discrepancy.diagnosis import Ceiling, HeldOutProof, NoiseFloor
-from sim.lab.discrepancy.fitting import CatalogueEntry, Fitted, Named, automaton_effects, net_heat, on_sensor
+from sim.lab.discrepancy.fitting import (
+    CatalogueEntry,
+    Fitted,
+    Named,
+    Record,
+    automaton_effects,
+    net_heat,
+    on_sensor,
+)
 from sim.lab.discrepancy.gap import Excess, sensor_noise
 from sim.lab.discrepancy.heat import HOUR_S
 from sim.lab.discrepancy.held_out import HeldOutRun
@@ -111,7 +120,45 @@ def refusal_reason(step: NamingStep) -> str:
         return "goes best with the data, and has no name"
     if step.margin < rules.margin_nats:
         return f"beats its rivals outside its class by {step.margin:.1f} nats only"
-    return unbelievable(step)
+    return coincident(step) or unbelievable(step)
+
+
+def coincident(step: NamingStep) -> str:
+    """Why the best entry of a step may be whatever else happened when its signal moved, for once; "" where it moved
+    more often, or where starts and stops show what acts late."""
+    best = step.best
+    if best is None or best.entry.kind.late is not None:
+        return ""
+    record = step.before.frame.record
+    for signal in best.shape.signals.values():
+        if (moment := only_move(record, signal, step.rules)) is not None:
+            return (
+                f"rests on the one time that {signal} moved while the machine ran, {moment_words(moment)}: whatever "
+                "else was changed then explains as much"
+            )
+    return ""
+
+
+def only_move(record: Record, signal: str, rules: DecisionRules) -> float | None:
+    """When (absolute s) a signal moved that was at one level until then and at another afterwards, while the machine
+    ran; None where it moved otherwise."""
+    column, runs = record.window_means(record.signal(signal)), record.window_means(record.running) > 1.0 - 1e-9
+    rows = runs & np.isfinite(column)
+    column, times, n = column[rows], record.times[rows], int(rows.sum())
+    centred = column - np.mean(column) if n > 1 else column
+    whole = float(centred @ centred)
+    if n < 2 or whole <= 0.0:
+        return None
+    count = np.arange(1, n)
+    taken = np.cumsum(centred)[:-1] ** 2 * n / (count * (n - count))
+    cut = int(np.argmax(taken)) + 1
+    if taken[cut - 1] < rules.once_least_share * whole:
+        return None
+    # Back and forth for a short while, as an experiment has it, takes nothing of a step of days, and is no one move.
+    before, after = np.median(column[:cut]), np.median(column[cut:])
+    nearer = np.abs(column - after) < np.abs(column - before)
+    held = nearer[1:][nearer[1:] == nearer[:-1]]
+    return float(times[cut]) if np.count_nonzero(np.diff(held)) == 1 else None
 
 
 def unbelievable(step: NamingStep) -> str:
@@ -254,7 +301,9 @@ def uncertain_strengths(path: NamingResult) -> tuple[str, ...]:
         strength, error = path.fitted.strength(name)
         # An error that is no number tells nothing either.
         if not abs(strength) >= least * error:
-            reasons.append(f"{name} is not told from nothing: its strength is {strength:.2g}, give or take {error:.2g}")
+            times = error / abs(strength) if strength else np.inf
+            unsure = f"{times:.0%}" if times < 10.0 else "many times"  # an exponent is no word
+            reasons.append(f"{name} is not told from nothing: its strength may be off by {unsure} of itself")
     return tuple(reasons)
 
 

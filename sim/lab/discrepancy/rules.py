@@ -56,6 +56,9 @@ class DecisionRules:
     told_apart_times: float = 2.0
     """Of the margin, up to which an effect that lies behind on the fitted cycles is held against the best on the
     held-out ones too."""
+    once_least_share: float = 0.95
+    """Of what a signal varies by while the machine runs, that one step takes, from which it has moved once: a ramp's
+    best step takes three quarters."""
     invisible_most_share: float = 0.05
     """Of an effect's size that the model's parameters leave, up to which it is not visible in the data."""
 

@@ -32,6 +32,7 @@ from sim.lab.discrepancy.layout import DataLayout, SplitCycles, build_layout, me
 from sim.lab.discrepancy.locate import places
 from sim.lab.discrepancy.missing_heat import missing_heat
 from sim.lab.discrepancy.moved import shifts
+from sim.lab.discrepancy.mute_switch import find_mute_switch
 from sim.lab.discrepancy.path import name
 from sim.lab.discrepancy.posterior import NamesEvidence, posterior, remaining_shares, step_gains
 from sim.lab.discrepancy.proving import NamesSearched, ProvenFindings, prove, with_agreed_floor, with_laws
@@ -74,14 +75,17 @@ def diagnose(
 
     `lines` are engineers' own effects, which are looked for beside the catalogue's. `roles` gives the signal of each
     role of these; those that no trace has take their effects off the table. `experiments` are traces of experiments
-    that were made to tell rivals apart: all of them are fitted, and none is held out. Names in `without` are not looked
-    for: a cause that has one is then outside of the catalogue. `rules` decide. Raises ValueError, in one sentence, when
-    the traces cannot be followed at all.
+    that were made to tell rivals apart: their last cycles are held out, too, where there are enough. Names in `without`
+    are not looked for: a cause that has one is then outside of the catalogue. `rules` decide. Raises ValueError, in one
+    sentence, when the traces cannot be followed at all.
     """
     report = progress or (lambda _stage, _share: None)
     report("laying out the traces", 0.0)
     layout = build_layout(model, traces, experiments, {**roles, **own_roles(lines)}, rules)
     count = int(layout.cycles.size)
+    if (mute := find_mute_switch(layout)) is not None:
+        said = mute.sentence(display_unit(layout.model.unit))
+        return DiagnosisOutcome(_too_little(layout.model, count, mute.reason(), said), (), None, None)
     if count < rules.least_cycles:
         few = f"{count} cycle{'' if count == 1 else 's'} in all; at least {rules.least_cycles} are needed, better ten"
         return DiagnosisOutcome(_too_little(layout.model, count, few), (), None, None)
@@ -205,7 +209,7 @@ def describe(
         unit=model.unit,
         laws=laws,
         description=described,
-        missing_heat=missing_heat(told.base, layout.record, layout.cycles[layout.cycles >= split.first]),
+        missing_heat=missing_heat(told.base, layout.record, np.unique(split.held_out.window_cycle)),
         none_of_these=none_of_these,
     )
 

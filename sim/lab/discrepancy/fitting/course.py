@@ -127,6 +127,8 @@ def _drive(
             added, lost = heat_and_loss(record, effect, middle)
             loss += lost
             heat += added
+        # A cooling that grows less ends at none: beyond it, in cycles that were never fitted, the course would explode.
+        loss = np.maximum(loss, -k)
         decay, pull = decay_and_pull(k + loss, runs.dt)
         before = course
         course = linear_recursion(np.where(first, 0.0, decay), np.where(first, own_push, pull * heat), 0.0)

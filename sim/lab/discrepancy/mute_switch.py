@@ -1,0 +1,117 @@
+"""A switch that does not say when the machine runs, where its load does: a signal to look at, and no missing heat.
+
+The model goes by its switch. Where that never moves, stays where it was, chatters or says the opposite, the refit makes
+up for every start and stop, and what comes and goes with the machine, its current first, explains most of the gap.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sim.lab.discrepancy.fitting import build_frame, build_record, model_effects, patiently, run_frame
+from sim.lab.discrepancy.layout import DataLayout, required_signals
+from sim.lab.learning import LearningError, first_switch
+from sim.sha import Array, Bins, Mask, Trace
+
+STOPPED_SHARE = 0.02
+"""Of what the load usually is at most, below which nothing turns."""
+LEAST_CONTRADICTED_SHARE = 0.1
+"""Of all time, in which switch and load contradict each other at least: one that comes a little late does not."""
+MOST_ERROR_SHARE = 0.5
+"""Of the given model's error, that is left where the load takes the switch's place."""
+
+
+@dataclass(frozen=True, slots=True)
+class MuteSwitch:
+    """The given model is off by `error` (degC rms) by its `switch`, which is `value` in all rows (None: it moves), and
+    by `by_load` where the machine counts as running while it has a `load`."""
+
+    switch: str
+    value: float | None
+    load: str
+    error: float
+    by_load: float
+
+    def reason(self) -> str:
+        """Why nothing is told of the machine."""
+        return f"{self.switch} does not say when the machine runs, and {self.load} does"
+
+    def sentence(self, unit: str) -> str:
+        """It as a sentence; `unit` as people read it."""
+        says = "says something else" if self.value is None else f"is {self.value:g} in every row"
+        return (
+            f"Too little data: {self.load} shows when the machine runs, and {self.switch} {says}. By {self.load} the "
+            f"model as given is off by {self.by_load:.3g} {unit}, by {self.switch} by {self.error:.3g}: look at that "
+            "signal. Without it nothing can be told of what the model lacks."
+        )
+
+
+def find_mute_switch(layout: DataLayout) -> MuteSwitch | None:
+    """The model's switch where a load contradicts it often and foresees the temperature by far better."""
+    model = layout.model
+    switch = first_switch(model.alphabet)
+    if switch is None:
+        return None
+    loads = [channel.signal for channel in model.alphabet.channels if isinstance(channel, Bins)]
+    loads += [layout.present[role] for role in ("current",) if role in layout.present]
+    for load in dict.fromkeys(loads):
+        turns = [_turning(trace, load) for trace in layout.traces]
+        if not _contradicts(layout.traces, turns, switch.signal):
+            continue
+        error, by_load = (
+            _given_error(layout, traces)
+            for traces in (
+                layout.traces,
+                [
+                    replace(trace, signals={**trace.signals, switch.signal: each.astype(float)}, events=())
+                    for trace, each in zip(layout.traces, turns, strict=True)
+                ],
+            )
+        )
+        if by_load <= MOST_ERROR_SHARE * error:
+            known = np.concatenate([trace.signals[switch.signal] for trace in layout.traces])
+            known = known[np.isfinite(known)]
+            value = float(known[0]) if np.ptp(known) == 0.0 else None
+            return MuteSwitch(switch.signal, value, load, error, by_load)
+    return None
+
+
+def _turning(trace: Trace, load: str) -> Mask:
+    """(n,) whether the machine turns, by its load; as before where that was not read."""
+    column = np.abs(trace.signals.get(load, np.full(trace.times.size, np.nan)))
+    seen = column[np.isfinite(column)]
+    return _held(np.where(np.isfinite(column), column > STOPPED_SHARE * np.max(seen, initial=0.0), np.nan)) > 0.5
+
+
+def _held(column: Array) -> Array:
+    """(n,) each value until the next one that was read; 0 before the first."""
+    last = np.maximum.accumulate(np.where(np.isfinite(column), np.arange(column.size), -1))
+    return np.where(last < 0, 0.0, column[last])
+
+
+def _contradicts(traces: Sequence[Trace], turns: Sequence[Mask], switch: str) -> bool:
+    """Whether the switch says something else than these for much of the time, and these show both."""
+    apart, whole, seen = 0.0, 0.0, set[bool]()
+    for trace, turning in zip(traces, turns, strict=True):
+        if switch not in trace.signals or trace.times.size < 2:
+            continue
+        lasted = np.diff(trace.times)
+        apart += float(lasted[(turning != (_held(trace.signals[switch]) > 0.5))[:-1]].sum())
+        whole += float(lasted.sum())
+        seen |= set(turning.tolist())
+    return len(seen) == 2 and apart >= LEAST_CONTRADICTED_SHARE * whole > 0.0
+
+
+def _given_error(layout: DataLayout, traces: Sequence[Trace]) -> float:
+    """degC rms by which the model as given is off over traces, run on from where each run begins; inf: none follows."""
+    model = layout.model
+    encoded = [trace if trace.events else patiently(trace, model.alphabet) for trace in traces]
+    try:
+        record = build_record(model, encoded, required_signals(model, layout.present))
+    except LearningError:
+        return np.inf
+    frame, named = build_frame(record), model_effects(model)
+    point = np.concatenate([frame.centre, *(np.array(each.point) for each in named)])
+    state = run_frame(frame, point, record.reading[record.window_first], named)
+    return float(np.sqrt(np.mean((record.reading - record.window_means(state.mean)) ** 2)))

@@ -1,0 +1,70 @@
+"""A switch that does not say when the machine runs is told as one, and nothing is named by what comes and goes."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sim.lab.discrepancy.layout import build_layout
+from sim.lab.discrepancy.mute_switch import MuteSwitch, find_mute_switch
+from sim.lab.discrepancy.rules import RULES
+from sim.lab.discrepancy.workflow import diagnose
+from sim.sha import Array, Trace
+from tests.discrepancy.plants import model, plant
+
+ROW_S = 240.0
+ROLES = {"current": "Assorbimento", "pump": "MarciaPmpFango"}
+SWITCH, LOAD = "MarciaDecanter", "Assorbimento"
+
+
+def with_column(trace: Trace, name: str, column: Array) -> Trace:
+    """The trace with another column, encoded anew."""
+    return replace(trace, signals={**trace.signals, name: np.asarray(column, dtype=float)}, events=())
+
+
+def found(trace: Trace) -> MuteSwitch | None:
+    return find_mute_switch(build_layout(model(), [trace], [], ROLES, RULES))
+
+
+def from_half_way(value: float) -> Callable[[Array], Array]:
+    return lambda on: np.where(np.arange(on.size) < on.size // 2, on, value)
+
+
+MUTE: dict[str, Callable[[Array], Array]] = {
+    "always 1": np.ones_like,
+    "always 0": np.zeros_like,
+    "moves only once": np.maximum.accumulate,
+    "stays at 1": from_half_way(1.0),
+    "stays at 0": from_half_way(0.0),
+    "the other way round": lambda on: 1.0 - on,
+    "chatters": lambda on: np.where(np.random.default_rng(1).random(on.size) < 0.2, 1.0 - on, on),
+}
+
+
+@pytest.mark.parametrize("what", MUTE)
+def test_a_switch_that_the_load_contradicts_is_looked_at_and_nothing_is_named(what: str) -> None:
+    """Of a switch that was 1 throughout, a heat of the current was named with 0.83."""
+    trace = plant(7, days=3, period=ROW_S)
+    mute = with_column(trace, SWITCH, MUTE[what](trace.signals[SWITCH]))
+    said = diagnose(model(), [mute], seed=0, roles=ROLES).diagnosis
+    assert said.verdict == "too-little-data" and not said.effects
+    assert said.reasons == ("MarciaDecanter does not say when the machine runs, and Assorbimento does",)
+    assert ("is 1 in every row" in said.sentence) == (what == "always 1")
+    assert "look at that signal" in said.sentence and "°C" not in said.reasons[0]
+
+
+def test_a_machine_that_runs_on_or_idles_or_is_read_a_little_late_has_no_mute_switch() -> None:
+    trace, on = plant(7, days=3, period=ROW_S), plant(4, days=2, runs_on=True, period=ROW_S)
+    rows = np.arange(on.times.size)
+    broken = np.where(np.random.default_rng(1).random(trace.times.size) < 0.1, 0.0, trace.signals[SWITCH])
+    for one in (
+        trace,
+        on,
+        with_column(on, LOAD, np.where(rows // 30 % 3 == 0, 0.0, on.signals[LOAD])),
+        with_column(trace, LOAD, np.full(trace.times.size, 150.0)),
+        with_column(trace, LOAD, np.full(trace.times.size, np.nan)),
+        with_column(trace, SWITCH, broken),
+        with_column(trace, SWITCH, np.r_[np.zeros(3), trace.signals[SWITCH][:-3]]),
+    ):
+        assert found(one) is None
