@@ -70,9 +70,9 @@ class Cut:
 
 
 @pytest.mark.parametrize("share", [0.3, 0.7])
-@pytest.mark.parametrize("experiments", [0, 2])
+@pytest.mark.parametrize("experiments", [0, 2, 4, 9])
 @pytest.mark.parametrize("count", range(4, 15))
-def test_the_last_cycles_are_held_out_and_experiments_are_fitted(
+def test_the_last_cycles_are_held_out_those_of_an_experiment_of_four_too(
     count: int, experiments: int, share: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(layout, "build_frame", lambda record: record)
@@ -82,16 +82,21 @@ def test_the_last_cycles_are_held_out_and_experiments_are_fitted(
     numbers = [0, *range(2, count + 1)]
     record = Cut(np.repeat(np.arange(count + 1 + experiments), 3))
     laid_out: Any = SimpleNamespace(
-        record=record, cycles=np.array(numbers), first_made=float(count + 1) if experiments else float("inf")
+        record=record,
+        cycles=np.array(numbers),
+        made=np.arange(count + 1, count + 1 + experiments),
+        first_made=float(count + 1) if experiments else float("inf"),
     )
     split = split_cycles(laid_out, replace(RULES, held_out_share=share))
     held = min(count - round((1.0 - share) * count), count - 3)
     first = numbers[count - held]
-    made = list(range(count + 1, count + 1 + experiments))
+    proving = max(min(experiments - round((1.0 - share) * experiments), experiments - 3), 0)
+    made = list(range(count + 1, count + 1 + experiments - proving))
+    proof = [*range(first, count + 1), *range(count + 1 + experiments - proving, count + 1 + experiments)]
     assert split.first == first and isinstance(split.first, int)
     fitted: Any = split.training
     assert sorted(set(fitted.cycle)) == [*range(first), *made] and fitted.by == ""
-    assert sorted(set(split.held_out.cycle)) == list(range(first, count + 1)) and split.held_out.by == "cycles"  # type: ignore[attr-defined]
+    assert sorted(set(split.held_out.cycle)) == proof and split.held_out.by == "cycles"  # type: ignore[attr-defined]
 
 
 def test_an_experiment_comes_behind_the_traces_and_is_seen_by_the_fit() -> None:

@@ -50,7 +50,7 @@ class DiagnoseCommand(click.Command):
     type=click.Path(path_type=Path),
     help="Write the proposed set-points as CSV.",
 )
-@click.option("--with-experiment", "made", multiple=True, help="Traces of an experiment made: fitted, never held out.")
+@click.option("--with-experiment", "made", multiple=True, help="Traces of an experiment that was made.")
 @seed_option
 @json_option
 def diagnose(**given: Any) -> None:

@@ -120,7 +120,7 @@ def run(
 ) -> DiagnosisResult:
     """Diagnose and write everything. Raises ValueError or OSError; then nothing in the folder has changed.
 
-    `experiments` are traces of an experiment that was proposed: they are fitted and never held out.
+    `experiments` are traces of an experiment that was proposed: what is told of the model begins with none of them.
     """
     check_traces(model, traces, request.source)
     if experiments:

@@ -9,7 +9,7 @@ the sensitivities of the rival that is wrong and N what the measured traces say 
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
+from itertools import combinations, pairwise
 from math import ceil, inf, sqrt
 
 import numpy as np
@@ -83,6 +83,11 @@ class ExperimentSchedule:
     def seconds(self) -> float:
         """How long it takes."""
         return sum(seconds for _, seconds in self.phases)
+
+    def starts(self, switch: str) -> int:
+        """How often `switch` starts the machine in it."""
+        runs = [False, *(settings[switch] > 0.5 for settings, _ in self.phases)]
+        return sum(now and not before for before, now in pairwise(runs))
 
     def repeat(self, times: int) -> "ExperimentSchedule":
         """The same schedule so many times."""
@@ -491,7 +496,8 @@ def _pairs(alternatives: Sequence[_Alternative], record: Record, start: float) -
 def propose_experiment(
     path: NamingResult, traces: Sequence[Trace], roles: Mapping[str, str]
 ) -> ProposedExperiment | None:
-    """The experiment of the greatest least gain an hour over the pairs of rivals, repeated until it is enough.
+    """The experiment that soonest gains enough over each pair of rivals, with cycles left to prove it, repeated until
+    it does; where none does, that of the greatest least gain an hour.
 
     `traces` are those that were diagnosed, `roles` the signals of the roles. None where nothing is to be told apart or
     nothing can be set.
@@ -525,15 +531,16 @@ def propose_experiment(
     # A pair that nothing tells apart has no say in the choice, and is reported.
     told = [pair for pair in pairs if most[pair] >= least] or pairs
 
-    def rate(trial: tuple[ExperimentSchedule, int, Mapping[tuple[str, str], float]]) -> float:
+    def seconds(trial: tuple[ExperimentSchedule, int, Mapping[tuple[str, str], float]]) -> float:
         schedule, repeats, nats = trial
-        return min(nats[pair] for pair in told) / (repeats * schedule.seconds)
+        enough = repeats * needed / max(min(nats[pair] for pair in told), 1e-9)
+        return schedule.seconds * max(enough, _least_repeats(schedule, operation, rules))
 
-    schedule, repeats, nats = max(tried, key=rate)
-    longest = _longest(schedule)
+    schedule, repeats, nats = min(tried, key=seconds)
+    longest, fewest = _longest(schedule), _least_repeats(schedule, operation, rules)
     for _ in range(MAX_GROWTHS):
         so_far = min(nats[pair] for pair in told)
-        wanted = min(max(ceil(repeats * needed / max(so_far, 1e-9)), 1), longest)
+        wanted = min(max(ceil(repeats * needed / max(so_far, 1e-9)), fewest), longest)
         if wanted == repeats:
             break
         repeats, nats = wanted, expected_gains(schedule, wanted) or nats
@@ -554,6 +561,13 @@ def propose_experiment(
 def _longest(schedule: ExperimentSchedule) -> int:
     """How often a schedule is made at most."""
     return max(int(LONGEST_EXPERIMENT_S // schedule.seconds), 1)
+
+
+def _least_repeats(schedule: ExperimentSchedule, operation: MachineOperation, rules: DecisionRules) -> int:
+    """How often a schedule is made at least: so that of its cycles some are held out, where two days have so many."""
+    starts = schedule.starts(operation.switch) if operation.switch else 0
+    least = ceil(rules.least_cycles / starts) if starts else 1
+    return least if least <= _longest(schedule) else 1
 
 
 def _needed_nats(rivals: Sequence[EffectEvidence], rules: DecisionRules) -> float:

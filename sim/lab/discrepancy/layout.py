@@ -32,7 +32,7 @@ class DataLayout:
 
     `roles` gives the signal of each role that was asked for, `present` those of them that the traces have, `following`
     the roles whose signal follows the temperature. `cycles` are the pieces of evidence in which something was read, but
-    for experiments, which begin with the piece `first_made` (inf where there are none).
+    for those of experiments, `made`, which begin with the piece `first_made` (inf where there are none).
     """
 
     model: Model
@@ -42,13 +42,14 @@ class DataLayout:
     following: frozenset[str]
     record: Record
     cycles: Indices
+    made: Indices
     first_made: float
 
 
 @dataclass(frozen=True, slots=True)
 class SplitCycles:
-    """The `training` cycles, with the structure of the parameters, and the `held_out` ones, from the piece of evidence
-    `first` on."""
+    """The `training` cycles, with the structure of the parameters, and the `held_out` ones: of the traces from the
+    piece of evidence `first` on, of experiments the last of many."""
 
     training: Frame
     held_out: Record
@@ -76,17 +77,31 @@ def build_layout(
         following=following,
         record=record,
         cycles=cycles[cycles < first_made],
+        made=cycles[cycles >= first_made],
         first_made=first_made,
     )
 
 
 def split_cycles(layout: DataLayout, rules: DecisionRules) -> SplitCycles:
-    """The last cycles held out from everything but the proof: not even the screen may have seen them."""
-    record, cycles = layout.record, layout.cycles
-    first = cycles[max(round((1.0 - rules.held_out_share) * cycles.size), rules.least_cycles - 1)]
+    """The last cycles held out from everything but the proof: not even the screen may have seen them.
+
+    So are the last ones of an experiment: what acts where nobody ever worked is proved there, and nowhere else.
+    """
+    record, cycles, made = layout.record, layout.cycles, layout.made
+    first = cycles[fitted_cycles(cycles.size, rules)]
     to_fit = (record.cycle < first) | (record.cycle >= layout.first_made)
+    fitted = fitted_cycles(made.size, rules)
+    if fitted < made.size:
+        to_fit &= record.cycle < made[fitted]
     training = with_priors(move_frame(build_frame(record), record.select(to_fit)))
     return SplitCycles(training, record.select(~to_fit).by_cycles(), int(first))
+
+
+def fitted_cycles(count: int, rules: DecisionRules) -> int:
+    """How many of so many cycles are fitted, the first ones: all where they are too few for a proof."""
+    if count < rules.least_cycles:
+        return count
+    return max(round((1.0 - rules.held_out_share) * count), rules.least_cycles - 1)
 
 
 def present_roles(traces: Sequence[Trace], roles: Mapping[str, str]) -> dict[str, str]:

@@ -56,7 +56,7 @@ def find_mute_switch(layout: DataLayout) -> MuteSwitch | None:
     loads = [channel.signal for channel in model.alphabet.channels if isinstance(channel, Bins)]
     loads += [layout.present[role] for role in ("current",) if role in layout.present]
     for load in dict.fromkeys(loads):
-        turns = [_turning(trace, load) for trace in layout.traces]
+        turns = [_turns_by_load(trace, load) for trace in layout.traces]
         if not _contradicts(layout.traces, turns, switch.signal):
             continue
         error, by_load = (
@@ -77,14 +77,14 @@ def find_mute_switch(layout: DataLayout) -> MuteSwitch | None:
     return None
 
 
-def _turning(trace: Trace, load: str) -> Mask:
+def _turns_by_load(trace: Trace, load: str) -> Mask:
     """(n,) whether the machine turns, by its load; as before where that was not read."""
     column = np.abs(trace.signals.get(load, np.full(trace.times.size, np.nan)))
     seen = column[np.isfinite(column)]
-    return _held(np.where(np.isfinite(column), column > STOPPED_SHARE * np.max(seen, initial=0.0), np.nan)) > 0.5
+    return _hold_values(np.where(np.isfinite(column), column > STOPPED_SHARE * np.max(seen, initial=0.0), np.nan)) > 0.5
 
 
-def _held(column: Array) -> Array:
+def _hold_values(column: Array) -> Array:
     """(n,) each value until the next one that was read; 0 before the first."""
     last = np.maximum.accumulate(np.where(np.isfinite(column), np.arange(column.size), -1))
     return np.where(last < 0, 0.0, column[last])
@@ -97,7 +97,7 @@ def _contradicts(traces: Sequence[Trace], turns: Sequence[Mask], switch: str) ->
         if switch not in trace.signals or trace.times.size < 2:
             continue
         lasted = np.diff(trace.times)
-        apart += float(lasted[(turning != (_held(trace.signals[switch]) > 0.5))[:-1]].sum())
+        apart += float(lasted[(turning != (_hold_values(trace.signals[switch]) > 0.5))[:-1]].sum())
         whole += float(lasted.sum())
         seen |= set(turning.tolist())
     return len(seen) == 2 and apart >= LEAST_CONTRADICTED_SHARE * whole > 0.0

@@ -233,8 +233,11 @@ def _report_fits(
     told = told_fits(proof, judged, kept=judged.names_hold)
     # Fitted and held-out cycles by one fit: a refused name's errors are others, and would begin where it was held out.
     # Of an experiment nothing is told: what a machine lacks shows there as it never did, and would begin with it.
-    usual = training.select(training.cycle < layout.first_made)
-    trials = let_run(told.after, usual.by_cycles()), told.second
+    usual, second = training.select(training.cycle < layout.first_made), told.second
+    if layout.made.size:
+        held_out = proof.held_out.select(proof.held_out.cycle < layout.first_made)
+        second = let_run(told.after, held_out.by_cycles())
+    trials = let_run(told.after, usual.by_cycles()), second
     since = with_all_cycles(told.after, layout)
     return told, find_onset(since, entries, layout.present, least, rules) or beginning(trials, least, rules)
 
