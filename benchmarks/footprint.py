@@ -16,7 +16,8 @@ squares). One software PLC serves them all; what it takes of a core is said, sin
 
 With `--neighbours 0,1,2` it is a gateway of `--machines` (20) beside so many processes that never rest, one run after
 the other: the blocks that did not come, and the age at which a block was followed by the next, by the recordings of the
-PLC, which the neighbours slow as well.
+PLC, which the neighbours slow as well. What is lost there shows by the bare client, which reads and writes one of the
+machines beside the gateway, and is held against the same period.
 
 With `--beside FOLDER` it is two gateways at the same time, this checkout's and that one's, each with a software PLC of
 its own: what else the machine has to do slows both alike.
@@ -41,7 +42,7 @@ from pathlib import Path
 import click
 import numpy as np
 
-from benchmarks.figures import Figure, give
+from benchmarks.figures import Figure, give, shares
 from benchmarks.latency import scans_in
 from benchmarks.processes import (
     MAP,
@@ -68,9 +69,9 @@ LEAST_MB = 0.5
 
 
 @contextmanager
-def bare_client(plc: Plc, period: float) -> Iterator["subprocess.Popen[bytes]"]:
+def bare_client(port: int, period: float) -> Iterator["subprocess.Popen[bytes]"]:
     """The floor's process; it ends with its standard input."""
-    command = [sys.executable, "-m", "benchmarks.bare", str(plc.port), str(period)]
+    command = [sys.executable, "-m", "benchmarks.bare", str(port), str(period)]
     with subprocess.Popen(command, stdin=subprocess.PIPE, cwd=ROOT) as process:
         try:
             yield process
@@ -87,7 +88,7 @@ def measure(
     with tempfile.TemporaryDirectory(prefix="decanter-footprint-") as name:
         folder = Path(name)
         model = learned_model(model_folder or folder)
-        with software_plc(folder) as plc, bare_client(plc, period) as bare:
+        with software_plc(folder) as plc, bare_client(plc.port, period) as bare:
             begun = time.monotonic()
             with gateway(folder, plc, model, period, forecast=forecast) as process:
                 until_usable(plc, process)
@@ -100,7 +101,7 @@ def measure(
         recording = read_recording(plc.recording)
     moments = [scan.read.monotonic for scan in scans_in(recording, read_map(MAP))]
     scans = bisect_left(moments, until) - bisect_left(moments, since)
-    polls = _bare_polls(recording, since, until)
+    polls = len(_bare_polls(recording, since, until))
     cost, floor = (now - then for now, then in zip(after, before, strict=True))
     elapsed = until - since
     other = "bare pymodbus client, same period"
@@ -115,12 +116,14 @@ def measure(
     ]
 
 
-def _bare_polls(recording: PlcRecording, since: float, until: float) -> int:
-    """How many writes of the floor, which alone writes outside the block, arrived in between."""
+def _bare_polls(recording: PlcRecording, since: float, until: float) -> list[float]:
+    """When the writes of the floor, which alone writes outside the block, arrived in between (monotonic s)."""
     gateways = {block.peer for block in recording.blocks}
-    return sum(
-        row.function == 16 and row.peer not in gateways and since <= row.monotonic < until for row in recording.requests
-    )
+    return [
+        row.monotonic
+        for row in recording.requests
+        if row.function == 16 and row.peer not in gateways and since <= row.monotonic < until
+    ]
 
 
 def growth(machines: Sequence[int], seconds: float, period: float, model_folder: Path | None) -> list[Figure]:
@@ -128,7 +131,7 @@ def growth(machines: Sequence[int], seconds: float, period: float, model_folder:
 
     Raises BenchmarkError when one does not get to work.
     """
-    figures, shares, sizes = [], [], []
+    figures, of_core, sizes = [], [], []
     for count in machines:
         with tempfile.TemporaryDirectory(prefix="decanter-footprint-") as name:
             folder = Path(name)
@@ -147,16 +150,16 @@ def growth(machines: Sequence[int], seconds: float, period: float, model_folder:
                 blocks, elapsed = _accepted(plc) - accepted, time.monotonic() - since
                 sizes.append(peak_megabytes(process.pid))
         own, served = (now - then for now, then in zip(after, before, strict=True))
-        shares.append(100.0 * own / elapsed)
+        of_core.append(100.0 * own / elapsed)
         plural = f"{count} machine{'s' if count > 1 else ''}"
         figures += [
-            Figure(f"{plural}: share of a core", shares[-1], "%", "the software PLC", 100.0 * served / elapsed),
+            Figure(f"{plural}: share of a core", of_core[-1], "%", "the software PLC", 100.0 * served / elapsed),
             Figure(f"{plural}: CPU per 1000 scans", 1e3 * own / max(blocks, 1), "s"),
             Figure(f"{plural}: blocks accepted", blocks, "", "due", count * elapsed / period),
             Figure(f"{plural}: peak resident size", sizes[-1], "MB"),
         ]
     if len(set(machines)) > 1:
-        for what, values in (("processor time", shares), ("memory", sizes)):
+        for what, values in (("processor time", of_core), ("memory", sizes)):
             exponent = float(np.polyfit(np.log(machines), np.log(values), 1)[0])
             figures.append(Figure(f"{what} grows by the number of machines to the power of", exponent, ""))
     return figures
@@ -187,6 +190,7 @@ def crowded(
             with (
                 software_plc(folder, machines=names, recorded=True) as plc,
                 gateway(folder, plc, model, period, forecast=FORECAST_S) as process,
+                bare_client(int(plc.ready["machines"][names[0]]["port"]), period),
             ):
                 until_usable(plc, process)
                 with busy_neighbours(count):
@@ -198,13 +202,17 @@ def crowded(
             np.array([row.monotonic for row in one.blocks if row.accepted and since <= row.monotonic < until])
             for one in recordings
         ]
-        blocks, due = sum(one.size for one in accepted), machines * (until - since) / period
+        polls = np.array(_bare_polls(recordings[0], since, until))
+        blocks, due = sum(one.size for one in accepted), (until - since) / period
         # Until it is followed, a block grows old; that the last one of the span stood to its end counts as well.
         ages = np.concatenate([np.diff(one, append=until) for one in accepted]) / period
+        alone = np.diff(polls, append=until) / period
+        other = "the bare client's writes"
+        missed = [100.0 * (1.0 - share) for share in (blocks / (machines * due), polls.size / due)]
         figures += [
-            Figure(f"{count} busy neighbours: blocks that did not come", 100.0 * (1.0 - blocks / due), "% of due"),
-            Figure("  age of a block when followed, p50", float(np.median(ages)), "scans"),
-            Figure("  p99", float(np.percentile(ages, 99)), "scans", "longest", float(np.max(ages))),
+            Figure(f"{count} busy neighbours: blocks that did not come", missed[0], "% of due", other, missed[1]),
+            *shares("  age of a block when followed", "scans", ages, other, alone),
+            Figure("  longest", float(np.max(ages)), "scans", other, float(np.max(alone))),
         ]
     return figures
 
