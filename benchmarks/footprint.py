@@ -20,7 +20,7 @@ PLC, which the neighbours slow as well. What is lost there shows by the bare cli
 machines beside the gateway, and is held against the same period.
 
 With `--beside FOLDER` it is two gateways at the same time, this checkout's and that one's, each with a software PLC of
-its own: what else the machine has to do slows both alike.
+its own, of one machine or of `--machines` each: what else the machine has to do slows both alike.
 
 With `--imports` it is where the memory of one gateway goes, by what is imported (benchmarks/import_memory.py).
 
@@ -218,18 +218,20 @@ def crowded(
 
 
 def beside(
-    source: Path, seconds: float, period: float, model_folder: Path | None, forecast: float | None
+    source: Path, machines: int, seconds: float, period: float, model_folder: Path | None, forecast: float | None
 ) -> list[Figure]:
-    """This checkout's gateway and another one's at the same time.
+    """This checkout's gateway and another one's at the same time, each of so many machines.
 
     Raises BenchmarkError when one does not get to work.
     """
+    names = [f"machine{number}" for number in range(1, machines + 1)] if machines > 1 else []
+    forecast = FORECAST_S if forecast is None and names else forecast
     with ExitStack() as opened:
         plcs, pids = [], []
         for each in (ROOT, source.resolve()):
             folder = Path(opened.enter_context(tempfile.TemporaryDirectory(prefix="decanter-footprint-")))
             model = learned_model((model_folder or folder).resolve())
-            plc = opened.enter_context(software_plc(folder))
+            plc = opened.enter_context(software_plc(folder, machines=names))
             process = opened.enter_context(gateway(folder, plc, model, period, forecast=forecast, source=each))
             until_usable(plc, process)
             plcs.append(plc)
@@ -238,11 +240,14 @@ def beside(
         time.sleep(seconds)
         after = [(cpu_seconds(pid), _accepted(plc)) for pid, plc in zip(pids, plcs, strict=True)]
         peaks = [peak_megabytes(pid) for pid in pids]
-    used = [1e3 * (now[0] - then[0]) * period / seconds for now, then in zip(after, before, strict=True)]
+    used = [now[0] - then[0] for now, then in zip(after, before, strict=True)]
     blocks = [now[1] - then[1] for now, then in zip(after, before, strict=True)]
+    due = [1e3 * one * period / (seconds * machines) for one in used]
+    written = [1e3 * one / max(count, 1) for one, count in zip(used, blocks, strict=True)]
     other = f"the gateway of {source.name}"
     return [
-        Figure("CPU per 1000 scans that were due", used[0], "s", other, used[1]),
+        Figure("CPU per 1000 scans that were due", due[0], "s", other, due[1]),
+        Figure("CPU per 1000 blocks accepted", written[0], "s", other, written[1]),
         Figure("peak resident size", peaks[0], "MB", other, peaks[1]),
         Figure("blocks accepted", blocks[0], "", other, blocks[1]),
     ]
@@ -325,12 +330,14 @@ def main(
         if len(machines) > 1:
             raise click.UsageError("--neighbours takes one number of machines: --machines 20")
         figures = crowded(neighbours, machines[0] if machines else CROWD, seconds, period, model_folder)
+    elif source is not None:
+        if len(machines) > 1:
+            raise click.UsageError("--beside takes one number of machines: --machines 8")
+        figures = beside(source, machines[0] if machines else 1, seconds, period, model_folder, forecast)
     elif machines:
         figures = growth(machines, seconds, period, model_folder)
     elif imported:
         figures = by_import(seconds, period, model_folder, forecast)
-    elif source is not None:
-        figures = beside(source, seconds, period, model_folder, forecast)
     else:
         figures = measure(seconds, period, model_folder, forecast)
     give(f"footprint, scan period {1e3 * period:g} ms", figures, as_json=as_json)

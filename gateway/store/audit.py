@@ -57,7 +57,7 @@ NO_PROCESS: Mapping[str, int] = {}
 """No `uid` and `pid` in the detail of a row: the gateway's own doing, or a person's over the network."""
 BATCH_SECONDS = 1.0
 """The longest that an entry nobody waits for is kept back for the next commit."""
-MANY_WRITERS = 5
+MANY_WRITERS = 10
 """Subjects with rows in the last WRITER_SECONDS from which on commits are kept apart."""
 WRITER_SECONDS = 1.0
 GATHERING_SECONDS = 0.02
@@ -495,11 +495,14 @@ class Audit:
         with connection:
             # The write lock comes first, and may take its time: until then an entry can be taken back.
             connection.execute("BEGIN IMMEDIATE")
-            if why := _rollback_reason(connection, self._newest):
-                self.files.tell(why)
-                raise _TakenAwayError(why)
-            self.ended_elsewhere = {**self.ended_elsewhere, **_newest_ends(connection, self._known_rows or 0)}
-            rows = _insert(connection, claim())
+            last = _last_row(connection)
+            # Where the last row is the one that was written last, nobody else has written, and nothing is missing.
+            if last is None or last != self._newest:
+                if why := _rollback_reason(connection, self._newest):
+                    self.files.tell(why)
+                    raise _TakenAwayError(why)
+                self.ended_elsewhere = {**self.ended_elsewhere, **_newest_ends(connection, self._known_rows or 0)}
+            rows = _insert(connection, claim(), last)
         if why := self.files.look(_FILES):
             raise _TakenAwayError(why)
         if rows:
@@ -711,10 +714,17 @@ def _newest_ends(connection: sqlite3.Connection, row: int) -> dict[str, EndedEls
     return ended
 
 
-def _insert(connection: sqlite3.Connection, entries: Sequence[tuple[AuditEntry, AuditColumns]]) -> list[AuditRow]:
-    """Append the entries, each with its columns, within a transaction that has the write lock; gives their rows."""
+def _last_row(connection: sqlite3.Connection) -> tuple[int, bytes] | None:
+    """The number and hash of the last row; None where there is none."""
     last = connection.execute("SELECT id, hash FROM audit ORDER BY id DESC LIMIT 1").fetchone()
-    number, before = (int(last[0]), bytes(last[1])) if last else (0, BEGIN)
+    return None if last is None else (int(last[0]), bytes(last[1]))
+
+
+def _insert(
+    connection: sqlite3.Connection, entries: Sequence[tuple[AuditEntry, AuditColumns]], last: tuple[int, bytes] | None
+) -> list[AuditRow]:
+    """Append the entries, each with its columns, behind the `last` row; gives their rows. The write lock is held."""
+    number, before = last or (0, BEGIN)
     rows = []
     for entry, plain in entries:
         number += 1
