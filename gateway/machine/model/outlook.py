@@ -32,6 +32,9 @@ COVERAGE_AFTER = 5.0
 """So many independent forecasts must have matured before how often a band holds is said."""
 FRESH_PERIODS = 3.0
 """A forecast older than three of its periods (of scans, where these are rarer) is not used any more."""
+MAX_POSTPONED_PERIODS = 0.5
+"""So late a forecast begins at most while scans are skipped. One that may be used stays so until the next is made: that
+may take one and a half periods then, no less than where each begins when the one before it is done."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,13 +142,12 @@ class Outlook:
     def begin(self, now: float, *, known: bool, measured: float | None, behind: bool = False) -> None:
         """Start a forecast in a thread if one is due, none is running and the state of the plant is known.
 
-        Where the scans are `behind`, it waits for its next period at most: readings, alarms and blocks go first.
+        Where the scans are `behind`, it waits: readings, alarms and blocks go first.
         """
         belief = self.predictor.belief
         if self._task is not None or now < self._due or not known or belief is None or not belief.seen:
             return
-        # A usable one stays so meanwhile: FRESH_PERIODS are more than the two that lie between their beginnings then.
-        if behind and self.fresh(now) is not None and now < self._due + self.section.period:
+        if behind and self.fresh(now) is not None and now < self._due + MAX_POSTPONED_PERIODS * self.section.period:
             self.postponed += self._postponed_from != self._due
             self._postponed_from = self._due
             return
