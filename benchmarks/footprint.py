@@ -41,6 +41,7 @@ from pathlib import Path
 
 import click
 import numpy as np
+from numpy.typing import NDArray
 
 from benchmarks.figures import Figure, give, shares
 from benchmarks.latency import scans_in
@@ -204,9 +205,8 @@ def crowded(
         ]
         polls = np.array(_bare_polls(recordings[0], since, until))
         blocks, due = sum(one.size for one in accepted), (until - since) / period
-        # Until it is followed, a block grows old; that the last one of the span stood to its end counts as well.
-        ages = np.concatenate([np.diff(one, append=until) for one in accepted]) / period
-        alone = np.diff(polls, append=until) / period
+        ages = np.concatenate([_ages(one, since, until) for one in accepted]) / period
+        alone = _ages(polls, since, until) / period
         other = "the bare client's writes"
         missed = [100.0 * (1.0 - share) for share in (blocks / (machines * due), polls.size / due)]
         figures += [
@@ -215,6 +215,11 @@ def crowded(
             Figure("  longest", float(np.max(ages)), "scans", other, float(np.max(alone))),
         ]
     return figures
+
+
+def _ages(moments: NDArray[np.float64], since: float, until: float) -> NDArray[np.float64]:
+    """How old each became until the next; the last one stood to the end of the span, and none at all all of it (s)."""
+    return np.diff(moments if moments.size else [since], append=until)
 
 
 def beside(
