@@ -211,7 +211,7 @@ def crowded(
         missed = [100.0 * (1.0 - share) for share in (blocks / (machines * due), polls.size / due)]
         figures += [
             Figure(f"{count} busy neighbours: blocks that did not come", missed[0], "% of due", other, missed[1]),
-            *shares("  age of a block when followed", "scans", ages, other, alone),
+            *shares("  age of a block when followed", "scans", ages.tolist(), other, alone.tolist()),
             Figure("  longest", float(np.max(ages)), "scans", other, float(np.max(alone))),
         ]
     return figures
