@@ -17,8 +17,6 @@ other stands in the entry's detail, so that chain and confirmations are bound to
 At most MAX_WAITING_ROWS rows of a subject wait. Beyond that those of `put` are given up and counted, except armings and
 disarmings, and one row of the kind LOST says how many, as soon as the disk takes rows again. A commit takes at most
 MAX_SUBJECT_ROWS_PER_COMMIT rows of a subject: however many come of one, those of another wait for no more than that.
-Where MANY_WRITERS subjects or more write, their rows come together for GATHERING_SECONDS: a commit takes as much of the
-processor for one row as for ten, and on a busy box every step of it waits for its turn.
 """
 
 import asyncio
@@ -30,9 +28,8 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError, Future
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, field, replace
-from math import inf, isfinite
+from math import isfinite
 from pathlib import Path
-from time import monotonic
 from typing import Any
 
 from drivers.errors import OneLineError
@@ -57,11 +54,6 @@ NO_PROCESS: Mapping[str, int] = {}
 """No `uid` and `pid` in the detail of a row: the gateway's own doing, or a person's over the network."""
 BATCH_SECONDS = 1.0
 """The longest that an entry nobody waits for is kept back for the next commit."""
-MANY_WRITERS = 10
-"""Subjects with rows in the last WRITER_SECONDS from which on commits are kept apart."""
-WRITER_SECONDS = 1.0
-GATHERING_SECONDS = 0.02
-"""From the beginning of a commit to that of the next one, where many write."""
 PATIENCE_SECONDS = 5.0
 PAGE = 1024
 """Bytes of a page of a new log: a commit writes whole pages, and a row is about 500 bytes."""
@@ -222,9 +214,6 @@ class Audit:
         self._connection = connection
         self._waiting: deque[_Waiting] = deque()
         self._backlog: Counter[str | None] = Counter()
-        # When each subject had a row in a commit last, and when the newest commit began (monotonic s).
-        self._writers: dict[str | None, float] = {}
-        self._committed_at = -inf
         self._wake = threading.Condition()
         self._pressing = self._stopping = False
         self._stop = threading.Event()
@@ -364,7 +353,6 @@ class Audit:
                     if self._stopping:
                         return
                     continue
-            self._gather_rows()
             taken = False
             claimed: list[_Waiting] = []
             lost: Counter[str | None] = Counter()
@@ -415,7 +403,6 @@ class Audit:
                 stored, self.failure = True, ""
                 with self._wake:
                     self._lost -= lost if claimed else Counter()
-                self._writers |= dict.fromkeys((one.subject for one in claimed), self._committed_at)
                 for one, row in zip(claimed, rows, strict=True):
                     if one.ticket is not None:
                         one.ticket.set_result(row)
@@ -424,14 +411,6 @@ class Audit:
                     return
                 if not stored and not taken:
                     self._wake.wait_for(lambda: self._stopping or self._pressing, _RETRY_SECONDS)
-
-    def _gather_rows(self) -> None:
-        """Where many write, let more rows come before the next commit begins; a stop ends the wait."""
-        since = monotonic() - WRITER_SECONDS
-        self._writers = {subject: at for subject, at in self._writers.items() if at > since}
-        if len(self._writers) >= MANY_WRITERS:
-            self._stop.wait(max(self._committed_at + GATHERING_SECONDS - monotonic(), 0.0))
-        self._committed_at = monotonic()
 
     def _ensure_open(self) -> bool:
         """Wait until there is a file to write to; False if it is to stop before, and a last try has failed."""

@@ -12,8 +12,6 @@ from gateway.store.audit import (
     ARMED,
     DISARMED,
     EXPIRED,
-    GATHERING_SECONDS,
-    MANY_WRITERS,
     Audit,
     AuditEntry,
     AuditError,
@@ -192,19 +190,3 @@ def test_a_log_of_no_bytes_is_not_begun_anew_without_a_word(tmp_path: Path) -> N
     assert audit.record(AuditEntry(1.0, "write")) and audit.close()
     again = open_or_set_aside(path)
     assert again.note == "" and again.close()
-
-
-def test_commits_are_kept_apart_where_many_write_and_nowhere_else(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("gateway.store.audit.WRITER_SECONDS", 3600.0)
-    audit, waits = open_audit(tmp_path / "a.sqlite"), list[float]()
-    monkeypatch.setattr(audit._stop, "wait", lambda seconds: bool(waits.append(seconds)))
-    for number in range(20):
-        few = f"machine{number % (MANY_WRITERS - 1)}"
-        assert audit.record(AuditEntry(float(number), "write").with_subject(few), 60.0)
-    assert waits == []
-    for number in range(20, 23):
-        assert audit.record(AuditEntry(float(number), "write").with_subject("another"), 60.0)
-    assert len(waits) == 2 and all(0.0 <= one <= GATHERING_SECONDS for one in waits), "from the row after its first on"
-    assert audit.close() and verify(audit.path).rows == 23
