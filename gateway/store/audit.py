@@ -467,27 +467,26 @@ class Audit:
         """Commit what `claim` gives, which is asked once the write lock is had. Raises sqlite3.Error."""
         if (connection := self._connection) is None:
             raise sqlite3.OperationalError("the audit log is not open")
-        # Before the file is touched, as what was cut there would end the process, and after it, with all others that
-        # are relied on: what is committed to a file whose name is gone is on record nowhere.
-        if why := self.files.look_at(_FILES):
-            raise _TakenAwayError(why)
+        # Before the file is touched, as what was cut there would end the process, and after it: what is committed to a
+        # file whose name is gone is on record nowhere.
+        self._check_presence()
         with connection:
             # The write lock comes first, and may take its time: until then an entry can be taken back.
             connection.execute("BEGIN IMMEDIATE")
-            last = _last_row(connection)
-            # Where the last row is the one that was written last, nobody else has written, and nothing is missing.
-            if last is None or last != self._newest:
-                if why := _rollback_reason(connection, self._newest):
-                    self.files.tell(why)
-                    raise _TakenAwayError(why)
-                self.ended_elsewhere = {**self.ended_elsewhere, **_newest_ends(connection, self._known_rows or 0)}
-            rows = _insert(connection, claim(), last)
-        if why := self.files.look(_FILES):
-            raise _TakenAwayError(why)
+            if why := _rollback_reason(connection, self._newest):
+                self.files.tell(why)
+                raise _TakenAwayError(why)
+            self.ended_elsewhere = {**self.ended_elsewhere, **_newest_ends(connection, self._known_rows or 0)}
+            rows = _insert(connection, claim())
+        self._check_presence()
         if rows:
             self._known_rows = rows[-1].id
             self._newest = rows[-1].id, bytes.fromhex(rows[-1].hash)
         return rows
+
+    def _check_presence(self) -> None:
+        if why := self.files.look(_FILES):
+            raise _TakenAwayError(why)
 
     def _claim(self, share: int = MAX_SUBJECT_ROWS_PER_COMMIT) -> "list[_Waiting]":
         """Take what the next commit stores: of each subject the oldest entries, `share` at most (the lock is held)."""
@@ -693,17 +692,10 @@ def _newest_ends(connection: sqlite3.Connection, row: int) -> dict[str, EndedEls
     return ended
 
 
-def _last_row(connection: sqlite3.Connection) -> tuple[int, bytes] | None:
-    """The number and hash of the last row; None where there is none."""
+def _insert(connection: sqlite3.Connection, entries: Sequence[tuple[AuditEntry, AuditColumns]]) -> list[AuditRow]:
+    """Append the entries, each with its columns, within a transaction that has the write lock; gives their rows."""
     last = connection.execute("SELECT id, hash FROM audit ORDER BY id DESC LIMIT 1").fetchone()
-    return None if last is None else (int(last[0]), bytes(last[1]))
-
-
-def _insert(
-    connection: sqlite3.Connection, entries: Sequence[tuple[AuditEntry, AuditColumns]], last: tuple[int, bytes] | None
-) -> list[AuditRow]:
-    """Append the entries, each with its columns, behind the `last` row; gives their rows. The write lock is held."""
-    number, before = last or (0, BEGIN)
+    number, before = (int(last[0]), bytes(last[1])) if last else (0, BEGIN)
     rows = []
     for entry, plain in entries:
         number += 1

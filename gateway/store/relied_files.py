@@ -2,9 +2,8 @@
 
 A program that has a file open goes on with it when its name is taken away, and writes to what nobody will read. So each
 file on which a promise rests (the audit log, its heads and key, the historian and its lock, the page's accounts, the
-models in use) is known here, and looked at by `look`: after each commit of the audit log, so that no block leaves after
-something was done to one of them, and with each batch of the historian. Every look at a file lets another thread go on
-meanwhile, and has to wait for its turn again: nothing is asked of the system twice in one look.
+models in use) is known here, and looked at by `look`: before and after each row of the audit log, so that no block
+leaves after something was done to one of them, and with each batch of the historian.
 """
 
 import hashlib
@@ -13,7 +12,7 @@ import stat
 import time
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from math import inf
 from pathlib import Path
 from threading import Lock
@@ -59,15 +58,11 @@ class _ReliedFile:
 
     path: Path
     rule: FileRule
-    folder: str = field(init=False)
     seen: os.stat_result | None = None
     descriptor: int = -1
     digest: bytes = b""
     largest: int = 0
     was_read_only: bool = False
-
-    def __post_init__(self) -> None:
-        self.folder = str(self.path.parent)
 
     def hold(self, read_only: bool) -> str:
         """Take the file that is there now for the one that is relied on; gives why it cannot be. Raises OSError."""
@@ -100,7 +95,6 @@ class ReliedFiles:
         self._on_read_only_disk = on_read_only_disk or on_read_only_disk_of_system
         self._groups: dict[str, tuple[_ReliedFile, ...]] = {}
         self._gone: tuple[_ReliedFile, ...] = ()
-        self._wrong: dict[str, str] = {}
         self._changing, self._looking = Lock(), Lock()
         self.complaint = self.note = ""
         self.taken = 0
@@ -134,27 +128,12 @@ class ReliedFiles:
         """Look at all of them; gives what is wrong with those of this name, by default with any of them."""
         with self._looking:
             self._let_go()
-            wrong = self._note_problems(self._groups)
-        return self._wrong.get(what, "") if what else wrong
-
-    def look_at(self, what: str) -> str:
-        """Look at those of this name alone, and give what is wrong with them."""
-        with self._looking:
-            self._let_go()
-            groups = self._groups
-            self._note_problems({what: groups[what]} if what in groups else {})
-            return self._wrong.get(what, "")
-
-    def _note_problems(self, groups: "Mapping[str, tuple[_ReliedFile, ...]]") -> str:
-        """Look at the files of these groups; gives what is wrong with any that are known, as it was seen last."""
-        read_only = _ReadOnlyDisks(self._on_read_only_disk)
-        found = {name: _first(self._problems(group, read_only)) for name, group in groups.items()}
-        self._wrong = {name: why for name, why in ({**self._wrong, **found}).items() if why and self._groups.get(name)}
-        wrong = "; ".join(dict.fromkeys(self._wrong[name] for name in self._groups if name in self._wrong))
-        if wrong and not self.complaint:
-            self.taken += 1
-        self.complaint, self.note = wrong, self.note or wrong
-        return wrong
+            found = {name: _first(self._problems(group)) for name, group in self._groups.items()}
+            wrong = "; ".join(dict.fromkeys(filter(None, found.values())))
+            if wrong and not self.complaint:
+                self.taken += 1
+            self.complaint, self.note = wrong, self.note or wrong
+        return found.get(what, "") if what else wrong
 
     def tell(self, problem: str) -> None:
         """Take what the owner of a file has found in it that no look from outside tells: it was done to it."""
@@ -169,15 +148,14 @@ class ReliedFiles:
         for file in gone:
             file.let_go()
 
-    def _problems(self, group: Iterable[_ReliedFile], read_only: "_ReadOnlyDisks") -> Iterable[str]:
+    def _problems(self, group: Iterable[_ReliedFile]) -> Iterable[str]:
         for file in group:
-            if problem := self._file_problem(file, read_only):
+            if problem := self._file_problem(file):
                 yield f"{file.path}: {problem}; put back what it was, or start the gateway anew"
 
-    def _file_problem(self, file: _ReliedFile, read_only: "_ReadOnlyDisks") -> str:
+    def _file_problem(self, file: _ReliedFile) -> str:
         try:
-            now = file.path.stat()
-            return self._compare_file(file, now, read_only=read_only.holds(file, now))
+            return self._compare_file(file, file.path.stat(), read_only=self._on_read_only_disk(file.path))
         except FileNotFoundError:
             awaited = file.rule.late and file.seen is None
             return "" if awaited else "is gone, as it was removed or renamed while it was in use"
@@ -220,21 +198,6 @@ class ReliedFiles:
             return f"was cut to {now.st_size} bytes while it was in use"
         file.seen, file.largest = now, max(file.largest, now.st_size)
         return ""
-
-
-class _ReadOnlyDisks:
-    """Whether the disks that files lie on are mounted read-only, of those of a folder and disk asked once in a look."""
-
-    def __init__(self, on_read_only_disk: Callable[[Path], bool]) -> None:
-        self._ask = on_read_only_disk
-        self._known: dict[tuple[str, int], bool] = {}
-
-    def holds(self, file: _ReliedFile, now: os.stat_result) -> bool:
-        """Whether it lies on such a disk. Raises OSError."""
-        place = file.folder, now.st_dev
-        if (known := self._known.get(place)) is None:
-            known = self._known[place] = self._ask(file.path)
-        return known
 
 
 def on_read_only_disk_of_system(path: Path) -> bool:

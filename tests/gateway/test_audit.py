@@ -177,7 +177,7 @@ def test_a_batch_is_stored_whole_or_not_at_all(tmp_path: Path) -> None:
     with pytest.raises(sqlite3.Error), audit._connection:
         audit._connection.execute("BEGIN IMMEDIATE")
         entries = [AuditEntry(1.0, "write"), AuditEntry(2.0, None)]  # type: ignore[arg-type]
-        _insert(audit._connection, [(entry, _columns(entry)) for entry in entries], None)
+        _insert(audit._connection, [(entry, _columns(entry)) for entry in entries])
     assert audit.close() and verify(tmp_path / "a.sqlite").rows == 0
     assert json.dumps(head(tmp_path / "a.sqlite")) == f'"{"00" * 32}"'
 

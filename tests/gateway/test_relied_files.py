@@ -97,30 +97,3 @@ def test_an_index_that_was_cut_under_a_database_ends_nobody(tmp_path: Path) -> N
         connection.execute("INSERT INTO t VALUES (1)")
         assert connection.execute("SELECT x FROM t").fetchall() == [(1,)]
         files.forget("database")
-
-
-def test_a_look_at_some_tells_of_these_alone_and_forgets_nothing_that_was_found_in_others(tmp_path: Path) -> None:
-    first, second = tmp_path / "audit", tmp_path / "model.json"
-    files = relied(first)
-    second.write_text("{}")
-    files.watch("models", {second: FIXED})
-    assert files.look() == ""
-    second.write_text("[]")
-    assert files.look_at("heads") == "" == files.complaint and files.taken == 0, "nobody has looked at the models"
-    found = files.look()
-    assert files.look("heads") == "" and "another content" in found
-    assert files.look_at("heads") == "" and files.complaint == found and files.taken == 1
-    files.forget("models")
-    assert files.look_at("heads") == "" == files.complaint
-
-
-def test_a_look_asks_once_for_each_folder_whether_its_disk_takes_anything(tmp_path: Path) -> None:
-    asked: list[Path] = []
-    files = ReliedFiles(lambda path: bool(asked.append(path)))
-    for name in ("a", "b"):
-        (tmp_path / name).mkdir()
-        for number in range(3):
-            (tmp_path / name / str(number)).write_text("x")
-        files.watch(name, {tmp_path / name / str(number): FIXED for number in range(3)})
-    for looks in (1, 2):
-        assert files.look() == "" and len(asked) == 2 * looks
