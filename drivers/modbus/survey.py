@@ -80,7 +80,9 @@ class ModbusSurvey:
 
     async def read(self, area: str, start: int, count: int, unit: int | None = None) -> ReadWords:
         """One request for `count` registers or bits. Raises DriverError by its kinds."""
-        reply = await self._exchange(read_request(Area(area), start, count, self._unit(unit)))
+        own = unit is None or unit == self._settings.unit
+        wide = own and any(wide.meets(Area(area), start, start + count) for wide in self._settings.wide_registers)
+        reply = await self._exchange(read_request(Area(area), start, count, self._unit(unit), wide=wide))
         return ReadWords(reply.words, reply.received - reply.sent)
 
     async def identity(self, unit: int | None = None) -> Mapping[str, str]:
@@ -120,8 +122,9 @@ class ModbusSurvey:
         samples = await self.driver.read(tags)
         if not self._tried and all(sample.quality in _SILENT for sample in samples):
             with suppress(DriverError, AddressError):
-                span = locate(tags[0])
-                await self._exchange(read_request(span.area, span.start, span.count, self._unit(None)))
+                span = locate(tags[0], self._settings.wide_registers)
+                wide = span.wide is not None
+                await self._exchange(read_request(span.area, span.start, span.count, self._unit(None), wide=wide))
             if self._answered:
                 samples = await self.driver.read(tags)
         until, searching = _now() + SEARCH_S, self.driver.is_searching

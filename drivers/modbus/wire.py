@@ -39,7 +39,16 @@ from drivers.driver import BeforeSending, Clock, anyhow
 from drivers.errors import DeviceException, DriverError, LinkDown, LinkFault, ReplyMismatch, ReplyTimeout
 from drivers.modbus.address import Area
 from drivers.modbus.replies import ReplyStream, TransactionIds
-from drivers.modbus.verify import WRITES, Asked, check_reply, leaves_open, parse_request, unpack_words
+from drivers.modbus.verify import (
+    REGISTER_BYTES,
+    WIDE_REGISTER_BYTES,
+    WRITES,
+    Asked,
+    check_reply,
+    leaves_open,
+    parse_request,
+    unpack_words,
+)
 from drivers.tap import current, make_frame
 
 FLOOD = 65536
@@ -66,6 +75,22 @@ _READS: dict[Area, type[ModbusPDU]] = {
 }
 
 
+class _ReadWideHoldingRegisters(ReadHoldingRegistersRequest):
+    """A read of registers of 32 bits: the bytes of any read, and a reply of twice as many."""
+
+
+class _ReadWideInputRegisters(ReadInputRegistersRequest):
+    """As `_ReadWideHoldingRegisters`."""
+
+
+_WIDE_READS: dict[Area, type[ModbusPDU]] = {
+    Area.INPUT: _ReadWideInputRegisters,
+    Area.HOLDING: _ReadWideHoldingRegisters,
+}
+WIDTHS = dict.fromkeys(_WIDE_READS.values(), WIDE_REGISTER_BYTES)
+"""The bytes of a register by the kind of request, where they are not the usual ones."""
+
+
 @dataclass(frozen=True, slots=True)
 class WireReply:
     """The registers (or bits as 0 and 1) of one reply, with the moments of sending and of complete reception."""
@@ -76,9 +101,12 @@ class WireReply:
 
 
 @lru_cache(maxsize=1024)
-def read_request(area: Area, start: int, count: int, unit: int) -> ModbusPDU:
-    """The request that reads `count` addresses of a table; made once, as a wire numbers it when it frames it."""
-    return _READS[area](address=start, count=count, dev_id=unit)
+def read_request(area: Area, start: int, count: int, unit: int, *, wide: bool = False) -> ModbusPDU:
+    """The request that reads `count` addresses of a table; made once, as a wire numbers it when it frames it.
+
+    `wide`: they are registers of 32 bits.
+    """
+    return (_WIDE_READS if wide else _READS)[area](address=start, count=count, dev_id=unit)
 
 
 def write_request(area: Area, start: int, words: Sequence[int], unit: int, *, single: bool = False) -> ModbusPDU:
@@ -247,7 +275,8 @@ class Wire:
         self._attempts.add(number)
         data = self._client.ctx.framer.buildFrame(request)
         # Read from the very bytes that go: what was asked is what the reply is held against.
-        self._request, self._sent, self._unasked = parse_request(data), self._clock(), 0
+        width = WIDTHS.get(request.__class__, REGISTER_BYTES)
+        self._request, self._sent, self._unasked = parse_request(data, width), self._clock(), 0
         self._open[number] = (self._request, self._sent)
         self._tell(data, sent=True)
         transport.write(data)

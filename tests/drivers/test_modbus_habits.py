@@ -113,6 +113,24 @@ async def test_silence_is_found_by_hand_too() -> None:
         assert raws[5].sample.quality is Quality.CONFIGURATION_ERROR and "no reply" in raws[5].sample.reason
 
 
+@pytest.mark.parametrize("serial", [False, True], ids=["tcp", "line"])
+async def test_a_gateways_word_that_its_unit_is_silent_is_no_answer(serial: bool) -> None:
+    habit = Habit(serial=serial)
+    async with driven(habit, timeout=5.0) as driver:
+        await values(driver, lambda found: None not in found)
+        habit.no_way = 1
+        assert all(sample.quality.is_good for sample in await driver.read(TAGS))
+        habit.no_way, asked = 100, len(habit.requests)
+        for requests in (2, 3, 4):  # the first reading asks twice, and each one after it once
+            samples = await driver.read(TAGS)
+            assert all("exception 11" in sample.reason for sample in samples)
+            assert len(habit.requests) == asked + requests
+        habit.no_way = 0
+        assert all(sample.quality.is_good for sample in await driver.read(TAGS))
+        habit.no_way = 1
+        assert all(sample.quality.is_good for sample in await driver.read(TAGS))
+
+
 async def test_a_late_read_back_is_waited_for_within_the_writes_time() -> None:
     habit = Habit(stale=2)
     async with driven(habit, timeout=1.0) as driver:
