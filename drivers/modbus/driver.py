@@ -259,8 +259,8 @@ class ModbusDriver:
         self._writes: dict[tuple[int, ...], _WriteLayout] = {}
         # A block that was answered: by it silence to another is told from absence.
         self._known_good: AddressBlock | None = None
-        # No reading has ended with a gateway's word that it has no way to the unit, since it answered last.
-        self._reached = True
+        # It has answered, and since then no reading has ended with a gateway's word that it has no way to it.
+        self._reached = False
         self._searches: dict[tuple[Area, int, int], BlockSearch] = {}
         # By a tag's identity, of those with a period of their own.
         self._paced: dict[int, PacedTag] = {}
@@ -768,7 +768,7 @@ class ModbusDriver:
         """Read a block, again with a new transaction id if no valid reply came.
 
         A gateway's word that its unit gave no reply (exceptions 10 and 11) is no reply, too: the line behind it may
-        have been disturbed. After a reading that ended so the unit is asked once until it answers.
+        have been disturbed. A unit that has not answered, or not since a reading that ended so, is asked once.
         """
         again, wire, began = False, self._line.connection, 0.0
         # After a connection that was taken and never answered, the next ones get one question each.

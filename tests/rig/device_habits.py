@@ -94,7 +94,7 @@ HABITS: tuple[DeviceHabit, ...] = (
     DeviceHabit(
         habit="is behind a gateway that now and then has no answer of it (exceptions 10 and 11)",
         found="by the exception",
-        done="a read is asked again as after silence (`attempts`); one that ended so is asked once until it answers",
+        done="a read of a unit that has answered is asked again as after silence; if it ends so, not until one is good",
         setting="attempts",
         test=f"{_HABITS}::test_a_gateways_word_that_its_unit_is_silent_is_no_answer",
     ),

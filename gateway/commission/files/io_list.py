@@ -25,7 +25,7 @@ from gateway.commission.files.cells import (
     parse_decimal,
     read_sheet,
 )
-from gateway.commission.files.io_halves import Listed, part_halves, part_overlaps
+from gateway.commission.files.io_halves import Listed, other_name, part_halves, part_overlaps
 from gateway.commission.files.io_models import ModelError, read_model
 from gateway.commission.files.io_places import SIEMENS, AddressCell, ListedPlace, Numbering, parse_place
 from gateway.commission.files.io_polls import by_formula, is_iobroker, of_iobroker, read_polls
@@ -41,6 +41,7 @@ from gateway.commission.files.io_words import (
     TOLD_BY,
     WIDTHS,
     TypeCell,
+    parse_size,
     parse_tables,
     type_cell,
     widen_type,
@@ -379,7 +380,9 @@ def _read_row(row: _ListedRow, before: Sequence[Listed]) -> Listed:
     line, how = row.line, row.how
     if refused := line.get("refused"):
         raise RowError("", f"{line.get('name')}: {refused}")
-    listed = line.get("name")
+    listed, named = line.get("name"), ""
+    if not listed:
+        listed, named = other_name(row.sheet, line)
     if not listed:
         raise RowError("name", "is empty; give the tag's name, or take the row out")
     name = how.rename.get(listed, listed)
@@ -411,7 +414,7 @@ def _read_row(row: _ListedRow, before: Sequence[Listed]) -> Listed:
         "scale_from": _factor_place(row, cell) if numeric else None,
         "period": _number(line, "period"),
     }
-    taken = "; ".join(note for note in (place.note, said, scaling.taken, line.get("said"), shared) if note)
+    taken = "; ".join(note for note in (named, place.note, said, scaling.taken, line.get("said"), shared) if note)
     unread = ""
     if numeric and scaling.scale is None and _SCALE_IN_WORDS.search(remark := line.get("remark")):
         unread = f"{row.sheet.where(line, 'remark')}: {remark!r} may say a scale, which is not read: give it a column"
@@ -804,7 +807,10 @@ def _type_cell(line: ListRow) -> TypeCell:
 
 def _type(row: _ListedRow, cell: TypeCell, place: ListedPlace, address: str) -> tuple[str, int]:
     line, text = row.line, row.get("dtype")
-    count = _whole(line, "count") or place.count
+    bits = parse_size(header_key(line.get("length"))) or parse_size(header_key(line.get("count"))) or 0
+    said = "length" if parse_size(header_key(line.get("length"))) else "count"
+    count = -(-bits // 16) if bits and cell.dtype != "string" else 0 if bits else _whole(line, "count") or 0
+    count = count or place.count
     if place.count and count != place.count:
         raise RowError("address", f"{row.get('address')!r} has {place.count} registers, and the row says {count}")
     if not cell.dtype:
@@ -815,7 +821,9 @@ def _type(row: _ListedRow, cell: TypeCell, place: ListedPlace, address: str) -> 
         return "uint16", 0
     dtype, length = cell.dtype, cell.length
     if dtype == "string":
-        length = length or place.length or _text_length(row) or 2 * count
+        if bits % 8:
+            raise RowError(said, f"{line.get(said)!r} are no whole bytes; a text has 8 bits a byte")
+        length = length or place.length or bits // 8 or _text_length(row) or 2 * count
         if length <= 0:
             raise RowError("dtype", "a string needs its length in bytes: write STRING[16], or give a column Length")
         return dtype, length
@@ -837,7 +845,7 @@ def _type(row: _ListedRow, cell: TypeCell, place: ListedPlace, address: str) -> 
             own = WIDTHS[dtype]
             raise RowError("dtype", f"{text!r} has {own} register{'s' * (own > 1)}, and the row says {count}")
         return widened, length
-    size = _whole(line, "length")
+    size = None if bits else _whole(line, "length")
     if size is not None and size not in (WIDTHS[dtype], 2 * WIDTHS[dtype], 16 * WIDTHS[dtype], 1):
         raise RowError("length", f"is {size}, and {text!r} has {WIDTHS[dtype]} registers; correct one of them")
     if size is not None and not cell.wide and size not in (16, 32) and (size, dtype) != (4, "float32"):
@@ -895,6 +903,8 @@ def _address(row: _ListedRow, cell: TypeCell) -> tuple[str, ListedPlace]:
     own = _bit(row)
     if not how.registers:
         return text, ListedPlace(register=_NO_REGISTER, bit=own)
+    if (end := row.get("end")) not in _EMPTY and end != text:
+        text = f"{text}-{end}"
     table = _table(row)
     place = parse_place(AddressCell(text, cell.dtype, row.numbering, how.plc, table or how.table, named=bool(table)))
     if own is not None and place.bit is None:

@@ -32,6 +32,12 @@ COLUMNS: Mapping[str, tuple[str, ...]] = {
         *("direccion", "direccion modbus"),
         *("protocol offset", "protocol address", "pdu offset", "pdu address", "register offset", "address offset"),
     ),
+    "end": (
+        *("end address", "address end", "addr end", "end addr", "end register", "register end", "last register"),
+        *("last address", "to address", "address to", "stop address", "endadresse", "adresse ende", "bis adresse"),
+        *("indirizzo finale", "fine indirizzo", "ultimo registro", "adresse fin", "adresse de fin", "dernier registre"),
+        *("direccion final", "ultimo registro"),
+    ),
     "table": (
         *("area", "tabella", "table", "tipo registro", "register type", "tipo di registro", "memory area"),
         *("area di memoria", "funzione", "function", "function code", "codice funzione", "object type"),
@@ -142,16 +148,16 @@ LENGTHS_IN_BITS = frozenset({"bits", "bit length", "no of bits", "bitlange"})
 LENGTHS_OF_NO_UNIT = frozenset({"size", "data size", "grosse", "groesse", "dimensione", "taille", "tamano"})
 """A number's width shows which unit such a length has; a text's does not."""
 
-_STRING = re.compile(r"(?:w?string|stringa|char|testo|text)\s*[\[( ]?\s*(\d*)")
+_STRING = re.compile(r"(?:w?string|stringa|char|testo|text|ascii(?: string| text| code)?)\s*[\[( ]?\s*(\d*)")
 
 _TYPES: Mapping[str, str] = {
     **dict.fromkeys(
         ("bool", "boolean", "booleano", "bit", "digital", "digitale", "di", "do", "binario", "logico"), "bool"
     ),
     **dict.fromkeys(("int", "int16", "sint16", "short", "intero", "intero con segno", "signed", "s16", "i16"), "int16"),
-    **dict.fromkeys(("integer", "signed int", "signed int 16", "int 16", "signed 16"), "int16"),
+    **dict.fromkeys(("integer", "short16", "signed int", "signed int 16", "int 16", "signed 16"), "int16"),
     **dict.fromkeys(("uint", "uint16", "word", "unsigned", "intero senza segno", "u16", "ushort", "uint 16"), "uint16"),
-    **dict.fromkeys(("unsigned int", "unsigned 16", "unsigned int 16", "parola"), "uint16"),
+    **dict.fromkeys(("unsigned int", "ushort16", "unsigned 16", "unsigned int 16", "parola"), "uint16"),
     **dict.fromkeys(
         ("dint", "int32", "long", "intero lungo", "s32", "i32", "signed 32", "int 32", "doppio intero"), "int32"
     ),
@@ -215,8 +221,9 @@ TABLES: Mapping[str, str] = {
     **dict.fromkeys(("holding reg", "registro holding", "mw", "registri di mantenimento", "fc 3", "fc 03"), "holding"),
     **dict.fromkeys(("input", "input register", "input registers", "ir", "3x", "04", "fc4", "fc04"), "input"),
     **dict.fromkeys(("registro input", "registro di ingresso", "input reg", "fc 4", "fc 04"), "input"),
-    **{f"read {name}": name.split()[0] for name in ("holding registers", "input registers", "discrete inputs")},
-    "read coils": "coil",
+    **{f"read {name}{s}": name.split()[0] for name in ("holding register", "input register") for s in ("", "s")},
+    **dict.fromkeys(("read coil", "read coils", "read coil status"), "coil"),
+    **dict.fromkeys(("read discrete input", "read discrete inputs", "read input status"), "discrete"),
     **dict.fromkeys(("coil", "coils", "0x", "01", "1", "fc1", "fc01", "fc 1", "fc 01", "bobina", "bobine"), "coil"),
     **dict.fromkeys(("discrete", "discrete input", "discrete inputs", "1x", "02", "2", "fc2", "fc02"), "discrete"),
     **dict.fromkeys(("ingresso digitale", "ingressi digitali", "fc 2", "fc 02"), "discrete"),
@@ -298,10 +305,11 @@ class TypeCell:
 
 
 _FLOAT = frozenset({"float", "real", "reale", "floating", "point", "ieee", "754", "ieee754", "single", "precision"})
-_PLAIN = frozenset({"unsigned", "uint", "word", "senza", "segno"})
+_BIT_FIELDS = frozenset({"flags", "bitfield", "bitmap", "bitmask"})
+_PLAIN = frozenset({"unsigned", "uint", "word", "senza", "segno"}) | _BIT_FIELDS
 _SIGNED = frozenset({"signed", "int", "integer", "intero", "con", "two", "twos", "s", "complement"})
 _FILLERS = frozenset({"bit", "bits", "value", "number", "format", "register", "registers", "reg", "regs", "numero"})
-_WIDTHLESS = frozenset({"integer", "signed", "unsigned", "intero", "unsigned integer", "signed integer"})
+_WIDTHLESS = _BIT_FIELDS | frozenset({"integer", "signed", "unsigned", "intero", "unsigned integer", "signed integer"})
 _COUNTED = re.compile(r"(\d) (?:registers?|words?|regs?|registri)")
 """`2 registers` in a type's cell."""
 
@@ -375,6 +383,18 @@ def parse_type(key: str) -> tuple[str, int] | None:
         return "string", int(match[1] or 0)
     found = _TYPES.get(key) or _TYPES.get(key.replace(" ", ""))
     return (found, 0) if found else None
+
+
+_MEASURED = re.compile(
+    r"(\d+) ?(?:(bits?)|(bytes?|octets?|octeti?|chars?|characters?|zeichen|caratteri|caracteres)"
+    r"|(words?|worte?|parole|mots?|palabras?|regs?|registers?|registri|registres?|registros?))"
+)
+
+
+def parse_size(key: str) -> int | None:
+    """The bits of a size that says in what it counts (`2byte`, `4 registers`); None for any other."""
+    match = _MEASURED.fullmatch(key)
+    return int(match[1]) * (1 if match[2] else 8 if match[3] else 16) if match else None
 
 
 def parse_flag(key: str) -> bool | None:
