@@ -37,6 +37,7 @@ from drivers.modbus.wire import (
     discard,
     keep_alive,
     no_connection,
+    read_little,
     rest_of_wait,
     socket_place,
 )
@@ -107,6 +108,7 @@ class NumberedWire(asyncio.Protocol):
             raise no_connection(f"{self._host}:{self._port}", error, secured) from error
         if self._transport is not None:
             keep_alive(self._transport)
+            read_little(self._transport)
 
     @property
     def alive(self) -> bool:

@@ -25,7 +25,7 @@ from drivers.modbus import rtu
 from drivers.modbus.ascii import AsciiStream, ascii_frame
 from drivers.modbus.settings import ModbusSettings
 from drivers.modbus.verify import ECHOED, HEADER, REGISTER_BYTES, Asked, check_reply, split_frames, unpack_words
-from drivers.modbus.wire import WIDTHS, WireReply, socket_place, system_reason
+from drivers.modbus.wire import WIDTHS, WireReply, read_little, socket_place, system_reason
 from drivers.tap import Medium, current, make_frame
 
 GAP_S = 0.02
@@ -450,6 +450,7 @@ class _Dialled(asyncio.Protocol):
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         if isinstance(transport, asyncio.Transport):
             self._transport = transport
+            read_little(transport)
 
     def data_received(self, data: bytes) -> None:
         self._wire.receive(data)

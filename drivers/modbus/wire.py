@@ -61,7 +61,10 @@ ANY_ID = {"transaction_id": "any"}
 OTHER_ID = (
     ' ({} with another transaction id dropped; if all of the device\'s answers have, give transaction_id = "any")'
 )
-# asyncio reads up to 256 KiB at once; a chunk that pymodbus finds too large it drops without a word.
+_READ_BYTES = 4096
+"""Read from a socket at once, many frames. asyncio's own 256 KiB are allocated anew for each reply and, by the state of
+the heap, returned to the system: the page faults of that are a third of a scan's processor time."""
+# A chunk that pymodbus finds too large it drops without a word.
 _LARGEST_CHUNK = 1 << 20
 _PROBE_S, _PROBES = 1, 2
 # pymodbus times nothing here: every exchange and every connect has a deadline of ours, and it must not fire first.
@@ -193,6 +196,7 @@ class Wire:
             await self._client.ctx.call_create()
             if isinstance(transport := self._client.ctx.transport, asyncio.Transport):
                 keep_alive(transport)
+                read_little(transport)
         except (OSError, ValueError) as error:  # ValueError: a host name that DNS or TLS cannot even be asked for
             self._client.close()
             raise no_connection(f"{parameters.host}:{parameters.port}", error, self._secured) from error
@@ -409,6 +413,12 @@ def keep_alive(transport: asyncio.Transport) -> None:
         for option in (socket.TCP_KEEPIDLE, socket.TCP_KEEPINTVL):
             raw.setsockopt(socket.IPPROTO_TCP, option, _PROBE_S)
         raw.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPCNT, _PROBES)
+
+
+def read_little(transport: asyncio.Transport) -> None:
+    """Have asyncio's socket read _READ_BYTES at once; another loop's transport, or that of TLS, is left as it is."""
+    if isinstance(getattr(transport, "max_size", None), int):
+        transport.max_size = _READ_BYTES  # type: ignore[attr-defined]
 
 
 def discard(transport: asyncio.Transport, unanswered: Iterable[Asked]) -> None:
