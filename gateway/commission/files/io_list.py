@@ -41,6 +41,8 @@ from gateway.commission.files.io_words import (
     TOLD_BY,
     WIDTHS,
     TypeCell,
+    parse_flag,
+    parse_sign,
     parse_size,
     parse_tables,
     type_cell,
@@ -171,6 +173,7 @@ def _power_word(header: str) -> str:
 
 
 _DECIMALS = re.compile(r"^(?:dec|dp|digits)$|komma|dezim|decim|precis|prazis")
+_MIN_LETTERS = 2
 _RAW = re.compile(
     r"\braw (?:\w+ )?(?:min|max|low|high|lo|hi|zero|full|span|range)\b|\b(?:min|max|low|high|range) (?:\w+ )?raw\b"
 )
@@ -187,6 +190,7 @@ _SUBTRACTS = re.compile(r"^sub$|^subtr")
 _ADDS = re.compile(rf"\bbias\b|intercept|^add$|^addend$|^additive$|{_SUBTRACTS.pattern}")
 _SAYS_A_NUMBER = re.compile(r"^\W*\d|(?:(?<![^\W\d_])x|[×*·/÷:=^+])\s*(?:[-+]\s*)?[.,]?\d", re.IGNORECASE)
 """A cell that is a number, or has an operation with one: `PT100 transmitter` has none."""
+_SIGNS = re.compile(r"^(?:un)?signed$|^sign$|vorzeichen|^vorz$|con segno|^segno$|^signo$|^signe$|^sinal$")
 _UNREAD = (
     (_SCALES, frozenset({"scale", "decimals", "raw_high", "formula"}), "scale", "how readings are scaled"),
     (_ADDS, frozenset({"offset"}), "offset", "what is added to readings"),
@@ -196,7 +200,7 @@ _UNREAD = (
         "order",
         "the order of words or bytes",
     ),
-    (re.compile(r"^signed$|^sign$|vorzeichen|con segno"), frozenset({"dtype"}), "dtype", "which numbers have a sign"),
+    (_SIGNS, frozenset({"dtype"}), "dtype", "which numbers have a sign"),
 )
 """Headers of columns that nobody reads, unless one of those columns is there; as which column, what they may say."""
 
@@ -218,6 +222,7 @@ def _of_units(sheet: ListSheet, how: Reading) -> ListSheet:
 
 def _check_unread(sheet: ListSheet) -> None:
     """Raises ListError for a column that nobody reads and whose cells may change readings."""
+    _check_lines(sheet)
     for pattern, known, column, what in _UNREAD:
         first = next((sheet.columns[name] for name in sheet.columns if name in known), "")
         for at, header in enumerate(sheet.ignored):
@@ -239,6 +244,28 @@ def _check_unread(sheet: ListSheet) -> None:
                     f"{sheet.path}: column {header!r} may say {what}, and is not understood: "
                     f"{_advise(column, header, key)}, or take it out"
                 )
+
+
+_LINES = ({"a": 1, "b": 0, "c": 0}, {"m": 1, "b": 0}, {"m": 1, "c": 0}, {"m": 1, "q": 0}, {"k": 1, "b": 0})
+"""Headers of one letter each by which lists write y = a x + b and its like, with what changes nothing."""
+
+
+def _check_lines(sheet: ListSheet) -> None:
+    """Raises ListError for columns such as `A` and `B`, or `m` and `b`, that make another number of what is read."""
+    letters = {header_key(header): at for at, header in enumerate(sheet.ignored)}
+    for neutral in _LINES:
+        if len(places := {key: letters[key] for key in neutral if key in letters}) < _MIN_LETTERS:
+            continue
+        for line in sheet.lines:
+            for key, at in places.items():
+                number = _factor_of(line.unread[at])
+                if number is not None and number != neutral[key]:
+                    named = " and ".join(repr(sheet.ignored[at]) for at in places.values())
+                    raise ListError(
+                        f"{sheet.path}: line {line.number}: columns {named} may say how readings are scaled "
+                        f"({sheet.ignored[at]} is {line.unread[at]}), and are not understood: write units per count in "
+                        "a column Scale and what is added in a column Offset, or take them out"
+                    )
 
 
 def _is_second(column: str, key: str) -> bool:
@@ -391,6 +418,7 @@ def _read_row(row: _ListedRow, before: Sequence[Listed]) -> Listed:
     if header_key(line.get("access")) in _WRITE_ONLY:
         raise RowError("access", f"{line.get('access')!r} says that it cannot be read; take the row out")
     cell = _type_cell(line)
+    _check_sign(row.sheet, line, cell)
     address, place = _address(row, cell)
     dtype, length = _type(row, cell, place, address)
     numeric = dtype not in ("bool", "string")
@@ -890,6 +918,28 @@ def _order(row: _ListedRow, cell: TypeCell, dtype: str, place: ListedPlace) -> t
 
 
 # ---------------------------------------------------------------- addresses
+
+
+_SIGN_CELLS = {"±": True, "+/-": True, "-/+": True, "s": True, "y": True, "u": False, "+": False, "n": False}
+
+
+def _check_sign(sheet: ListSheet, line: ListRow, cell: TypeCell) -> None:
+    """Raises RowError for a type whose sign a column beside it contradicts (`INT16`, and `Sign` says unsigned)."""
+    dtype = cell.dtype or "uint16"
+    for header, text in zip(sheet.ignored, line.unread, strict=False):
+        if text in _EMPTY or not _SIGNS.search(key := header_key(header)):
+            continue
+        said = header_key(text)
+        signed = parse_sign(said)[0]
+        if signed is None:
+            signed = _SIGN_CELLS.get(text.lower(), parse_flag(said))
+            signed = not signed if signed is not None and key.startswith("unsigned") else signed
+        if signed is not None and dtype.startswith("uint" if signed else "int"):
+            raise RowError(
+                "dtype",
+                f"{line.get('dtype')!r} is taken as {dtype}, and {header!r} says {text!r}: write INT16, UINT16 or "
+                "another that says both",
+            )
 
 
 _NO_REGISTER = Register("", 0)

@@ -13,7 +13,7 @@ COLUMNS: Mapping[str, tuple[str, ...]] = {
         *("signal", "simbolo", "symbol", "nome variabile", "nome segnale", "etichetta", "item", "punto", "point"),
         *("variablenname", "signalname", "messstelle", "datenpunkt", "kennzeichen", "nom", "nom de variable"),
         *("nom du signal", "repere", "mnemonique", "nombre", "nombre de variable", "senal", "simbolo", "bezeichnung"),
-        *("designation",),
+        *("designation", "naam", "nazwa"),
     ),
     "address": (
         *("indirizzo", "address", "indirizzo modbus", "modbus address", "registro", "register", "addr", "ind"),
@@ -29,7 +29,7 @@ COLUMNS: Mapping[str, tuple[str, ...]] = {
             "adresse modbus",
             "registre",
         ),
-        *("direccion", "direccion modbus"),
+        *("direccion", "direccion modbus", "endereco", "endereco modbus", "adres", "adres modbus"),
         *("protocol offset", "protocol address", "pdu offset", "pdu address", "register offset", "address offset"),
     ),
     "end": (
@@ -48,7 +48,7 @@ COLUMNS: Mapping[str, tuple[str, ...]] = {
         *("tipo dato", "tipo di dato", "data type", "datatype", "tipo", "type", "formato", "format", "dtype"),
         *("tipo variabile", "variable type"),
         *("datentyp", "typ", "datenformat", "type de donnee", "type de donnees", "tipo de dato", "tipo de datos"),
-        *("formato de dato",),
+        *("formato de dato", "tipo de dado", "tipo de dados", "gegevenstype", "typ danych"),
     ),
     "order": (
         *("ordine", "order", "byte order", "word order", "ordine word", "ordine parole", "ordine byte", "endianness"),
@@ -77,7 +77,7 @@ COLUMNS: Mapping[str, tuple[str, ...]] = {
         *("multiplier", "gain", "guadagno", "risoluzione", "resolution", "k", "coefficiente", "ratio"),
         *("divisor", "divider", "divisore", "divide by", "teiler"),
         *("skalierung", "faktor", "skalierungsfaktor", "auflosung", "echelle", "facteur", "facteur d echelle"),
-        *("escala", "factor de escala", "diviseur", "resolucion"),
+        *("escala", "factor de escala", "diviseur", "resolucion", "fator", "fator de escala", "schaal", "mnoznik"),
     ),
     "decimals": (
         *("decimals", "decimal places", "decimali", "cifre decimali", "number of decimals", "decimal digits"),
@@ -96,7 +96,8 @@ COLUMNS: Mapping[str, tuple[str, ...]] = {
     "unit": (
         *("unita", "unita di misura", "unita misura", "um", "u m", "unit", "units", "ing unit", "eng unit"),
         *("engineering unit", "engineering units", "eu", "udm", "u d m", "misura"),
-        *("einheit", "physikalische einheit", "unite", "unidad", "unidad de medida"),
+        *("einheit", "physikalische einheit", "unite", "unidad", "unidad de medida", "unidades", "unites", "einheiten"),
+        *("unidade", "eenheid", "jednostka"),
     ),
     "formula": ("formula", "formel", "espressione", "expression"),
     "unit_id": (
@@ -306,8 +307,26 @@ class TypeCell:
 
 _FLOAT = frozenset({"float", "real", "reale", "floating", "point", "ieee", "754", "ieee754", "single", "precision"})
 _BIT_FIELDS = frozenset({"flags", "bitfield", "bitmap", "bitmask"})
-_PLAIN = frozenset({"unsigned", "uint", "word", "senza", "segno"}) | _BIT_FIELDS
-_SIGNED = frozenset({"signed", "int", "integer", "intero", "con", "two", "twos", "s", "complement"})
+_PLAIN = frozenset({"uint", "word", "wort", "parola", "mot", "palabra"}) | _BIT_FIELDS
+_SIGNED = frozenset({"int", "integer", "intero", "entero", "entier", "ganzzahl", "inteiro", "s"})
+_UNSIGNED_PHRASE = re.compile(
+    r"\b(?:unsigned|(?:senza|sin|sem|sans|non|no|ohne|without|not) (?:segno|signo|sinal|signe|signed|sign|vorzeichen)"
+    r"|vorzeichenlos|nicht vorzeichenbehaftet)\b"
+)
+_SIGNED_PHRASE = re.compile(
+    r"\b(?:signed|(?:con|com|avec|mit|with) (?:segno|signo|sinal|signe|sign|vorzeichen)|signe|vorzeichenbehaftet"
+    r"|(?:two|twos|two s|2 s|2s) complement|complemento a (?:2|due|dos))\b"
+)
+
+
+def parse_sign(key: str) -> tuple[bool | None, str]:
+    """(whether a text says that a number has a sign, None where it does not say; the rest of it)."""
+    for pattern, signed in ((_UNSIGNED_PHRASE, False), (_SIGNED_PHRASE, True)):
+        if pattern.search(key):
+            return signed, " ".join(pattern.sub(" ", key).split())
+    return None, key
+
+
 _FILLERS = frozenset({"bit", "bits", "value", "number", "format", "register", "registers", "reg", "regs", "numero"})
 _WIDTHLESS = _BIT_FIELDS | frozenset({"integer", "signed", "unsigned", "intero", "unsigned integer", "signed integer"})
 _COUNTED = re.compile(r"(\d) (?:registers?|words?|regs?|registri)")
@@ -335,17 +354,24 @@ def type_cell(key: str) -> TypeCell:
     rest = " ".join(words.split())
     count = _COUNTED.search(rest)
     rest = " ".join(_COUNTED.sub(" ", rest).split())
+    signed, rest = parse_sign(rest)
     found = parse_type(rest)
+    if found and signed is not None and found[0].startswith(("int", "uint")):
+        if signed and found[0].startswith("uint") and rest.startswith("u"):
+            return TypeCell(unknown="signed")
+        found = (("" if signed else "u") + found[0].removeprefix("u"), 0)
     wide = rest not in _WIDTHLESS
     if found is None:
         tokens = [token for token in re.sub(r"(\d)bit", r"\1 bit", rest).split() if token not in _FILLERS]
         widths = [token for token in tokens if token in ("8", "16", "32", "64")]
         kinds = [token for token in tokens if token not in widths]
         unknown = [token for token in kinds if token not in _FLOAT | _PLAIN | _SIGNED]
-        if unknown or not kinds or len(widths) > 1:
+        bare = signed is not None and bool(widths or count)
+        if unknown or len(widths) > 1 or not (kinds or bare):
             return TypeCell(unknown=(unknown or tokens or [key])[0])
         wide = bool(widths) or not set(kinds) <= _WIDTHLESS | _FLOAT
-        kind = "float" if set(kinds) & _FLOAT else "uint" if set(kinds) & _PLAIN else "int"
+        unsigned = bool(set(kinds) & _PLAIN) if signed is None else not signed
+        kind = "float" if set(kinds) & _FLOAT else "uint" if unsigned else "int"
         bits = widths[0] if widths else "32" if kind == "float" else "16"
         if kind == "float" and bits not in ("32", "64"):
             return TypeCell(unknown=bits)
