@@ -142,7 +142,7 @@ def _wide_count(tag: Tag, wide: WideRange, start: int, words: int) -> int:
     if start < wide.start:
         raise AddressError(f"{tag.name}: it begins before {own} (wide_registers) and reaches into it")
     if words % 2 or tag.bit is not None:
-        kind = "one bit" if tag.bit is not None else f"{tag.dtype}, {words} registers of 16 bits"
+        kind = "one bit" if tag.bit is not None else f"{tag.dtype}, {words} x 16 bits"
         raise AddressError(
             f"{tag.name}: {tag.address} is a register of 32 bits (wide_registers {own}) and the tag is {kind}; give "
             "int32, uint32 or float32, or a text of four bytes a register"

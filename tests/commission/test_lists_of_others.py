@@ -635,6 +635,13 @@ def test_a_plants_unit_number_is_no_unit_of_modbus(
 # ---------------------------------------------------------------- maps of gateways and loggers
 
 
+def test_numbers_of_a_device_whose_addresses_have_32_bits_do_not_lie_across_one_another(tmp_path: Path) -> None:
+    text = "Name;Address;Type\nVolume;5001;DINT\nFlow;5002;REAL\nTemp;5003;REAL\n"
+    assert [tag.name for tag in read(tmp_path, text, Reading(wide=True)).tags] == ["Volume", "Flow", "Temp"]
+    (said,) = read(tmp_path, text).problems
+    assert "give --keep wide_registers=RANGES" in said
+
+
 def test_a_name_stands_in_another_column_of_names_where_its_own_is_empty(tmp_path: Path) -> None:
     found = read(
         tmp_path,

@@ -74,7 +74,8 @@ class Reading:
     `table` of bare numbers, `order` of values wider than a register ("": ABCD, or what the list's layout has), `shift`
     added to every address, `registers` False for other drivers' addresses, which are left as they are. `gain` (one of
     GAINS), `numbers` (one of NUMBERS) and `plc` (one of PLC_MAKERS) settle what a list leaves open; "" where nothing
-    does. `unit` is the one that is meant of a list of several, `repeats` how often a group of a model is there.
+    does. `unit` is the one that is meant of a list of several, `repeats` how often a group of a model is there. `wide`:
+    the device has registers of 32 bits, each of which is one address.
     """
 
     table: str = "holding"
@@ -85,6 +86,7 @@ class Reading:
     numbers: str = ""
     plc: str = ""
     unit: int | None = None
+    wide: bool = False
     repeats: Mapping[str, int] = field(default_factory=dict)
     rename: Mapping[str, str] = field(default_factory=dict)
 
@@ -119,7 +121,7 @@ def read_io_list(path: Path, how: Reading, columns: Mapping[str, str] | None = N
         raise ListError(f"{path}: has no registers; give a list with one entry a tag")
     if not tags and not problems:
         raise ListError(f"{path}: has a header in line {sheet.header_line} and no row under it; give one row a tag")
-    tags, across = part_overlaps(sheet, tags) if how.registers else (tags, [])
+    tags, across = part_overlaps(sheet, tags) if how.registers and not how.wide else (tags, [])
     tags, torn, note = part_halves(sheet, tags)
     sheet = replace(sheet, notes=(*sheet.notes, note)) if note else sheet
     return IoList(sheet, tuple(tags), (*problems, *across, *torn))
