@@ -61,7 +61,7 @@ ANY_ID = {"transaction_id": "any"}
 OTHER_ID = (
     ' ({} with another transaction id dropped; if all of the device\'s answers have, give transaction_id = "any")'
 )
-_READ_BYTES = 4096
+_READ_BYTES = 16_384
 """Read from a socket at once, many frames. asyncio's own 256 KiB are allocated anew for each reply and, by the state of
 the heap, returned to the system: the page faults of that are a third of a scan's processor time."""
 # A chunk that pymodbus finds too large it drops without a word.

@@ -709,7 +709,7 @@ def test_a_size_may_say_in_what_it_counts(header: str, cells: str, says: str, tm
         ("Ganzzahl 16 Bit mit Vorzeichen", "int16"), ("32 Bit ohne Vorzeichen", "uint32"),
         ("entero 16 bits sin signo", "uint16"), ("16 bit 2's complement", "int16"),
         ("16BIT_FLAGS", "uint16"), ("32 bit bitmap", "uint32"), ("Short16", "int16"),
-        ("16 bit", None), ("uint32 signed", None), ("8bit", None), ("HEX", None),
+        ("unsigned, big endian", "uint16"), ("16 bit", None), ("uint32 signed", None), ("8bit", None), ("HEX", None),
     ],
 )  # fmt: skip
 def test_a_type_has_the_sign_that_its_cell_says(cell: str, dtype: str | None, tmp_path: Path) -> None:
@@ -738,7 +738,7 @@ def test_a_column_of_signs_agrees_with_the_type_or_the_row_is_refused(
     ("header", "cells", "right"),
     [
         ("A';B';C'", "1;0;0", True), ("A';B';C'", "1;-1;0", False), ("m;b", "0,1;-40", False), ("m;b", "1;0", True),
-        ("A;B", "L1;L2", True), ("B", "5", True), ("M;Q", "1;20", False),
+        ("A;B", "L1;L2", True), ("B", "5", True), ("B;C", "5;6", True), ("M;Q", "1;20", False),
     ],
 )  # fmt: skip
 def test_letters_of_a_straight_line_are_not_passed_over(header: str, cells: str, right: bool, tmp_path: Path) -> None:

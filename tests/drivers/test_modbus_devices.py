@@ -303,7 +303,7 @@ async def test_a_wire_asks_the_system_for_a_few_frames_at_once(monkeypatch: pyte
     finally:
         await driver.close()
         server.close()
-    assert max(sizes[port]) <= 4096
+    assert max(sizes[port]) <= 16_384
 
 
 WIDE = {"wide_registers": ["holding:5001-5099", "input:7001-7003"]}

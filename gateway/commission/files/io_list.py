@@ -256,7 +256,8 @@ def _check_lines(sheet: ListSheet) -> None:
     """Raises ListError for columns such as `A` and `B`, or `m` and `b`, that make another number of what is read."""
     letters = {header_key(header): at for at, header in enumerate(sheet.ignored)}
     for neutral in _LINES:
-        if len(places := {key: letters[key] for key in neutral if key in letters}) < _MIN_LETTERS:
+        places = {key: letters[key] for key in neutral if key in letters}
+        if next(iter(neutral)) not in places or len(places) < _MIN_LETTERS:
             continue
         for line in sheet.lines:
             for key, at in places.items():

@@ -354,13 +354,15 @@ def type_cell(key: str) -> TypeCell:
     rest = " ".join(words.split())
     count = _COUNTED.search(rest)
     rest = " ".join(_COUNTED.sub(" ", rest).split())
-    signed, rest = parse_sign(rest)
-    found = parse_type(rest)
+    found, signed = parse_type(rest), None
+    if found is None:
+        signed, rest = parse_sign(rest)
+        found = parse_type(rest)
+    wide = rest not in _WIDTHLESS
     if found and signed is not None and found[0].startswith(("int", "uint")):
         if signed and found[0].startswith("uint") and rest.startswith("u"):
             return TypeCell(unknown="signed")
         found = (("" if signed else "u") + found[0].removeprefix("u"), 0)
-    wide = rest not in _WIDTHLESS
     if found is None:
         tokens = [token for token in re.sub(r"(\d)bit", r"\1 bit", rest).split() if token not in _FILLERS]
         widths = [token for token in tokens if token in ("8", "16", "32", "64")]
