@@ -776,3 +776,28 @@ def test_an_x_before_a_number_is_hexadecimal_where_that_is_said(tmp_path: Path) 
 def test_lists_in_further_languages_are_read(header: str, tmp_path: Path) -> None:
     (tag,) = read(tmp_path, f"{header}\nT;40001;INT16;0,1;°C\n").tags
     assert (tag.keys["address"], tag.keys["scale"], tag.keys["unit"]) == ("holding:0", 0.1, "degC")
+
+
+@pytest.mark.parametrize(
+    ("header", "cell"),
+    [("Mask", "0x00FF"), ("Bit mask", "0x8000"), ("Shift", "8"), ("Maske", "255"), ("Poids", "0,1"), ("Peso", "0,1"),
+     ("Wert pro Digit", "0,1")],
+)  # fmt: skip
+def test_what_says_another_number_than_the_register_is_not_passed_over(header: str, cell: str, tmp_path: Path) -> None:
+    with pytest.raises(ListError, match="is not understood"):
+        read(tmp_path, f"Name;Address;Type;{header}\nT;100;UINT16;{cell}\n")
+    plain = "0xFFFF" if header in ("Mask", "Bit mask", "Maske") else "0" if header == "Shift" else ""
+    assert len(read(tmp_path, f"Name;Address;Type;{header}\nT;100;UINT16;{plain}\n").tags) == 1
+
+
+@pytest.mark.parametrize(
+    ("remark", "may"),
+    [
+        ("0xFFFF = not available", "a number that is no value"), ("invalid: 32767", "a number that is no value"),
+        ("scaled by 10", "a scale"), ("Temperature [0.1 °C]", "a scale"), ("Temp (x100)", "a scale"),
+        ("range 0 to 65535", ""), ("bearing 10", ""), ("see page 0x10", ""),
+    ],
+)  # fmt: skip
+def test_a_scale_or_a_sentinel_in_a_remark_is_said(remark: str, may: str, tmp_path: Path) -> None:
+    (tag,) = read(tmp_path, f"Name;Address;Type;Notes\nT;100;INT16;{remark}\n").tags
+    assert (f"may say {may}" in tag.unread) if may else not tag.unread

@@ -186,7 +186,8 @@ _FACTORS = re.compile(
 )
 _SCALES = re.compile(
     rf"{_FACTORS.pattern}|{_DECIMALS.pattern}|{_RAW.pattern}|(?<!fi)scal(?!at)|skalier|resol|risol|echel|\bteilung"
-    r"|auflos|wertig|\blsb\b|quantum|increment|convert\b|pendenza|steigung|pente|divis|^weight$"
+    r"|auflos|wertig|\blsb\b|quantum|increment|convert\b|pendenza|steigung|pente|divis|^(?:weight|poids|peso)$"
+    r"|\b(?:pro|par|por) (?:digit|count|bit|punkt)\b"
 )
 _SUBTRACTS = re.compile(r"^sub$|^subtr")
 _ADDS = re.compile(rf"\bbias\b|intercept|^add$|^addend$|^additive$|{_SUBTRACTS.pattern}")
@@ -225,6 +226,7 @@ def _of_units(sheet: ListSheet, how: Reading) -> ListSheet:
 def _check_unread(sheet: ListSheet) -> None:
     """Raises ListError for a column that nobody reads and whose cells may change readings."""
     _check_lines(sheet)
+    _check_masks(sheet)
     for pattern, known, column, what in _UNREAD:
         first = next((sheet.columns[name] for name in sheet.columns if name in known), "")
         for at, header in enumerate(sheet.ignored):
@@ -269,6 +271,28 @@ def _check_lines(sheet: ListSheet) -> None:
                         f"({sheet.ignored[at]} is {line.unread[at]}), and are not understood: write units per count in "
                         "a column Scale and what is added in a column Offset, or take them out"
                     )
+
+
+_MASKS = re.compile(r"\b(?:bit ?)?(?:mask|maske|maschera|masque|mascara)\b|^r?shift$|\b(?:bit|right) shift\b")
+_WHOLE_MASKS = frozenset({0, 0xFF, 0xFFFF, 0xFFFFFFFF})
+"""Masks that leave a number as it is, and 0 for a shift by nothing; 0xFF for a byte."""
+
+
+def _check_masks(sheet: ListSheet) -> None:
+    """Raises ListError for a mask or shift, by which only some bits of a register are the value."""
+    for at, header in enumerate(sheet.ignored):
+        if not _MASKS.search(header_key(header)):
+            continue
+        for line in sheet.lines:
+            with suppress(RowError):
+                number = _raw(line.unread[at], "bit")
+                byte = "8" in line.get("dtype")
+                if number is None or (number in _WHOLE_MASKS and (number != 0xFF or byte)):
+                    continue
+                raise ListError(
+                    f"{sheet.path}: line {line.number}: {header!r} ({line.unread[at]}) may say which bits are "
+                    "the value, and is not understood: give the bit in a column Bit, or take it out"
+                )
 
 
 def _is_second(column: str, key: str) -> bool:
@@ -449,6 +473,9 @@ def _read_row(row: _ListedRow, before: Sequence[Listed]) -> Listed:
     unread = ""
     if numeric and scaling.scale is None and _SCALE_IN_WORDS.search(remark := line.get("remark")):
         unread = f"{row.sheet.where(line, 'remark')}: {remark!r} may say a scale, which is not read: give it a column"
+    if numeric and not keys["sentinel"] and _NO_VALUE_IN_WORDS.search(remark := line.get("remark")):
+        unread = f"{row.sheet.where(line, 'remark')}: {remark!r} may say a number that is no value, which is not read"
+        unread += ": give it a column Sentinel"
     return Listed(name, keys, line.number, taken, line.get("address"), unread)
 
 
@@ -466,11 +493,18 @@ def _check_bit(row: _ListedRow, cell: TypeCell, bit: int) -> None:
 
 
 _SCALE_IN_WORDS = re.compile(
-    r"(?:fakt|fact|fatt|scal|skal|escala|echelle|échelle|gain|mult|divi|teil|risol|resol|auflös|resoluc)\w*\W{0,3}\d"
-    r"|(?:^|\s)(?:[x×*/÷]\s?10*(?:[.,]0*1)?|0[.,]0*1)(?:$|\W)",
+    r"(?:fakt|fact|fatt|scal|skal|escala|echelle|échelle|gain|mult|divi|teil|risol|resol|auflös|resoluc)\w*"
+    r"(?: by| of| con| mit| par| por| per| durch)?\W{0,3}\d"
+    r"|(?:^|[\s(\[])(?:[x×*/÷]\s?10*(?:[.,]0*1)?|0[.,]0*1)(?:$|\W)",
     re.IGNORECASE,
 )
 """A scale in running text: `Faktor 0,1`, `x 0.1`, `/10`."""
+_ABSENT = r"(?:not avail|not impl|unavail|invalid|no data|no value|non disp|ungültig|nicht verf|indisp|no disp)"
+_NUMBER_OF_NOTHING = r"(?:0x[0-9a-f]{2,16}\b|-?\b(?:3276[78]|65535|2147483647|2147483648|4294967295)\b)"
+_NO_VALUE_IN_WORDS = re.compile(
+    rf"{_NUMBER_OF_NOTHING}.{{0,20}}{_ABSENT}|{_ABSENT}.{{0,20}}{_NUMBER_OF_NOTHING}", re.IGNORECASE
+)
+"""A sentinel in running text: `0xFFFF = not available`."""
 
 
 def _share_note(before: Sequence[Listed], row: _ListedRow, address: str, place: ListedPlace) -> str:

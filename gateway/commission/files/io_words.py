@@ -18,7 +18,7 @@ COLUMNS: Mapping[str, tuple[str, ...]] = {
     "address": (
         *("indirizzo", "address", "indirizzo modbus", "modbus address", "registro", "register", "addr", "ind"),
         *("indirizzo plc", "plc address", "modbus register", "registro modbus", "offset modbus", "nodeid", "object"),
-        *("oggetto", "index", "indice"),
+        *("oggetto", "index", "indice", "reg no", "reg nr", "reg number", "modbus reg"),
         *(
             "adresse registre",
             "adresse du registre",
