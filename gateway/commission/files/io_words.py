@@ -354,7 +354,8 @@ def type_cell(key: str) -> TypeCell:
     rest = " ".join(words.split())
     count = _COUNTED.search(rest)
     rest = " ".join(_COUNTED.sub(" ", rest).split())
-    found, signed = parse_type(rest), None
+    found = parse_type(rest)
+    signed: bool | None = None
     if found is None:
         signed, rest = parse_sign(rest)
         found = parse_type(rest)
