@@ -3,7 +3,6 @@
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
 from itertools import combinations, pairwise
 
 import numpy as np
@@ -92,8 +91,11 @@ class Parts:
     """What loads the machine besides `current`, by a person's word."""
 
 
-def choose_clock(table: FoundTable, answers: Answers) -> FoundClock:
-    """The column of times. Raises Undecided where two fit or the day and month may be either, TraceError for none."""
+def choose_clock(table: FoundTable, answers: Answers, *, now: float) -> FoundClock:
+    """The column of times, none of which is after `now` (s since 1970) where others fit.
+
+    Raises Undecided where two fit or the day and month may be either, TraceError for none.
+    """
     by_place: dict[int, list[FoundClock]] = {}
     sure: dict[int, bool] = {}
     first = [next(filter(None, table.column(place)), "") for place in range(len(table.header))]
@@ -172,7 +174,7 @@ def choose_clock(table: FoundTable, answers: Answers) -> FoundClock:
             f"{table.path}: the days of {table.header[chosen]!r} may stand in "
             f"{' or in '.join(repr(table.header[at]) for at in days)}: name that column 'Date', or export only that one"
         )
-    return _one_order(table, found[chosen], answers)
+    return _one_order(table, found[chosen], answers, now)
 
 
 def _has_days(table: FoundTable, place: int) -> bool:
@@ -331,7 +333,7 @@ def sample_seconds(table: FoundTable, clock: FoundClock) -> tuple[Array, Mask]:
     return (unroll_midnight(times) if columns.daily else times), local
 
 
-def _one_order(table: FoundTable, clocks: Sequence[FoundClock], answers: Answers) -> FoundClock:
+def _one_order(table: FoundTable, clocks: Sequence[FoundClock], answers: Answers, now: float) -> FoundClock:
     """Of readings year, day and month first the one that leaves a clock in order, else what the language says."""
     wanted = [clock for clock in clocks if clock.order == answers.dates]
     if wanted or len(clocks) == 1:
@@ -341,8 +343,7 @@ def _one_order(table: FoundTable, clocks: Sequence[FoundClock], answers: Answers
     read = {order: int(np.isfinite(times).sum()) for order, times in whole.items()}
     clocks = [clock for clock in clocks if read[clock.order] == max(read.values())]
     latest = {clock.order: float(np.nanmax(whole[clock.order])) for clock in clocks}
-    now = datetime.now(UTC).timestamp() + _ZONES_APART_S
-    clocks = [clock for clock in clocks if latest[clock.order] <= now] or clocks
+    clocks = [clock for clock in clocks if latest[clock.order] <= now + _ZONES_APART_S] or clocks
     if len(clocks) == 1:
         return clocks[0]
     steps = {clock.order: np.diff(whole[clock.order][np.isfinite(whole[clock.order])]) for clock in clocks}

@@ -124,20 +124,20 @@ class _Found:
     derived: str
 
 
-def draft_map(path: Path, answers: Answers, names: Mapping[str, str] | None = None) -> DraftedMap:
+def draft_map(path: Path, answers: Answers, names: Mapping[str, str] | None = None, *, now: float) -> DraftedMap:
     """The column map that reads a file. Raises Undecided where a person must choose, TraceError where there is none.
 
     `names` are the signals' names by their headers, that of a derived switch by RUNNING_SIGNAL; others are made of the
-    header.
+    header. `now` is the time (s since 1970) by which dates of the future are told.
     """
     names = names or {}
     if answers.timezone and (problem := zone_problem(answers.timezone)):
         raise TraceError(f"--timezone: {problem}")
     if path.is_dir():
-        table, clock = one_table(path, csv_files(path.iterdir(), ""), answers)
+        table, clock = one_table(path, csv_files(path.iterdir(), ""), answers, now=now)
     else:
         table = find_table(path)
-        clock = choose_clock(table, answers)
+        clock = choose_clock(table, answers, now=now)
     times, local = sample_seconds(table, clock)
     # Rows without a time are refused when the map reads them: they decide nothing here either.
     timed = np.isfinite(times)
