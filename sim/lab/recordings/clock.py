@@ -54,14 +54,46 @@ def read_clock(clock: ClockColumns, columns: Sequence[Sequence[str]], decimal: D
         if not left.size:
             break
         texts = [cells[index] for index in left] if left.size < len(cells) else cells
-        if (count := COUNTS.get(format_)) is not None:
+        day, _, unit = format_.rpartition(" ")
+        if day and unit in COUNTS:
+            # Joined by a blank: a count since the midnight of a day.
+            parts = [text.rpartition(" ") for text in texts]
+            midnights, local[left] = _dates([part[0] for part in parts], day)
+            seconds[left] = midnights + COUNTS[unit].seconds(_count([part[2] for part in parts], decimal))
+        elif (count := COUNTS.get(format_)) is not None:
             seconds[left] = count.seconds(_count(texts, decimal))
             local[left] = count.local
         else:
             seconds[left], local[left] = _dates(texts, format_)
     if clock.daily:
-        return np.mod(seconds, _DAY_S), np.zeros(seconds.shape, dtype=bool)
+        return _with_long_times(np.mod(seconds, _DAY_S), cells, clock.formats), np.zeros(seconds.shape, dtype=bool)
     return seconds, local
+
+
+def _with_long_times(seconds: Array, cells: Sequence[str], formats: Sequence[str]) -> Array:
+    """The times of day, among them what was counted on beyond a day: 25:10:00, 1.01:10:00, 1 day 01:10:00; 75:30."""
+    # No format reads them, or as a midnight.
+    for row in np.flatnonzero(np.isnan(seconds) | (seconds == 0)).tolist():
+        if (known := elapsed_seconds(cells[row], minutes=formats == (ELAPSED_MINUTES,))) is not None:
+            seconds[row] = known
+    return seconds
+
+
+ELAPSED_MINUTES = "%M:%S"
+"""The format of times that have minutes and seconds only."""
+_LONG_TIME = re.compile(
+    r"(?:(\d{1,4})(?: ?d(?:ays?)?,? ?|[. ]))?(?:(\d{1,5}):)?(\d{1,5}):(\d\d(?:[.,]\d{1,9})?)", re.IGNORECASE
+)
+
+
+def elapsed_seconds(cell: str, *, minutes: bool = False) -> float | None:
+    """Seconds of an elapsed time of a day and more, or of one in `minutes` and seconds; None for any other cell."""
+    if (match := _LONG_TIME.fullmatch(cell)) is None or minutes == bool(match[2]) or (match[1] and not match[2]):
+        return None
+    days, hours, least, second = (float((part or "0").replace(",", ".")) for part in match.groups())
+    if second >= 60 or (least >= 60 and not minutes) or (match[1] and hours >= 24):
+        return None
+    return days * _DAY_S + hours * 3600.0 + least * 60.0 + second if minutes or match[1] or hours >= 24 else None
 
 
 def join_days(days: Sequence[str], times: Sequence[str]) -> list[str]:
@@ -215,6 +247,8 @@ def unroll_midnight(seconds: Array) -> Array:
 
     A step forward of almost a day is the same midnight passed backwards, by a clock that stutters; a long stop is not.
     """
+    if np.nanmax(seconds, initial=0.0) > _DAY_S:
+        return seconds  # counted on beyond the day
     steps = np.diff(seconds)
     steps[np.isnan(steps)] = 0.0
     days = np.cumsum((steps < -_DAY_S / 2).astype(float) - (steps > _DAY_S - 600.0))

@@ -1,17 +1,19 @@
-"""Files of recordings as text: as they lie there, packed, or from a spreadsheet or a Parquet table.
+"""Files of recordings as text: as they lie there, packed, or from a spreadsheet, a Parquet table or JSON.
 
 Each kind has its kept library, which is imported where such a file is read.
 """
 
 import gzip
 import io
+import json
 import re
 import zipfile
 import zlib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from importlib import import_module
+from itertools import chain
 from pathlib import Path
-from typing import BinaryIO, cast
+from typing import Any, BinaryIO, cast
 
 from drivers.csv_rows import write_rows
 from drivers.named_files import regular
@@ -35,7 +37,11 @@ def open_source(path: Path) -> BinaryIO:
     """The bytes of a recording's text. Raises TraceError for a packed file that holds none or several, OSError."""
     kind = _KINDS.get(path.suffix.lower())
     if kind is None:
-        return regular(path).open("rb")
+        stream = regular(path).open("rb")
+        if not _OBJECT.match(stream.peek(_SHOWN_BYTES)[:_SHOWN_BYTES]):
+            return stream
+        stream.close()
+        kind = _json
     try:
         return kind(regular(path))
     except (zipfile.BadZipFile, gzip.BadGzipFile, zlib.error, EOFError, *_DAMAGE_ERRORS) as error:
@@ -69,7 +75,7 @@ def is_recording(path: Path) -> bool:
     """Whether a file of a folder is a recording by its name: a CSV, also packed, or a table of another program."""
     names = [suffix.lower() for suffix in path.suffixes]
     packed = names[-2:-1] == [".csv"] and names[-1] in _PACKED_SUFFIXES
-    return names[-1:] in ([".csv"], [".xlsx"], [".parquet"]) or packed
+    return names[-1:] in ([".csv"], [".xlsx"], [".parquet"], [".jsonl"], [".ndjson"]) or packed
 
 
 def _zip(path: Path) -> BinaryIO:
@@ -121,6 +127,77 @@ def _parquet(path: Path) -> BinaryIO:
     return _write_rows([table.column_names, *rows])
 
 
+_SHOWN_BYTES = 512
+_OBJECT = re.compile(rb'(?:\xef\xbb\xbf)?\s*(?:\[\s*)*\{\s*"[^"]*"\s*:')
+"""How JSON begins that holds objects, whatever the name of its file."""
+
+
+def _json(path: Path) -> BinaryIO:
+    """Objects of one line each, or of one document: a row each, and a column for each name that one of them has."""
+    size = path.stat().st_size
+    if size > MAX_UNPACKED_BYTES:
+        raise TraceError(f"{path}: {size >> 20} MiB of JSON, {MAX_UNPACKED_BYTES >> 20} MiB are the most; give a CSV")
+    names: dict[str, None] = {}
+    for each in _objects(path):
+        names |= dict.fromkeys(each if isinstance(each, Mapping) else ())
+    if len(names) < 2:
+        raise TraceError(f"{path}: its JSON holds no list of objects with a time and readings; give one, or a CSV")
+    # What is no object costs its row: that has one cell.
+    rows = ([each.get(name, "") for name in names] if isinstance(each, Mapping) else [each] for each in _objects(path))
+    return _write_rows(chain([list(names)], rows))
+
+
+def _objects(path: Path) -> Iterator[Mapping[str, str] | str]:
+    """The objects with their texts, those within them by names with points; the text of a line that is none."""
+    with path.open(encoding="utf-8-sig", errors="replace") as lines:
+        first = next(filter(str.strip, lines), "")
+        try:
+            by_line = isinstance(_parse(first), dict) and (path.suffix.lower() != ".json" or any(map(str.strip, lines)))
+        except ValueError:
+            by_line = False
+        lines.seek(0)
+        if not by_line:
+            yield from map(_flat, _listed(_parse(lines.read())))
+            return
+        for line in filter(str.strip, lines):
+            try:
+                found = _parse(line)
+            except ValueError:
+                found = None
+            yield _flat(found) if isinstance(found, dict) else line.strip()
+
+
+def _parse(text: str) -> Any:
+    # Numbers as they are written: the digits say how fine a reading is.
+    return json.loads(text, parse_float=str, parse_int=str)
+
+
+def _listed(document: Any) -> list[dict[str, Any]]:
+    """The objects of a document: of its lists, each with the `name` of its own if there are several."""
+    if isinstance(document, list):
+        return [one for each in document for one in (_listed(each) if isinstance(each, list) else [each])]
+    lists = {name: each for name, each in document.items() if _is_objects(each)} if isinstance(document, dict) else {}
+    if len(lists) == 1:
+        return next(iter(lists.values()))
+    return [{"name": name, **one} for name, each in lists.items() for one in each]
+
+
+def _is_objects(value: Any) -> bool:
+    return isinstance(value, list) and bool(value) and all(isinstance(each, dict) for each in value)
+
+
+def _flat(value: Any, within: str = "") -> dict[str, str]:
+    """What an object holds as texts; a list is one text."""
+    if not isinstance(value, dict):
+        text = value if isinstance(value, str) else "" if value is None else json.dumps(value, ensure_ascii=False)
+        return {within: text}
+    return {
+        name: text
+        for key, each in value.items()
+        for name, text in _flat(each, f"{within}.{key}" if within else key).items()
+    }
+
+
 def _write_rows(rows: Iterable[Iterable[object]]) -> BinaryIO:
     text = io.StringIO()
     write_rows(text, rows)
@@ -139,4 +216,7 @@ _KINDS: dict[str, Callable[[Path], BinaryIO]] = {
     ".zst": _zst,
     ".xlsx": _xlsx,
     ".parquet": _parquet,
+    ".json": _json,
+    ".jsonl": _json,
+    ".ndjson": _json,
 }

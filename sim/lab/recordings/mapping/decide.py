@@ -28,6 +28,8 @@ from sim.lab.recordings.mapping.clocks import (
     bare_time,
     bare_times_clocks,
     counted_clock,
+    counts_minutes,
+    counts_of_day,
     daily_clock,
     find_clocks,
     is_time,
@@ -126,18 +128,23 @@ def choose_clock(table: FoundTable, answers: Answers, *, now: float) -> FoundClo
         elif place in bare:
             day, sure[place] = _day_beside(table, place, days, bare[place])
             by_place[place] = bare_times_clocks(place, cells, (day, table.column(day)), bare[place])
-        elif place in spans and pure_time(filled[0]):
+        elif (place in spans and pure_time(filled[0])) or counts_minutes(header, filled[0]):
             # How long something took is no time of the day beside it.
             moves = any(len(set(table.column(at))) > 1 for at in days)
-            by_place[place] = [] if moves else daily_clock(place, cells)
+            by_place[place] = [] if moves else daily_clock(place, cells, header)
         elif pure_time(filled[0]) and place not in days:
             if days:
                 day, sure[place] = _day_beside(table, place, days, pure_time(filled[0])[0])
                 by_place[place] = find_clocks(place, cells, (day, table.column(day)))
             else:
-                by_place[place] = daily_clock(place, cells)
+                by_place[place] = daily_clock(place, cells, header)
         else:
             decimal = find_decimal([cells], table.separator)
+            if days and place not in (*days, *spans):
+                date = (days[0], table.column(days[0]))
+                if clocks := counts_of_day(place, cells, header, date, decimal):
+                    by_place[place] = clocks
+                    continue
             counted = counted_clock(
                 place, numbers(cells, decimal)[0], header, named=named_time(header) or bool(answers.time)
             )
@@ -353,8 +360,10 @@ def _one_order(table: FoundTable, clocks: Sequence[FoundClock], answers: Answers
     smooth = [c for c in clocks if longest[c.order] <= 0.1 * min(longest[o.order] for o in clocks if o is not c)]
     if len(in_order) == 1 or len(smooth) == 1:
         return (in_order if len(in_order) == 1 else smooth)[0]
-    # A year of two digits comes first with dashes, where nothing else is as good.
-    clocks = [clock for clock in clocks if not any("%y/" in format_ for format_ in clock.formats)] or clocks
+    later = latest.get("year", np.nan) - max(latest[clock.order] for clock in clocks if clock.order != "year")
+    # A year of two digits comes first with dashes, where nothing else is as good; or what came last would be long ago.
+    if not later > _LONG_AGO_S:
+        clocks = [clock for clock in clocks if not any("%y/" in format_ for format_ in clock.formats)] or clocks
     orders = {clock.order: clock for clock in clocks}
     if len(orders) == 1:
         return clocks[0]
@@ -363,7 +372,6 @@ def _one_order(table: FoundTable, clocks: Sequence[FoundClock], answers: Answers
         return orders["day"]
     if "month" in orders and any("%p" in format_ for format_ in orders["month"].formats):
         return orders["month"]
-    later = latest.get("year", np.nan) - max(latest[order] for order in orders if order != "year")
     if later < -_LONG_AGO_S and "day" in orders:
         return orders["day"]
     shown = table.column(clocks[0].date if clocks[0].date is not None else clocks[0].place)[0]

@@ -45,6 +45,7 @@ from sim.lab.recordings.mapping.decide import (
 )
 from sim.lab.recordings.mapping.folder import one_table
 from sim.lab.recordings.mapping.quality import FoundQuality, find_quality
+from sim.lab.recordings.mapping.rest import check_rest
 from sim.lab.recordings.mapping.rows import Rows, Stored, describe_rows, find_storage, separate_times
 from sim.lab.recordings.mapping.table import FoundTable, find_table, with_joined, with_rows
 from sim.lab.recordings.mapping.words import (
@@ -178,7 +179,9 @@ def draft_map(path: Path, answers: Answers, names: Mapping[str, str] | None = No
     traces, report = _load_draft(path, _text(found))
     coded = [_with_codes(column, traces, slow=column.name == parts.temperature.name) for column in columns]
     running = derived if parts.running is None else parts.running.name
-    check_scale(path, coded[columns.index(parts.temperature)], running, traces, answers)
+    of_bearing = coded[columns.index(parts.temperature)]
+    check_scale(path, of_bearing, running, traces, answers)
+    check_rest(path, of_bearing, running, coded, traces, answers)
     if any(now is not before for now, before in zip(coded, columns, strict=True)):
         found = replace(found, columns=coded)
         traces, report = _load_draft(path, _text(found))
@@ -390,6 +393,9 @@ def _long_form(table: FoundTable, clock: FoundClock) -> _LongForm | None:
     values = [place for place in others if named_value(table.header[place])]
     if not values and any(map(named_entity, table.header)):
         values = [place for place in others if table.header[place].casefold() == "state"]
+    # Value and vValue: one reading told twice.
+    told = [tuple(table.column(place)) for place in values]
+    values = [place for number, place in enumerate(values) if told[number] not in told[:number]]
     words = {place: Counter(table.column(place)) for place in others if place not in values}
     # Names come again and again; numbers, qualities and comments are none, but where nothing else names.
     named = [

@@ -101,6 +101,11 @@ def find_quality(
         )
     if not places:
         return FoundQuality()
+    if value is not None and not answers.good:
+        # Of several that judge the same reading those speak whose words are known: Quality 0 beside OPCQuality 192.
+        telling = tuple(place for place in places if any(map(_GOOD.fullmatch, words[place])))
+        places = telling or places
+        every = sum((words[place] for place in places), Counter[str]())
     cells = sum((Counter(beside[place]) for place in places), Counter[str]())
     valid = {word for place in places if _SAYS_VALID.search(table.header[place]) for word in words[place]}
     known = {word for word in every if _GOOD.fullmatch(word) or (word in valid and _YES.fullmatch(word))}
