@@ -55,9 +55,35 @@ def telemetry() -> str:
     )
 
 
+def states() -> str:
+    units = ("°C", "A", None)
+    return json.dumps(
+        [
+            [{"entity_id": f"sensor.{name}", "state": str(row[place]), "last_changed": f"{row[0]:%Y-%m-%dT%H:%M:%S}Z",
+              "attributes": {"unit_of_measurement": unit}} for row in ROWS]
+            for place, (name, unit) in enumerate(zip(NAMES, units, strict=True), 1)
+        ]
+    )  # fmt: skip
+
+
+def columns(form: str) -> str:
+    own = {"time": [str(row[0]) for row in ROWS]}
+    own |= {name: [row[place] for row in ROWS] for place, name in enumerate(NAMES, 1)}
+    if form == "series":
+        table = {"name": "plant", "columns": list(own), "values": list(zip(*own.values(), strict=True))}
+        return json.dumps({"results": [{"series": [table]}]})
+    if form == "split":
+        return json.dumps({"columns": list(own), "data": list(zip(*own.values(), strict=True))})
+    if form == "by number":
+        return json.dumps({name: {str(place): value for place, value in enumerate(own[name])} for name in own})
+    return json.dumps(own)
+
+
 FORMS: dict[str, Callable[[], str]] = {
     "rows.jsonl": lines_of_rows, "rows.log": lines_of_rows, "readings.ndjson": lines_of_readings,
     "nested.txt": nested_lines, "document.json": document, "telemetry.json": telemetry,
+    "split.json": lambda: columns("split"), "frame.json": lambda: columns("by number"),
+    "columns.json": lambda: columns("columns"), "series.json": lambda: columns("series"), "states.json": states,
 }  # fmt: skip
 
 
@@ -72,9 +98,9 @@ def test_json_has_a_row_for_each_object(name: str, tmp_path: Path) -> None:
 
 def test_a_line_that_is_cut_off_costs_its_row_and_json_without_rows_is_refused(tmp_path: Path) -> None:
     export = tmp_path / "a.jsonl"
-    export.write_text(lines_of_rows()[:-20], encoding="utf-8")
+    export.write_text('{"export": 2, "by": "me"}\n' + lines_of_rows()[:-20], encoding="utf-8")
     (trace,), report, _ = mapped(export, tmp_path / "m.toml")
-    assert report.refused == 1 and trace.times.size == PLANT.heat.size - 1
+    assert report.refused == 2 and trace.times.size == PLANT.heat.size - 1
     for text in ('{"version": 3}', "[1, 2, 3]", "[]", '{"a": ', "3"):
         (tmp_path / "b.json").write_text(text, encoding="utf-8")
         said = asked(tmp_path / "b.json", tmp_path / "n.toml")
@@ -106,6 +132,15 @@ def test_elapsed_times_go_on_beyond_a_day(form: str, begin: float, tmp_path: Pat
     (trace,), report, _ = mapped(export, tmp_path / "m.toml")
     is_the_plant(trace, tmp_path / "m.toml")
     assert report.refused == 0
+
+
+def test_a_time_of_day_that_was_damaged_is_no_elapsed_one(tmp_path: Path) -> None:
+    def clock(moment: datetime) -> str:
+        text = f"{moment + timedelta(hours=13.7):%H:%M:%S}"
+        return f"3{text[1:]}" if moment == PLANT.moments[20] else text
+
+    (trace,), report, _ = mapped(wide(tmp_path / "a.csv", clock=clock), tmp_path / "m.toml")
+    assert report.refused == 1 and np.diff(trace.times).max() == 20.0
 
 
 def test_a_pause_of_days_in_elapsed_time_is_as_long_as_it_is_told(tmp_path: Path) -> None:

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from pandas import DatetimeIndex
 
 _OFFSET = re.compile(r":.*(?:[Zz]|[+-]\d\d(?::?\d\d)?)\s*$")
+_MAYBE_ZONED = re.compile(r"[+Zz]|:[^\n]*-")
 _DATE_CHARS = 10
 """Characters of a date with its marks."""
 _DAY_S = 86400.0
@@ -72,11 +73,23 @@ def read_clock(clock: ClockColumns, columns: Sequence[Sequence[str]], decimal: D
 
 def _with_long_times(seconds: Array, cells: Sequence[str], formats: Sequence[str]) -> Array:
     """The times of day, among them what was counted on beyond a day: 25:10:00, 1.01:10:00, 1 day 01:10:00; 75:30."""
+    long = seconds.copy()
     # No format reads them, or as a midnight.
     for row in np.flatnonzero(np.isnan(seconds) | (seconds == 0)).tolist():
         if (known := elapsed_seconds(cells[row], minutes=formats == (ELAPSED_MINUTES,))) is not None:
-            seconds[row] = known
-    return seconds
+            long[row] = known
+    # One that is far from what stands before and after it is a time of day that was damaged.
+    rows = np.flatnonzero(np.isfinite(long))
+    steps = np.abs(np.diff(long[rows]))
+    apart = np.concatenate(([np.inf], steps, [np.inf]))
+    usual = float(np.median(steps)) if steps.size else 0.0
+    lone = rows[np.minimum(apart[:-1], apart[1:]) > _NEAR_STEPS * usual + _NEAR_S]
+    long[lone] = seconds[lone]
+    return long
+
+
+_NEAR_STEPS, _NEAR_S = 5.0, 60.0
+"""Usual steps, and s beyond them, within which a time has another before or after it."""
 
 
 ELAPSED_MINUTES = "%M:%S"
@@ -136,9 +149,10 @@ def _dates(texts: list[str], format_: str) -> tuple[Array, Mask]:
         late = np.array([_MIDNIGHT.search(text) is not None for text in left], dtype=bool)
         seconds[unread] = _parse_times([_MIDNIGHT.sub("00", text) for text in left], format_) + _DAY_S * late
     if format_ == "ISO8601":
-        # What follows the date has a mark of its own wherever a zone is said.
-        zoned = any("-" in text[_DATE_CHARS:] or "+" in text or "Z" in text or "z" in text for text in texts)
-        return seconds, np.array([not zoned or _OFFSET.search(text) is None for text in texts], dtype=bool)
+        # A zone has a mark of its own behind the time's.
+        if _MAYBE_ZONED.search("\n".join(texts)) is None:
+            return seconds, np.ones(len(texts), dtype=bool)
+        return seconds, np.array([_OFFSET.search(text) is None for text in texts], dtype=bool)
     return seconds, np.full(len(texts), "%z" not in format_)
 
 

@@ -9,6 +9,7 @@ import json
 import re
 import zipfile
 import zlib
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from importlib import import_module
 from itertools import chain
@@ -137,14 +138,25 @@ def _json(path: Path) -> BinaryIO:
     size = path.stat().st_size
     if size > MAX_UNPACKED_BYTES:
         raise TraceError(f"{path}: {size >> 20} MiB of JSON, {MAX_UNPACKED_BYTES >> 20} MiB are the most; give a CSV")
-    names: dict[str, None] = {}
+    counts, objects = Counter[str](), 0
     for each in _objects(path):
-        names |= dict.fromkeys(each if isinstance(each, Mapping) else ())
-    if len(names) < 2:
+        counts.update(list(each) if isinstance(each, Mapping) else ())
+        objects += isinstance(each, Mapping)
+    if len(counts) < 2:
         raise TraceError(f"{path}: its JSON holds no list of objects with a time and readings; give one, or a CSV")
-    # What is no object costs its row: that has one cell.
-    rows = ([each.get(name, "") for name in names] if isinstance(each, Mapping) else [each] for each in _objects(path))
-    return _write_rows(chain([list(names)], rows))
+    common = {name for name, count in counts.items() if 2 * count >= objects}
+
+    def rows() -> Iterator[list[str]]:
+        # What is no object, or says what the others are about, costs its row: that has one cell, and comes last.
+        odd = list[str]()
+        for each in _objects(path):
+            if isinstance(each, Mapping) and not common.isdisjoint(each):
+                yield [each.get(name, "") for name in counts]
+            else:
+                odd.append(each if isinstance(each, str) else json.dumps(each))
+        yield from ([text] for text in odd)
+
+    return _write_rows(chain([list(counts)], rows()))
 
 
 def _objects(path: Path) -> Iterator[Mapping[str, str] | str]:
@@ -157,14 +169,14 @@ def _objects(path: Path) -> Iterator[Mapping[str, str] | str]:
             by_line = False
         lines.seek(0)
         if not by_line:
-            yield from map(_flat, _listed(_parse(lines.read())))
+            yield from map(_flatten, _collect_rows(_parse(lines.read())))
             return
         for line in filter(str.strip, lines):
             try:
                 found = _parse(line)
             except ValueError:
                 found = None
-            yield _flat(found) if isinstance(found, dict) else line.strip()
+            yield _flatten(found) if isinstance(found, dict) else line.strip()
 
 
 def _parse(text: str) -> Any:
@@ -172,21 +184,45 @@ def _parse(text: str) -> Any:
     return json.loads(text, parse_float=str, parse_int=str)
 
 
-def _listed(document: Any) -> list[dict[str, Any]]:
-    """The objects of a document: of its lists, each with the `name` of its own if there are several."""
+def _collect_rows(document: Any) -> list[dict[str, Any]]:
+    """The objects of a document: of its lists, each with the `name` of its own if there are several; of its columns."""
     if isinstance(document, list):
-        return [one for each in document for one in (_listed(each) if isinstance(each, list) else [each])]
-    lists = {name: each for name, each in document.items() if _is_objects(each)} if isinstance(document, dict) else {}
+        return [one for each in document for one in (_collect_rows(each) if _holds_rows(each) else [each])]
+    if not isinstance(document, dict):
+        return []
+    if _is_table(document):
+        names, rows = document["columns"], document.get("data", document.get("values"))
+        return [dict(zip(map(str, names), row, strict=False)) for row in rows]
+    columns = [list(each.values()) if isinstance(each, dict) else each for each in document.values()]
+    plain = len(columns) > 1 and all(isinstance(each, list) and not _is_objects(each) for each in columns)
+    if plain and len(set(map(len, columns))) == 1:
+        return [dict(zip(document, row, strict=True)) for row in zip(*columns, strict=True)]
+    lists = {name: each for name, each in document.items() if _is_objects(each)}
+    if not lists:
+        return [one for each in document.values() if isinstance(each, dict) for one in _collect_rows(each)]
     if len(lists) == 1:
-        return next(iter(lists.values()))
+        return _collect_rows(next(iter(lists.values())))
     return [{"name": name, **one} for name, each in lists.items() for one in each]
+
+
+def _holds_rows(value: Any) -> bool:
+    """Whether what stands in a list is no row but holds rows."""
+    return isinstance(value, list) or (
+        isinstance(value, dict) and (_is_table(value) or any(map(_is_objects, value.values())))
+    )
+
+
+def _is_table(value: Mapping[str, Any]) -> bool:
+    """Whether an object has the names of columns apart from their rows."""
+    rows = value.get("data", value.get("values"))
+    return all(isinstance(each, list) for each in (value.get("columns"), rows, *(rows or ())))
 
 
 def _is_objects(value: Any) -> bool:
     return isinstance(value, list) and bool(value) and all(isinstance(each, dict) for each in value)
 
 
-def _flat(value: Any, within: str = "") -> dict[str, str]:
+def _flatten(value: Any, within: str = "") -> dict[str, str]:
     """What an object holds as texts; a list is one text."""
     if not isinstance(value, dict):
         text = value if isinstance(value, str) else "" if value is None else json.dumps(value, ensure_ascii=False)
@@ -194,7 +230,7 @@ def _flat(value: Any, within: str = "") -> dict[str, str]:
     return {
         name: text
         for key, each in value.items()
-        for name, text in _flat(each, f"{within}.{key}" if within else key).items()
+        for name, text in _flatten(each, f"{within}.{key}" if within else key).items()
     }
 
 

@@ -304,7 +304,7 @@ def counts_of_day(
     values = numbers(cells, decimal)[0]
     finite = values[np.isfinite(values)]
     called = _HOUR.fullmatch(header) is not None
-    if not (called or named_time(header)) or not finite.size or not np.any(finite % 1) or finite.min() < 0:
+    if not (called or named_time(header)) or not finite.size or finite.min() < 0:
         return []
     units = {_COUNT_UNITS[word] for word in _WORDS.findall(header.casefold()) if word in _COUNT_UNITS}
     if called:
@@ -313,6 +313,8 @@ def counts_of_day(
         units = {"days"}
     if len(units) != 1 or (unit := units.pop()) not in _OF_DAY or finite.max() >= _OF_DAY[unit]:
         return []
+    if unit in ("hours", "days") and not np.any(finite % 1):
+        return []  # the hour alone, whose minutes stand elsewhere or were not kept
     # Of one day alone, what begins at 0 may as well be counted from the recording's beginning.
     if len(set(date[1])) == 1 and not (called or unit == "days") and finite[0] < _SURE_SHARE * _OF_DAY[unit]:
         return []

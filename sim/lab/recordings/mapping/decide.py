@@ -1,6 +1,7 @@
 """Which column plays which part: by name and unit, then by how its readings move; where two fit, a person is asked."""
 
 import re
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, pairwise
@@ -190,9 +191,15 @@ def _has_days(table: FoundTable, place: int) -> bool:
     if not whole_day(filled[0]) or (filled[0].isdigit() and not named_time(table.header[place])):
         return False
     # A footer is no day; what may be a time of day as 10.11.12 may is one where others can be nothing else.
-    others = {cell for cell in set(filled) if not whole_day(cell)}
-    few = sum(cell in others for cell in filled) <= _FEW_OTHERS * len(filled)
-    return few and not any(map(pure_time, others))
+    others, most = set[str](), _FEW_OTHERS * len(filled)
+    count = 0
+    for cell, times in Counter(filled).items():
+        if not whole_day(cell):
+            others.add(cell)
+            count += times
+            if count > most:
+                return False
+    return not any(map(pure_time, others))
 
 
 _FEW_OTHERS = 0.2

@@ -401,7 +401,9 @@ def _long_form(table: FoundTable, clock: FoundClock) -> _LongForm | None:
     named = [
         place
         for place, distinct in words.items()
-        if named_name(table.header[place]) and len(distinct) <= max(len(table.rows) / 2, 1)
+        if named_name(table.header[place])
+        and not named_unit(table.header[place])
+        and len(distinct) <= max(len(table.rows) / 2, 1)
     ]
     names = [p for p in named if sum(not _plain_number(word) for word in words[p]) > len(words[p]) / 2]
     names = names or [p for p in named if len(words[p]) > 1 and all(word.isdigit() for word in words[p])]

@@ -137,8 +137,10 @@ def is_quality(table: FoundTable, place: int) -> bool:
         said_by.append(table.files[place])  # a column Value says what it is by its file's name
     if any(map(_NAMED.search, said_by)):
         return True
+    if _STATUS.search(table.header[place]) is None:
+        return False
     words = {cell.casefold() for cell in table.column(place) if cell}
-    return bool(words) and _STATUS.search(table.header[place]) is not None and all(map(_TOLD.fullmatch, words))
+    return bool(words) and all(map(_TOLD.fullmatch, words))
 
 
 def _of_other_files(table: FoundTable, named: Sequence[int], readings: Sequence[int]) -> list[int]:

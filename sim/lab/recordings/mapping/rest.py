@@ -10,8 +10,8 @@ from sim.lab.recordings.mapping.columns import FoundColumn
 from sim.lab.recordings.mapping.words import named_bearing, named_surroundings
 from sim.sha import Array, Trace
 
-_MAX_RUNNING_DEGC = 130.0
-"""degC above which no bearing's usual running is: its grease ages in days there."""
+_MAX_RUNNING_DEGC = 110.0
+"""degC above which no bearing's usual running is: plants stop their machines there."""
 _MAX_ROOM_DEGC = 50.0
 """degC that no room of a plant has."""
 _LEAST_READINGS = 8

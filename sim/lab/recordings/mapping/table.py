@@ -214,29 +214,36 @@ def _no_data(path: Path, rows: Sequence[Sequence[str]]) -> str:
 def _tables(header: Sequence[str], rows: Sequence[Sequence[str]]) -> tuple[list[str], list[tuple[str, ...]]]:
     """All names of a file's tables, and its rows under them; a row of names begins a table, as it does for reading."""
     names, own = list(header), list(header)
-    places = list(range(len(own)))
+    places = straight = list(range(len(own)))
     sample: list[tuple[str, ...]] = []
     words = {fold_name(name) for name in own if not _numeric(name)}
-    begins = {name[:1] for name in words}
+    begins = _first_letters(words)
     for row in rows:
         # Most rows are numbers, whose first character begins no name.
-        if any(cell[:1].casefold() in begins for cell in row) and _is_header(row, words):
+        if not begins.isdisjoint([cell[:1] for cell in row]) and _is_header(row, words):
             own = number_equal_names([*row])
             while own and not own[-1]:
                 own.pop()
             known = list(map(fold_name, names))
             names += [name for name in own if fold_name(name) not in known]
             known = list(map(fold_name, names))
-            places = [known.index(fold_name(name)) for name in own]
+            places, straight = [known.index(fold_name(name)) for name in own], list(range(len(own)))
             words = {fold_name(name) for name in own if not _numeric(name)}
-            begins = {name[:1] for name in words}
+            begins = _first_letters(words)
         elif len(row) >= len(own) and not any(row[len(own) :]):
-            cells = [""] * len(names)
-            for place, cell in zip(places, row, strict=False):
-                cells[place] = cell
+            cells = row[: len(own)]
+            if places != straight:
+                cells = [""] * len(names)
+                for place, cell in zip(places, row, strict=False):
+                    cells[place] = cell
             sample.append(tuple(cells))
     width = len(names)
-    return names, [(*row, *[""] * (width - len(row))) for row in sample]
+    return names, [row if len(row) == width else (*row, *[""] * (width - len(row))) for row in sample]
+
+
+def _first_letters(names: Set[str]) -> frozenset[str]:
+    """The first letters of folded names as they may be written."""
+    return frozenset(letter for name in names for letter in (name[:1], name[:1].upper(), name[:1].title()))
 
 
 def _is_header(row: Sequence[str], words: Set[str]) -> bool:
@@ -264,8 +271,11 @@ def with_joined(table: FoundTable, places: Sequence[int]) -> FoundTable:
 
 
 def _cells(line: str, mark: str) -> list[str]:
-    lines = line.splitlines(keepends=True) if "\n" in line else [line]
-    return [cell.strip() for cell in strip_guards(next(csv.reader(lines, delimiter=mark, skipinitialspace=True), []))]
+    if line and '"' not in line:
+        row = line.split(mark)
+    else:
+        row = next(csv.reader(line.splitlines(keepends=True), delimiter=mark, skipinitialspace=True), [])
+    return [cell.strip() for cell in strip_guards(row)]
 
 
 def _is_data(row: Sequence[str]) -> bool:

@@ -143,7 +143,9 @@ _SURELY = re.compile(
 )
 """Of whom the rows are; the speed of a vehicle and the battery of a device are readings."""
 _OF_PART = re.compile(r"\bstep|[-_ ]cyc|\bcycle|\blap\b|schritt|zyklus", re.IGNORECASE)
-_UNIT_COLUMN = re.compile(r"^(?:unit|units|einheit|unit[àa]|unité|unidad|uom|eu|engunits?)$", re.IGNORECASE)
+_UNIT_COLUMN = re.compile(
+    r"^(?:.*\.)?(?:unit|units|unit_of_measurement|einheit|unit[àa]|unité|unidad|uom|eu|engunits?)$", re.IGNORECASE
+)
 
 
 def bare_unit(cell: str) -> str:
