@@ -101,7 +101,7 @@ def test_a_line_that_is_cut_off_costs_its_row_and_json_without_rows_is_refused(t
     export.write_text('{"export": 2, "by": "me"}\n' + lines_of_rows()[:-20], encoding="utf-8")
     (trace,), report, _ = mapped(export, tmp_path / "m.toml")
     assert report.refused == 2 and trace.times.size == PLANT.heat.size - 1
-    for text in ('{"version": 3}', "[1, 2, 3]", "[]", '{"a": ', "3"):
+    for text in ('{"version": 3}', "[1, 2, 3]", "[]", '{"a": ', "3", '[{"columns": ["a"], "data": true}]'):
         (tmp_path / "b.json").write_text(text, encoding="utf-8")
         said = asked(tmp_path / "b.json", tmp_path / "n.toml")
         assert "b.json" in said and "JSON" in said.upper() and "Traceback" not in said

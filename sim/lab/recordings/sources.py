@@ -129,6 +129,8 @@ def _parquet(path: Path) -> BinaryIO:
 
 
 _SHOWN_BYTES = 512
+_MAX_DOCUMENT_BYTES = 64 << 20
+"""Bytes of JSON that is one document, which is in memory as a whole and takes ten times as many there."""
 _OBJECT = re.compile(rb'(?:\xef\xbb\xbf)?\s*(?:\[\s*)*\{\s*"[^"]*"\s*:')
 """How JSON begins that holds objects, whatever the name of its file."""
 
@@ -164,12 +166,21 @@ def _objects(path: Path) -> Iterator[Mapping[str, str] | str]:
     with path.open(encoding="utf-8-sig", errors="replace") as lines:
         first = next(filter(str.strip, lines), "")
         try:
-            by_line = isinstance(_parse(first), dict) and (path.suffix.lower() != ".json" or any(map(str.strip, lines)))
+            by_line = isinstance(_parse(first), dict) and any(map(str.strip, lines))
         except ValueError:
             by_line = False
         lines.seek(0)
         if not by_line:
-            yield from map(_flatten, _collect_rows(_parse(lines.read())))
+            if path.stat().st_size > _MAX_DOCUMENT_BYTES:
+                raise TraceError(
+                    f"{path}: its JSON is one document of {path.stat().st_size >> 20} MiB, {_MAX_DOCUMENT_BYTES >> 20} "
+                    "MiB are the most; write an object a line"
+                )
+            try:
+                document = _parse(lines.read())
+            except ValueError as error:
+                raise TraceError(f"{path}: its JSON breaks off or is none ({error}); give the whole file") from None
+            yield from map(_flatten, _collect_rows(document))
             return
         for line in filter(str.strip, lines):
             try:
@@ -215,7 +226,8 @@ def _holds_rows(value: Any) -> bool:
 def _is_table(value: Mapping[str, Any]) -> bool:
     """Whether an object has the names of columns apart from their rows."""
     rows = value.get("data", value.get("values"))
-    return all(isinstance(each, list) for each in (value.get("columns"), rows, *(rows or ())))
+    named = isinstance(value.get("columns"), list) and isinstance(rows, list)
+    return named and all(isinstance(row, list) for row in rows)
 
 
 def _is_objects(value: Any) -> bool:
