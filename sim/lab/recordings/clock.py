@@ -56,14 +56,14 @@ def read_clock(clock: ClockColumns, columns: Sequence[Sequence[str]], decimal: D
             break
         texts = [cells[index] for index in left] if left.size < len(cells) else cells
         day, _, unit = format_.rpartition(" ")
-        if day and unit in COUNTS:
+        if (count := COUNTS.get(format_)) is not None:
+            seconds[left] = count.seconds(_count(texts, decimal))
+            local[left] = count.local
+        elif unit in COUNTS:
             # Joined by a blank: a count since the midnight of a day.
             parts = [text.rpartition(" ") for text in texts]
             midnights, local[left] = _dates([part[0] for part in parts], day)
             seconds[left] = midnights + COUNTS[unit].seconds(_count([part[2] for part in parts], decimal))
-        elif (count := COUNTS.get(format_)) is not None:
-            seconds[left] = count.seconds(_count(texts, decimal))
-            local[left] = count.local
         else:
             seconds[left], local[left] = _dates(texts, format_)
     if clock.daily:
