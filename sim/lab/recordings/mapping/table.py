@@ -139,12 +139,16 @@ def find_table(path: Path) -> FoundTable:
     width = len(header)
     if not width or not any(header) or all(map(_numeric, filter(None, header))):
         raise TraceError(f"{path}: line {usable[first][0] + 1} holds data, and no line above it names its columns")
-    # Where the header only counts its columns, the names stand in one of the rows below it.
+    # Where the header only counts its columns, the names stand in one of the rows below it, or above, as recorders do.
+    above = [row for row in rows[:header_at] if len(row) == width] if sum(map(str.isdigit, header)) > 1 else []
+    of_units = next((row for row in reversed(above) if _is_units(row)), None)
+    if of_units is not None and not any(units):
+        units = [UNITS.get(bare_unit(cell), "") for cell in of_units]
     titles = [
         next(
             (
                 cell
-                for row in rows[header_at:first]
+                for row in (*rows[header_at:first], *(row for row in reversed(above) if row is not of_units))
                 if (cell := drop_invisible("".join(row[at : at + 1]))) and not cell.isdigit()
             ),
             name,
@@ -353,7 +357,9 @@ def _is_units(row: Sequence[str]) -> bool:
     # min beside max and mean is no minute.
     parts = {"min"} if _STATISTICS.intersection(filled) else set()
     known = sum(cell in UNITS and cell not in parts for cell in filled)
-    return known > 1 or (known == 1 and all(len(cell) <= 6 for cell in filled))
+    # Date, Time, sec: the clock in columns of its own.
+    clocks = sum(named_time(cell) and cell not in UNITS for cell in filled)
+    return known > 1 or (known == 1 and clocks < 2 and all(len(cell) <= 6 for cell in filled))
 
 
 _STATISTICS = frozenset({"max", "mean", "avg", "average", "median", "std", "mittel", "mittelwert", "moy", "media"})
