@@ -187,6 +187,12 @@ def test_decimal_hours_after_a_date_are_counted_from_its_midnight(
     assert np.allclose(trace.times, BEGIN + 3600 * later + PLANT.seconds, atol=0.01)
 
 
+def test_a_day_that_stands_in_the_first_row_alone_is_told_as_that(tmp_path: Path) -> None:
+    rows = [f"{'' if at else '13/03/2024'},{row[0]:%H:%M:%S},{row[1]},{row[2]}" for at, row in enumerate(ROWS)]
+    export = written(tmp_path / "a.csv", "Date,Time,Bearing temperature,Motor current", rows)
+    assert "stands in 1 of 240 rows; write it in each" in asked(export, tmp_path / "m.toml")
+
+
 def test_seconds_since_the_beginning_stay_what_they_are_beside_a_constant_date(tmp_path: Path) -> None:
     rows = [f"2024-03-13,{place * 10 + 0.5},{heat},{load}" for place, (_, heat, load, _) in enumerate(ROWS)]
     export = written(tmp_path / "a.csv", "Date,Time [s],Bearing temperature,Motor current", rows)
@@ -211,15 +217,21 @@ def test_a_bearing_in_fahrenheit_that_no_one_calls_so_is_asked_for(tmp_path: Pat
     assert "stays at 15" in asked(export, tmp_path / "m2.toml")
 
 
-@pytest.mark.parametrize("kind", ["hot and rests at 21", "short rests", "a room beside it", "an oven", "says degC"])
+@pytest.mark.parametrize(
+    "kind", ["hot and rests at 21", "short rests", "stops of a minute", "a room beside it", "an oven", "says degC"]
+)
 def test_a_hot_machine_in_degc_is_not_asked_whether_it_is_fahrenheit(kind: str, tmp_path: Path) -> None:
     header, of, more = "Time,Bearing temperature,Motor current,Running", PLANT, ""
     if kind == "hot and rests at 21":
         of = Recording(PLANT.seconds, 21.5 + (PLANT.heat - 21.5) * 1.9, PLANT.current, PLANT.running)
+    elif kind == "stops of a minute":
+        warm = 68.0 + np.sin(PLANT.seconds / 200.0)
+        running = (np.arange(PLANT.seconds.size) % 60 > 8).astype(int)
+        of = Recording(PLANT.seconds, warm.round(2), np.where(running > 0, 120.0, 0.4), running)
     elif kind == "short rests":
         # It cools towards 21 for half of its time constant only.
-        cooling = 21.5 + 90.0 * np.exp(-np.arange(30) / 60.0)
-        heat = np.where(PLANT.running > 0, 112.0, np.concatenate([cooling] * 8)).round(2)
+        cooling = 21.5 + 80.0 * np.exp(-np.arange(30) / 60.0)
+        heat = np.where(PLANT.running > 0, 103.0, np.concatenate([cooling] * 8)).round(2)
         of = Recording(PLANT.seconds, heat, PLANT.current, PLANT.running)
     else:
         of = Recording(PLANT.seconds, PLANT.heat + 45.0, PLANT.current, PLANT.running)

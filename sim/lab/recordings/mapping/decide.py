@@ -324,10 +324,13 @@ def _no_clock(table: FoundTable, answers: Answers) -> str:
             f"{list_names(table.header)}; "
             f"{remedy or 'give --time COLUMN, or a file with times'}"
         )
-    shown = next(filter(None, table.column(table.header.index(wanted))), "")
+    cells = table.column(table.header.index(wanted))
+    shown, filled = next(filter(None, cells), ""), sum(map(bool, cells))
     why = (
         "it was rounded by a spreadsheet, and the seconds are lost; export it again as text"
         if looks_rounded_count(shown)
+        else f"it is a day that stands in {filled} of {len(cells)} rows; write it in each"
+        if pure_date(shown) and 2 * filled < len(cells)
         else "it is a day, and nothing says the time of day; export that too"
         if pure_date(shown)
         else "no form that is known reads it, or it does not rise; give --time COLUMN for another column"

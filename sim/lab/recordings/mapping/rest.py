@@ -14,6 +14,8 @@ _MAX_RUNNING_DEGC = 110.0
 """degC above which no bearing's usual running is: plants stop their machines there."""
 _MAX_ROOM_DEGC = 50.0
 """degC that no room of a plant has."""
+_LEAST_COOLING = 10.0
+"""Degrees below the usual running that a rest must lead to, or it shows nothing."""
 _LEAST_READINGS = 8
 _LONGEST_RESTS = 5
 """Rests that are looked at: the longest come nearest to where they lead."""
@@ -56,14 +58,16 @@ def check_rest(
         runs.append(values[known & (switch > 0)])
         rests += _rest_levels(trace.times[known], values[known], switch[known] > 0)
     low, high = FAHRENHEIT_REST_RANGE
+    usual = float(np.median(np.concatenate(runs))) if any(run.size for run in runs) else np.nan
+    # A stop of seconds leaves a bearing as warm as it was.
+    rests = [level for level in rests if not level > usual - _LEAST_COOLING]
     if rests:
         level = float(np.median(rests))
         if not low < level < high:
             return
         seen = f"comes to {level:.0f} while its machine stands still, as one of {(level - 32.0) / 1.8:.0f} degC does"
     else:
-        usual = float(np.median(np.concatenate(runs))) if any(run.size for run in runs) else 0.0
-        if usual <= _MAX_RUNNING_DEGC:
+        if not usual > _MAX_RUNNING_DEGC:
             return
         seen = f"stays at {usual:.0f}, which as degC no bearing does for long"
     raise Undecided(
