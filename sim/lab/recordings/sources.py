@@ -202,8 +202,8 @@ def _collect_rows(document: Any) -> list[dict[str, Any]]:
     if not isinstance(document, dict):
         return []
     if _is_table(document):
-        names, rows = document["columns"], document.get("data", document.get("values"))
-        return [dict(zip(map(str, names), row, strict=False)) for row in rows]
+        rows = document["data"] if "data" in document else document["values"]
+        return [dict(zip(map(str, document["columns"]), row, strict=False)) for row in rows]
     columns = [list(each.values()) if isinstance(each, dict) else each for each in document.values()]
     plain = len(columns) > 1 and all(isinstance(each, list) and not _is_objects(each) for each in columns)
     if plain and len(set(map(len, columns))) == 1:

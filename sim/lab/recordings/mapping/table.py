@@ -140,15 +140,16 @@ def find_table(path: Path) -> FoundTable:
     if not width or not any(header) or all(map(_numeric, filter(None, header))):
         raise TraceError(f"{path}: line {usable[first][0] + 1} holds data, and no line above it names its columns")
     # Where the header only counts its columns, the names stand in one of the rows below it, or above, as recorders do.
-    above = [row for row in rows[:header_at] if len(row) == width] if sum(map(str.isdigit, header)) > 1 else []
-    of_units = next((row for row in reversed(above) if _is_units(row)), None)
+    counted = sum(map(str.isdigit, header)) > 1
+    higher = [row for row in reversed(rows[:header_at]) if counted and len(row) == width]
+    of_units = next((row for row in higher if _is_units(row)), None)
     if of_units is not None and not any(units):
         units = [UNITS.get(bare_unit(cell), "") for cell in of_units]
     titles = [
         next(
             (
                 cell
-                for row in (*rows[header_at:first], *(row for row in reversed(above) if row is not of_units))
+                for row in (*rows[header_at:first], *(row for row in higher if row is not of_units))
                 if (cell := drop_invisible("".join(row[at : at + 1]))) and not cell.isdigit()
             ),
             name,
