@@ -267,11 +267,19 @@ def test_a_year_of_two_digits_with_slashes_is_asked_for_where_else_all_would_be_
 def test_channels_that_a_recorder_counts_have_the_names_and_units_above_them(tmp_path: Path) -> None:
     head = ["Device Type,GX10", "Serial No.,S5X0123", "Ch.,,,0001,0002,0003", "Tag,,,Bearing temp,Motor current,Run",
             "Unit,,,degF,A,"]  # fmt: skip
-    rows = [f"{row[0]:%Y/%m/%d},{row[0]:%H:%M:%S},0.000,{fahrenheit(row[1])},{row[2]},{row[3]}" for row in ROWS]
+    late = timedelta(hours=13.7)  # over midnight: the seconds beside the clock are none
+    rows = [
+        f"{row[0] + late:%Y/%m/%d},{row[0] + late:%H:%M:%S},0.000,{fahrenheit(row[1])},{row[2]},{row[3]}"
+        for row in ROWS
+    ]
     export = written(tmp_path / "a.csv", "\n".join([*head, "Date,Time,sec,0001,0002,0003"]), rows)
     (trace,), _, _ = mapped(export, tmp_path / "m.toml")
     is_the_plant(trace, tmp_path / "m.toml", within=0.06)
-    assert trace.times[0] == BEGIN and set(trace.signals) >= {"Bearing_temp", "Motor_current", "Run"}
+    assert trace.times[0] == BEGIN + late.total_seconds() and set(trace.signals) >= {
+        "Bearing_temp",
+        "Motor_current",
+        "Run",
+    }
 
 
 def test_one_reading_told_twice_is_one_and_the_quality_whose_words_are_known_judges_it(tmp_path: Path) -> None:

@@ -324,7 +324,9 @@ def counts_of_day(
         times, _ = read_clock(ClockColumns(column="t", date="d", formats=formats), [cells, date[1]], decimal)
         known = times[np.isfinite(times)]
         steps = np.diff(known)
-        if known.size >= _ENOUGH * finite.size and (np.all(steps >= 0) or np.all(steps <= 0)):
+        # Seconds that stand beside a clock, and are 0 throughout, count no day.
+        moves = np.count_nonzero(steps) > 0.5 * steps.size
+        if known.size >= _ENOUGH * finite.size and moves and (np.all(steps >= 0) or np.all(steps <= 0)):
             found.setdefault(order, FoundClock(place, formats, order, times, date[0], decimal))
     return list(found.values())
 

@@ -17,6 +17,8 @@ _MAX_ROOM_DEGC = 50.0
 _LEAST_COOLING = 10.0
 """Degrees below the usual running that a rest must lead to, or it shows nothing."""
 _LEAST_READINGS = 8
+_FITTED_READINGS = 500
+"""Of a rest that are fitted: a day of seconds shows no more."""
 _LONGEST_RESTS = 5
 """Rests that are looked at: the longest come nearest to where they lead."""
 _DECAYS = np.geomspace(0.05, 4.0, 20)
@@ -93,6 +95,8 @@ def _settled_level(times: Array, values: Array) -> float | None:
     """Where an exponential through a rest's readings leads; None where they show none."""
     if np.ptp(values) <= _STEADY:
         return float(np.median(values))
+    thin = max(values.size // _FITTED_READINGS, 1)
+    times, values = times[::thin], values[::thin]
     length = float(times[-1] - times[0])
     best, level, slowness = np.inf, 0.0, np.inf
     for decay in _DECAYS.tolist() if length > 0 else ():
