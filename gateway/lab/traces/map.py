@@ -1,6 +1,7 @@
 """`decanter trace map`: a column map drafted from a CSV that nobody has described."""
 
 import sys
+import time
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from pathlib import Path
@@ -100,7 +101,7 @@ def ask_map(file: Path, answers: Answers, names: Mapping[str, str] | None = None
     asked = 0
     while True:
         try:
-            return draft_map(file, answers, names)
+            return draft_map(file, answers, names, now=time.time())
         except Undecided as open_point:
             if open_point.guess and (yes or asked >= MOST_QUESTIONS):
                 click.secho(

@@ -101,6 +101,11 @@ def find_quality(
         )
     if not places:
         return FoundQuality()
+    if value is not None and not answers.good:
+        # Of several that judge the same reading those speak whose words are known: Quality 0 beside OPCQuality 192.
+        telling = tuple(place for place in places if any(map(_GOOD.fullmatch, words[place])))
+        places = telling or places
+        every = sum((words[place] for place in places), Counter[str]())
     cells = sum((Counter(beside[place]) for place in places), Counter[str]())
     valid = {word for place in places if _SAYS_VALID.search(table.header[place]) for word in words[place]}
     known = {word for word in every if _GOOD.fullmatch(word) or (word in valid and _YES.fullmatch(word))}
@@ -132,8 +137,10 @@ def is_quality(table: FoundTable, place: int) -> bool:
         said_by.append(table.files[place])  # a column Value says what it is by its file's name
     if any(map(_NAMED.search, said_by)):
         return True
+    if _STATUS.search(table.header[place]) is None:
+        return False
     words = {cell.casefold() for cell in table.column(place) if cell}
-    return bool(words) and _STATUS.search(table.header[place]) is not None and all(map(_TOLD.fullmatch, words))
+    return bool(words) and all(map(_TOLD.fullmatch, words))
 
 
 def _of_other_files(table: FoundTable, named: Sequence[int], readings: Sequence[int]) -> list[int]:
