@@ -13,6 +13,8 @@ from gateway.commission.commands import scan
 from gateway.commission.commands import test as write_test
 from gateway.commission.scan import KINDS
 from gateway.commission.writeback.test import TESTS
+from sim.plc.__main__ import main as emulator
+from sim.plc.program import LIVE_PLANTS
 from tests.cli.support import command_paths
 
 HEAVY = [
@@ -89,11 +91,10 @@ def test_the_help_of_no_leaf_loads_what_only_its_work_needs() -> None:
     assert modules <= MOST_MODULES
 
 
-@pytest.mark.parametrize(("command", "kinds"), [(scan, KINDS), (write_test, TESTS)])
+@pytest.mark.parametrize(("command", "kinds"), [(scan, KINDS), (write_test, TESTS), (emulator, LIVE_PLANTS)])
 def test_words_that_are_written_out_are_those_of_the_work(command: click.Command, kinds: dict[str, Any]) -> None:
-    choice = command.params[0].type
-    assert isinstance(choice, click.Choice)
-    assert list(choice.choices) == list(kinds)
+    offered = next(kind.choices for each in command.params if isinstance(kind := each.type, click.Choice))
+    assert list(offered) == list(kinds)
 
 
 def test_the_dearest_imports_are_told_by_their_own_time() -> None:
