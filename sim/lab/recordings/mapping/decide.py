@@ -23,7 +23,8 @@ from sim.lab.recordings import (
     since_1970,
     unroll_midnight,
 )
-from sim.lab.recordings.mapping.answers import NO_COLUMN, Answers, Undecided
+from sim.lab.recordings.mapping.answer_words import NO_COLUMN
+from sim.lab.recordings.mapping.answers import Answers, Undecided
 from sim.lab.recordings.mapping.clocks import (
     FoundClock,
     bare_time,

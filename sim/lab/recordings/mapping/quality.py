@@ -6,7 +6,8 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 from sim.lab.recordings import UNNAMED_COLUMN, TraceError, list_names, named_after
-from sim.lab.recordings.mapping.answers import BLANK_IS_GOOD, NO_COLUMN, Answers, Undecided
+from sim.lab.recordings.mapping.answer_words import BLANK_IS_GOOD, NO_COLUMN
+from sim.lab.recordings.mapping.answers import Answers, Undecided
 from sim.lab.recordings.mapping.table import FoundTable, has_numbers
 from sim.lab.recordings.mapping.words import named_value
 
