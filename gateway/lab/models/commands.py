@@ -64,10 +64,11 @@ def show(**options: Any) -> None:
 def promote(**options: Any) -> None:
     """Make VERSION of STORE the current one: what a gateway runs whose model.path is the store.
 
-    A model that does not verify (see `decanter model judge proof`), or that was judged unfit where it was learned, is
-    refused, in one sentence with the reasons. Its verdict is shown beside that of the version that ran before. --force
-    with --by promotes it all the same, if it can be run at all: name and reason are kept in the store, the gateway
-    warns at each start, does not run armed on one that does not verify, and has red confidence in one that is unfit.
+    A model that does not verify (see `decanter model judge proof`), that was judged unfit where it was learned, or that
+    foresaw the same cycles worse than the one that runs is refused, in one sentence with the reasons. Its verdict is
+    shown beside that of the version that ran before; going back to one that ran is always free. --force with --by
+    promotes it all the same, if it can be run at all: name and reason are kept in the store, the gateway warns at each
+    start, does not run armed on one that does not verify, and has red confidence in one that is unfit.
     """
     from gateway.lab.models.promote import promote as work
 

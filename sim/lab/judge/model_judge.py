@@ -11,7 +11,7 @@ from math import isfinite
 
 import numpy as np
 
-from sim.artefacts import FORECAST_CRITERION, JudgedCriterion, ModelVerdict, rate_criteria
+from sim.artefacts import FORECAST_CRITERION, ForeseenHorizon, JudgedCriterion, ModelVerdict, rate_criteria
 from sim.lab.judge.rows import MIN_FORECASTS
 from sim.lab.learning import HORIZONS_S, MOST_WIDENING, Coverage, first_switch, level_signals
 from sim.lab.recordings import FAHRENHEIT_REST_RANGE
@@ -85,7 +85,18 @@ def judge_learning(model: Model, traces: Sequence[Trace], coverage: Sequence[Cov
         criteria.append(
             JudgedCriterion(criterion=name, kept=kept, sentence=sentence, next_step="" if kept else next_step)
         )
-    return ModelVerdict(word=rate_criteria(criteria, told=bool(case.known_horizons())), criteria=tuple(criteria))
+    return ModelVerdict(
+        word=rate_criteria(criteria, told=bool(case.known_horizons())),
+        criteria=tuple(criteria),
+        foreseen=tuple(
+            ForeseenHorizon(
+                horizon=row.horizon,
+                units={unit: round(crps, 6) for unit, crps in row.units.items()},
+                rare=round(row.rare / model.calibration.get(row.horizon, 1.0), 3),
+            )
+            for row in coverage
+        ),
+    )
 
 
 def _judge_proof(case: LearnedCase) -> Said:
