@@ -311,6 +311,13 @@ def report() -> dict[str, Any]:
     }
 
 
+def test_of_a_warning_that_stands_nothing_is_said_for_good() -> None:
+    told = report()
+    told["machines"]["decanter"]["alarms"][0]["ended"] = None
+    for language, said in (("en", "not passed so far; stands"), ("it", "finora non superato"), ("de", "bisher nicht")):
+        assert said in shift_text(all_words()[language], {}, {}, told)
+
+
 def test_its_mail_is_said_in_each_language_with_all_that_is_in_it() -> None:
     labels = {"T": "gearbox bearing", "decanter": "Decanter 2"}
     text = {language: shift_text(all_words()[language], labels, {"T": "degC"}, report()) for language in LANGUAGES}

@@ -84,7 +84,8 @@ def _outcome(words: Words, one: Mapping[str, Any]) -> str:
     if not one["warning"]:
         return ended
     after = one["limit_after"]
-    passed = words.say("shift.not_passed") if after is None else words.say("shift.passed", age=duration(words, after))
+    open_key = "shift.not_passed_yet" if one["ended"] is None else "shift.not_passed"
+    passed = words.say(open_key) if after is None else words.say("shift.passed", age=duration(words, after))
     return f"{passed}; {ended}"
 
 

@@ -29,10 +29,11 @@ export const fact = (label, ...what) => h("div", { class: "fact" }, h("dt", {}, 
 export const explained = (name, help = name.split(".")[1]) => h("details", { class: "help" }, h("summary", {}, say(name)), h("p", {}, say(`help.${help}`)));
 
 // A table; on a phone each row of it is a list, with what a figure is beside it.
+const headText = (head) => (typeof head === "string" ? head : head.children[0].children[0]); // of one that explains itself, its name
 export const grid = (heads, rows) => h("div", { class: "scroll", tabindex: "0" }, h("table", { class: "stacks" },
   h("thead", {}, h("tr", {}, heads.map((text) => h("th", { scope: "col" }, text)))),
-  h("tbody", {}, rows.map(([first, ...rest]) => h("tr", {}, h("th", { scope: "row" }, first),
-    rest.map((cell, place) => h("td", { "data-head": typeof heads[place + 1] === "string" ? heads[place + 1] : null }, cell)))))));
+  h("tbody", {}, rows.map((cells) => h("tr", {}, cells.map((cell, place) =>
+    h(place ? "td" : "th", { scope: place ? null : "row", "data-head": headText(heads[place]) }, cell)))))));
 
 const isShape = (part) => part !== null && typeof part === "object" && !(part instanceof Node);
 // An attribute's text; null for one that is not there.

@@ -175,7 +175,7 @@ export function communicationView() {
       link_reason && h("p", { class: "error" }, link_reason),
       h("dl", { class: "facts" }, fact(say("link.scans"), status.scan.count), fact(say("link.missed"), status.scan.missed), fact(say("link.period"), `${number(status.scan.period, 1)} s`)),
       h("p", {}, `${say("word.writeback")}: `, badge(status.writeback)),
-      grid([say("word.link"), say("link.place"), say("link.active"), say("link.connected"), say("word.reason")], status.links.map((link) => [link.name, link.place, shown(link.active), shown(link.connected), h("span", { lang: "en" }, link.reason || "")])),
+      grid([say("word.link"), say("link.place"), say("link.active"), say("link.connected"), say("word.reason")], status.links.map((link) => [link.name, link.place, shown(link.active), shown(link.connected), link.reason ? h("span", { lang: "en" }, link.reason) : ""])),
       outages.length > 0 && [h("h3", {}, say("link.outages")), grid([say("link.begin"), say("link.end")], outages.map((each) => [clock(each.last_good), each.recovered_s === null ? say("link.lasts") : duration(each.recovered_s)]))],
       Object.keys(status.driver).length > 0 && [h("h3", {}, say("link.counters")), grid([say("word.name"), say("word.count")], Object.entries(status.driver).map(([key, count]) => [counterName(key), shown(count)]))],
       Object.keys(status.writeback).includes("written") && grid([say("word.writeback"), say("word.count")], ["written", "accepted", "refused", "failed"].filter((key) => key in status.writeback).map((key) => [counterName(key), shown(status.writeback[key])])));
@@ -184,7 +184,7 @@ export function communicationView() {
 
 // ---------------------------------------------------------------- the computer
 
-let box = { asked: 0, facts: null };
+let box = { asked: -Infinity, facts: null };
 export function boxView() {
   if (performance.now() - box.asked > 5000 && !isCut()) {
     box.asked = performance.now();

@@ -80,5 +80,5 @@ const leftOut = (count) => count > 0 && h("p", {}, say("shift.left_out", { count
 function came(one) {
   const ended = one.ended === null ? say("shift.stands") : say("shift.over_after", { age: duration(one.ended - one.raised) });
   if (!one.warning) return ended;
-  return `${one.limit_after === null ? say("shift.not_passed") : say("shift.passed", { age: duration(one.limit_after) })}; ${ended}`;
+  return `${one.limit_after === null ? say(one.ended === null ? "shift.not_passed_yet" : "shift.not_passed") : say("shift.passed", { age: duration(one.limit_after) })}; ${ended}`;
 }
