@@ -109,8 +109,8 @@ function plantAlarms() {
     h("span", { class: "worst" }, own.map(chip)));
 }
 
-// The most urgent that waits for somebody, else the most urgent; how many more there are.
-const chips = (alarms) => [chip(alarms.find(waits) ?? alarms[0]), alarms.length > 1 && h("span", { class: "chip over" }, `+ ${alarms.length - 1}`)];
+// The most urgent that stands and waits for somebody, else the most urgent; how many more there are.
+const chips = (alarms) => [chip(alarms.find((alarm) => alarm.section === "standing" && waits(alarm)) ?? alarms[0]), alarms.length > 1 && h("span", { class: "chip over" }, `+ ${alarms.length - 1}`)];
 const chip = (alarm) => h("span", { class: `chip ${alarm.level}` }, `${alarm.title} · ${say(`alarm.${stateKey(alarm.state)}`)}`);
 
 export const stateKey = (text) => text.replaceAll(/[ -]/g, "_");
