@@ -23,7 +23,7 @@ from gateway.store.read_back import (
     stored_rows,
 )
 from sim.scores import coverage, crps_quantiles
-from sim.sha import Array
+from sim.sha import Array, Mask
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,7 +178,7 @@ def _scores_since_start(
     return tuple(StartScore(begin=b, end=e, forecasts=tuple(scores)) for (b, e), scores in found.items() if scores)
 
 
-def _select(forecasts: Matured, here: Array) -> Matured:
+def _select(forecasts: Matured, here: Mask) -> Matured:
     parts = ("times", "quantiles", "p_limit", "persistence", "outcome")
     return replace(forecasts, **{name: getattr(forecasts, name)[here] for name in parts})
 
