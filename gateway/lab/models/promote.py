@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from gateway.console import CommandResult, Part, conclude, json_option
+from gateway.console import CommandResult, Part, conclude
 from gateway.entry import sentences
 from sim.artefacts import (
     FAMILIARITY_FILE,
@@ -25,23 +25,10 @@ from sim.files import ArtefactError
 from sim.lab.formats import find_model, save
 
 
-@click.command(short_help="Make a version of a store current, if its model verifies.")
-@click.argument("store", type=click.Path(path_type=Path, file_okay=False))
-@click.argument("version", required=False)
-@click.option("--add", "model", help="Save this model (a directory or JSON file) as a new version and promote that.")
-@click.option("--force", "reason", metavar="REASON", help="Promote one that is not deployable or unfit; recorded.")
-@click.option("--by", help="Who forces it; recorded.")
-@json_option
 def promote(
     store: Path, version: str | None, model: str | None, reason: str | None, by: str | None, as_json: bool
 ) -> None:
-    """Make VERSION of STORE the current one: what a gateway runs whose model.path is the store.
-
-    A model that does not verify (see `decanter model judge proof`), or that was judged unfit where it was learned, is
-    refused, in one sentence with the reasons. Its verdict is shown beside that of the version that ran before. --force
-    with --by promotes it all the same, if it can be run at all: name and reason are kept in the store, the gateway
-    warns at each start, does not run armed on one that does not verify, and has red confidence in one that is unfit.
-    """
+    """The work of `model version promote`."""
     if (version is None) == (model is None):
         raise click.UsageError("name a VERSION of the store, or --add a model; one of the two")
     if (reason is None) != (by is None) or (reason is not None and not (reason.strip() and str(by).strip())):

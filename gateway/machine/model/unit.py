@@ -286,7 +286,9 @@ class ModelUnit:
             message = "a model of the ensemble failed and is left out for now"
             self._log.warning(message, member=name, reason=reason)
         if self.pickup.ready is None:  # a model that waits takes over between two forecasts
-            outlook.begin(scan.time, known=p.known and p.inputs_good, measured=p.measured)
+            # Ticks were skipped, and not because the device takes longer than a period to answer.
+            behind = scan.missed > 0 and scan.duration < self.config.scan.period
+            outlook.begin(scan.time, known=p.known and p.inputs_good, measured=p.measured, behind=behind)
         self.pickup.keep(scan)
         self.pickup.look(scan.time, [member.hash for member in self.members])
 
