@@ -16,10 +16,11 @@ squares). One software PLC serves them all; what it takes of a core is said, sin
 
 With `--neighbours 0,1,2` it is a gateway of `--machines` (20) beside so many processes that never rest, one run after
 the other: the blocks that did not come, and the age at which a block was followed by the next, by the recordings of the
-PLC, which the neighbours slow as well.
+PLC, which the neighbours slow as well. What is lost there shows by the bare client, which reads and writes one of the
+machines beside the gateway, and is held against the same period.
 
 With `--beside FOLDER` it is two gateways at the same time, this checkout's and that one's, each with a software PLC of
-its own: what else the machine has to do slows both alike.
+its own, of one machine or of `--machines` each: what else the machine has to do slows both alike.
 
 With `--imports` it is where the memory of one gateway goes, by what is imported (benchmarks/import_memory.py).
 
@@ -40,8 +41,9 @@ from pathlib import Path
 
 import click
 import numpy as np
+from numpy.typing import NDArray
 
-from benchmarks.figures import Figure, give
+from benchmarks.figures import Figure, give, shares
 from benchmarks.latency import scans_in
 from benchmarks.processes import (
     MAP,
@@ -68,9 +70,9 @@ LEAST_MB = 0.5
 
 
 @contextmanager
-def bare_client(plc: Plc, period: float) -> Iterator["subprocess.Popen[bytes]"]:
+def bare_client(port: int, period: float) -> Iterator["subprocess.Popen[bytes]"]:
     """The floor's process; it ends with its standard input."""
-    command = [sys.executable, "-m", "benchmarks.bare", str(plc.port), str(period)]
+    command = [sys.executable, "-m", "benchmarks.bare", str(port), str(period)]
     with subprocess.Popen(command, stdin=subprocess.PIPE, cwd=ROOT) as process:
         try:
             yield process
@@ -87,7 +89,7 @@ def measure(
     with tempfile.TemporaryDirectory(prefix="decanter-footprint-") as name:
         folder = Path(name)
         model = learned_model(model_folder or folder)
-        with software_plc(folder) as plc, bare_client(plc, period) as bare:
+        with software_plc(folder) as plc, bare_client(plc.port, period) as bare:
             begun = time.monotonic()
             with gateway(folder, plc, model, period, forecast=forecast) as process:
                 until_usable(plc, process)
@@ -100,7 +102,7 @@ def measure(
         recording = read_recording(plc.recording)
     moments = [scan.read.monotonic for scan in scans_in(recording, read_map(MAP))]
     scans = bisect_left(moments, until) - bisect_left(moments, since)
-    polls = _bare_polls(recording, since, until)
+    polls = len(_bare_polls(recording, since, until))
     cost, floor = (now - then for now, then in zip(after, before, strict=True))
     elapsed = until - since
     other = "bare pymodbus client, same period"
@@ -115,12 +117,14 @@ def measure(
     ]
 
 
-def _bare_polls(recording: PlcRecording, since: float, until: float) -> int:
-    """How many writes of the floor, which alone writes outside the block, arrived in between."""
+def _bare_polls(recording: PlcRecording, since: float, until: float) -> list[float]:
+    """When the writes of the floor, which alone writes outside the block, arrived in between (monotonic s)."""
     gateways = {block.peer for block in recording.blocks}
-    return sum(
-        row.function == 16 and row.peer not in gateways and since <= row.monotonic < until for row in recording.requests
-    )
+    return [
+        row.monotonic
+        for row in recording.requests
+        if row.function == 16 and row.peer not in gateways and since <= row.monotonic < until
+    ]
 
 
 def growth(machines: Sequence[int], seconds: float, period: float, model_folder: Path | None) -> list[Figure]:
@@ -128,7 +132,7 @@ def growth(machines: Sequence[int], seconds: float, period: float, model_folder:
 
     Raises BenchmarkError when one does not get to work.
     """
-    figures, shares, sizes = [], [], []
+    figures, of_core, sizes = [], [], []
     for count in machines:
         with tempfile.TemporaryDirectory(prefix="decanter-footprint-") as name:
             folder = Path(name)
@@ -147,16 +151,16 @@ def growth(machines: Sequence[int], seconds: float, period: float, model_folder:
                 blocks, elapsed = _accepted(plc) - accepted, time.monotonic() - since
                 sizes.append(peak_megabytes(process.pid))
         own, served = (now - then for now, then in zip(after, before, strict=True))
-        shares.append(100.0 * own / elapsed)
+        of_core.append(100.0 * own / elapsed)
         plural = f"{count} machine{'s' if count > 1 else ''}"
         figures += [
-            Figure(f"{plural}: share of a core", shares[-1], "%", "the software PLC", 100.0 * served / elapsed),
+            Figure(f"{plural}: share of a core", of_core[-1], "%", "the software PLC", 100.0 * served / elapsed),
             Figure(f"{plural}: CPU per 1000 scans", 1e3 * own / max(blocks, 1), "s"),
             Figure(f"{plural}: blocks accepted", blocks, "", "due", count * elapsed / period),
             Figure(f"{plural}: peak resident size", sizes[-1], "MB"),
         ]
     if len(set(machines)) > 1:
-        for what, values in (("processor time", shares), ("memory", sizes)):
+        for what, values in (("processor time", of_core), ("memory", sizes)):
             exponent = float(np.polyfit(np.log(machines), np.log(values), 1)[0])
             figures.append(Figure(f"{what} grows by the number of machines to the power of", exponent, ""))
     return figures
@@ -187,6 +191,7 @@ def crowded(
             with (
                 software_plc(folder, machines=names, recorded=True) as plc,
                 gateway(folder, plc, model, period, forecast=FORECAST_S) as process,
+                bare_client(int(plc.ready["machines"][names[0]]["port"]), period),
             ):
                 until_usable(plc, process)
                 with busy_neighbours(count):
@@ -198,30 +203,40 @@ def crowded(
             np.array([row.monotonic for row in one.blocks if row.accepted and since <= row.monotonic < until])
             for one in recordings
         ]
-        blocks, due = sum(one.size for one in accepted), machines * (until - since) / period
-        # Until it is followed, a block grows old; that the last one of the span stood to its end counts as well.
-        ages = np.concatenate([np.diff(one, append=until) for one in accepted]) / period
+        polls = np.array(_bare_polls(recordings[0], since, until))
+        blocks, due = sum(one.size for one in accepted), (until - since) / period
+        ages = np.concatenate([_ages(one, since, until) for one in accepted]) / period
+        alone = _ages(polls, since, until) / period
+        other = "the bare client's writes"
+        missed = [100.0 * (1.0 - share) for share in (blocks / (machines * due), polls.size / due)]
         figures += [
-            Figure(f"{count} busy neighbours: blocks that did not come", 100.0 * (1.0 - blocks / due), "% of due"),
-            Figure("  age of a block when followed, p50", float(np.median(ages)), "scans"),
-            Figure("  p99", float(np.percentile(ages, 99)), "scans", "longest", float(np.max(ages))),
+            Figure(f"{count} busy neighbours: blocks that did not come", missed[0], "% of due", other, missed[1]),
+            *shares("  age of a block when followed", "scans", ages.tolist(), other, alone.tolist()),
+            Figure("  longest", float(np.max(ages)), "scans", other, float(np.max(alone))),
         ]
     return figures
 
 
+def _ages(moments: NDArray[np.float64], since: float, until: float) -> NDArray[np.float64]:
+    """How old each became until the next; the last one stood to the end of the span, and none at all all of it (s)."""
+    return np.diff(moments if moments.size else [since], append=until)
+
+
 def beside(
-    source: Path, seconds: float, period: float, model_folder: Path | None, forecast: float | None
+    source: Path, machines: int, seconds: float, period: float, model_folder: Path | None, forecast: float | None
 ) -> list[Figure]:
-    """This checkout's gateway and another one's at the same time.
+    """This checkout's gateway and another one's at the same time, each of so many machines.
 
     Raises BenchmarkError when one does not get to work.
     """
+    names = [f"machine{number}" for number in range(1, machines + 1)] if machines > 1 else []
+    forecast = FORECAST_S if forecast is None and names else forecast
     with ExitStack() as opened:
         plcs, pids = [], []
         for each in (ROOT, source.resolve()):
             folder = Path(opened.enter_context(tempfile.TemporaryDirectory(prefix="decanter-footprint-")))
             model = learned_model((model_folder or folder).resolve())
-            plc = opened.enter_context(software_plc(folder))
+            plc = opened.enter_context(software_plc(folder, machines=names))
             process = opened.enter_context(gateway(folder, plc, model, period, forecast=forecast, source=each))
             until_usable(plc, process)
             plcs.append(plc)
@@ -230,11 +245,14 @@ def beside(
         time.sleep(seconds)
         after = [(cpu_seconds(pid), _accepted(plc)) for pid, plc in zip(pids, plcs, strict=True)]
         peaks = [peak_megabytes(pid) for pid in pids]
-    used = [1e3 * (now[0] - then[0]) * period / seconds for now, then in zip(after, before, strict=True)]
+    used = [now[0] - then[0] for now, then in zip(after, before, strict=True)]
     blocks = [now[1] - then[1] for now, then in zip(after, before, strict=True)]
+    due = [1e3 * one * period / (seconds * machines) for one in used]
+    written = [1e3 * one / max(count, 1) for one, count in zip(used, blocks, strict=True)]
     other = f"the gateway of {source.name}"
     return [
-        Figure("CPU per 1000 scans that were due", used[0], "s", other, used[1]),
+        Figure("CPU per 1000 scans that were due", due[0], "s", other, due[1]),
+        Figure("CPU per 1000 blocks accepted", written[0], "s", other, written[1]),
         Figure("peak resident size", peaks[0], "MB", other, peaks[1]),
         Figure("blocks accepted", blocks[0], "", other, blocks[1]),
     ]
@@ -317,12 +335,14 @@ def main(
         if len(machines) > 1:
             raise click.UsageError("--neighbours takes one number of machines: --machines 20")
         figures = crowded(neighbours, machines[0] if machines else CROWD, seconds, period, model_folder)
+    elif source is not None:
+        if len(machines) > 1:
+            raise click.UsageError("--beside takes one number of machines: --machines 8")
+        figures = beside(source, machines[0] if machines else 1, seconds, period, model_folder, forecast)
     elif machines:
         figures = growth(machines, seconds, period, model_folder)
     elif imported:
         figures = by_import(seconds, period, model_folder, forecast)
-    elif source is not None:
-        figures = beside(source, seconds, period, model_folder, forecast)
     else:
         figures = measure(seconds, period, model_folder, forecast)
     give(f"footprint, scan period {1e3 * period:g} ms", figures, as_json=as_json)

@@ -52,6 +52,7 @@ LATE_S = 0.01
 """Real s by which a clock wakes late on average."""
 SPEEDS = (1.0, 60.0)
 MIN_ROWS = 200
+SLOW_ROW_S = 60.0
 BEARING_FAULTS = ("vibration-friction", "wear-drift", "sensor-offset-step", "housing-thermal-mass")
 WORN = (1.25, 1.5, 2.0, 3.0)
 """Times the heat of a bearing that nothing is wrong with."""
@@ -121,6 +122,28 @@ def _shifts(seed: int, days: int) -> Source:
     return Source(column_map=_decanter_map(TEMPERATURE), taught=taught, ordinary=ordinary, faults=faults)
 
 
+def _slow(seed: int, days: int) -> Source:
+    """The shifts as a historian has them that keeps a row a minute."""
+    source = _shifts(seed, days)
+    taught, ordinary = ([_by_the_minute(trace) for trace in part] for part in (source.taught, source.ordinary))
+    alphabet = replace(source.column_map.alphabet, gap=5 * SLOW_ROW_S)  # as `trace map` has it
+    return replace(
+        source,
+        column_map=source.column_map.model_copy(update={"alphabet": alphabet}),
+        taught=taught,
+        ordinary=ordinary,
+        faults=[(_by_the_minute(trace), begin) for trace, begin in source.faults],
+    )
+
+
+def _by_the_minute(trace: Trace) -> Trace:
+    minutes = np.arange(float(trace.times[0]), float(trace.times[-1]), SLOW_ROW_S)
+    rows = np.unique(np.searchsorted(trace.times, minutes))
+    return replace(
+        trace, times=trace.times[rows], signals={name: column[rows] for name, column in trace.signals.items()}
+    )
+
+
 def _bearing(number: int, days: int) -> Source:
     """A rough machine of the discrepancy benchmark; faults are some of its effects at their strongest, a day each."""
     own = machine("development", "stages", True, number)
@@ -173,6 +196,7 @@ def _skab(folder: Path) -> Source:
 SOURCES: Mapping[str, Callable[[int, Path], Source]] = {
     **{f"year {seed}": lambda days, _, seed=seed: _year(seed, days) for seed in (1, 2, 3)},
     **{f"shifts {seed}": lambda days, _, seed=seed: _shifts(seed, days) for seed in (1, 2)},
+    "slow": lambda days, _: _slow(1, days),
     **{f"bearing {number}": lambda days, _, number=number: _bearing(number, days) for number in (0, 1)},
     "carobd": lambda _, data: _files("carobd", data / "carobd", 2),
     "skab": lambda _, data: _skab(data / "skab"),

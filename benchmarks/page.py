@@ -1,11 +1,13 @@
 """What the page costs: first paint, an update's way to the screen, twenty clients, and what a scan notices of them.
 
-    python -m benchmarks.page [--seconds 20] [--clients 20] [--trends] [--json]
+    python -m benchmarks.page [--seconds 20] [--clients 20] [--trends | --tab] [--json]
 
 One gateway with a model on a device in memory, one scan a second, as a process of its own; the browser is headless
 Chromium. An update's latency is from the reading's own time to the frame in which the browser shows it. What the
 clients cost is the gateway's processor time with them less that without. What a scan notices is how far its begin is
-off the period, and how long it takes, without clients and with them.
+off the period, and how long it takes, without clients and with them. What a tab costs is the processor time of the
+browser's process that draws it. A day in one tab is what its script holds and how many nodes there are after an hour
+and after a day of pictures ten seconds apart, handed to it as fast as it draws them.
 """
 
 import asyncio
@@ -142,6 +144,75 @@ def browser(port: int, seconds: float) -> dict[str, Any]:
     return {"first_paint_ms": paints, "shown": shown, "heap_mb": heap / 1e6}
 
 
+DRAWN_VIEWS = ("plant", "wall", "machine/decanter")
+HOLD_STREAM = """
+const Stream = window.EventSource;
+window.EventSource = class extends Stream { constructor(...given) { super(...given); window.held = this; } };
+"""
+A_DAY = """async ([from, until, step]) => {
+  const { machines } = window.told ??= (held.close(), await (await fetch("/api/plant")).json());
+  window.requestAnimationFrame = (work) => (work(performance.now()), 0);
+  for (let second = from; second < until; second += step) {
+    const at = {}, wave = Math.sin(second / 600);
+    for (const [name, machine] of Object.entries(machines)) {
+      const { status } = machine, time = status.time + second, value = 45 + 3 * wave;
+      const read = (own) => ({ ...own, time, value: typeof own.value === "number" ? value : own.value });
+      const values = Object.fromEntries(Object.entries(status.values).map(([tag, own]) => [tag, read(own)]));
+      const forecast = status.forecast && { ...status.forecast, time };
+      const rows = machine.temperatures.map((row) => ({ ...row, value, sentence: `${row.label} ${value}` }));
+      const shown = { ...status, time, values, forecast };
+      at[name] = { ...machine, taken: Date.now() / 1000, temperatures: rows, status: shown };
+    }
+    held.onmessage({ data: JSON.stringify({ order: Object.keys(at), machines: at }) });
+    if (second % (20 * step) === 0) await new Promise((done) => setTimeout(done));
+  }
+}"""
+"""Pictures from one second after the newest to another, each drawn as it comes; the stream itself is shut."""
+
+
+def measure_tab(seconds: float) -> list[Figure]:
+    """What one tab costs at a picture a second, by view, and what it holds after a day."""
+    from playwright.sync_api import sync_playwright
+
+    figures = []
+    with tempfile.TemporaryDirectory() as name, running(Path(name)) as (_, port), sync_playwright() as started:
+        chromium = started.chromium.launch(executable_path="/usr/bin/chromium", args=["--no-sandbox", "--disable-gpu"])
+        page, whole = chromium.new_page(), chromium.new_browser_cdp_session()
+        page.add_init_script(HOLD_STREAM)
+
+        def drawing() -> float:
+            told = whole.send("SystemInfo.getProcessInfo")["processInfo"]
+            return sum(float(one["cpuTime"]) for one in told if one["type"] == "renderer")
+
+        for view in DRAWN_VIEWS:
+            page.goto(f"http://127.0.0.1:{port}/#/{view}")
+            page.wait_for_timeout(5000.0)
+            before = drawing()
+            page.wait_for_timeout(1000.0 * seconds)
+            cost = 100.0 * (drawing() - before) / seconds
+            figures.append(Figure(f"one tab, {view}", cost, "% of a core", "goal", 2.0))
+        session = page.context.new_cdp_session(page)
+
+        def held() -> tuple[float, int]:
+            session.send("HeapProfiler.collectGarbage")
+            nodes = session.send("Memory.getDOMCounters")["nodes"]
+            return session.send("Runtime.getHeapUsage")["usedSize"] / 1e6, nodes
+
+        for view in DRAWN_VIEWS:
+            page.goto("about:blank")
+            page.goto(f"http://127.0.0.1:{port}/#/{view}")
+            page.wait_for_timeout(2000.0)
+            page.evaluate(A_DAY, [0, 3600, 10])
+            (heap, nodes), _ = held(), page.evaluate(A_DAY, [3600, 86_400, 10])
+            heap_after, nodes_after = held()
+            figures += [
+                Figure(f"script's memory after a day, {view}", heap_after, "MB", "after an hour", heap),
+                Figure(f"nodes after a day, {view}", nodes_after, "", "after an hour", nodes),
+            ]
+        chromium.close()
+    return figures
+
+
 SPANS = {"1 min": 60, "1 h": 3600, "1 d": 86_400, "7 d": 7 * 86_400, "90 d": 90 * 86_400}
 
 
@@ -236,12 +307,16 @@ def measure(seconds: float, clients: int) -> list[Figure]:
 @click.option("--clients", type=click.IntRange(1, 60), default=20, show_default=True)
 @click.option("--json", "as_json", is_flag=True, help="One JSON object.")
 @click.option("--trends", is_flag=True, help="Of trends alone.")
+@click.option("--tab", is_flag=True, help="Of one tab alone, and of a day in it.")
 @click.option("--serve", type=click.Path(path_type=Path, file_okay=False), hidden=True)
-def main(seconds: float, clients: int, trends: bool, as_json: bool, serve: Path | None) -> None:
+def main(seconds: float, clients: int, trends: bool, tab: bool, as_json: bool, serve: Path | None) -> None:
     """What the page costs, and what a scan notices of it."""
     if serve is not None:
         sys.setswitchinterval(SWITCH_SECONDS)
         asyncio.run(gateway(serve))
+        return
+    if tab:
+        give("page", measure_tab(seconds), as_json=as_json)
         return
     figures = [] if trends else measure(seconds, clients)
     give("page", figures + measure_trends(), as_json=as_json)

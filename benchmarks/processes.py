@@ -102,6 +102,7 @@ def software_plc(
     trace, recording = folder / "replay.csv", folder / "plc.jsonl"
     write_trace(scenario(REPLAYED), trace)
     options = ["--device", MAP, "--trace", trace, "--loop", "--stdin", "--speed", speed]
+    options += ["--writable", f"holding:{TEST_REGISTERS}-{TEST_REGISTERS + WRITTEN - 1}"]
     if machines:
         rows = []
         for number, name in enumerate(machines):
@@ -111,8 +112,7 @@ def software_plc(
         (folder / "machines.toml").write_text("".join(rows), encoding="utf-8")
         options += ["--plant-file", folder / "machines.toml", "--cycle", SLOW_CYCLE_S]
     else:
-        options += ["--offset", OFFSET, "--record", recording]
-        options += ["--cycle", CYCLE_S, "--writable", f"holding:{TEST_REGISTERS}-{TEST_REGISTERS + WRITTEN - 1}"]
+        options += ["--offset", OFFSET, "--record", recording, "--cycle", CYCLE_S]
     command = [sys.executable, "-m", "sim.plc", *map(str, options)]
     pipe = subprocess.PIPE
     with subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True, cwd=ROOT) as process:

@@ -16,6 +16,7 @@ import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from math import inf
 from pathlib import Path
 from time import monotonic
 from typing import Any
@@ -246,8 +247,8 @@ def verdict(found: Cells, ours: Sequence[str], figure: str) -> str:
 class Ratio:
     """Ours over the `best` other method in MAE and CRPS, each with the 90 % interval over `machines` of the latter.
 
-    NaN bounds where there are too few machines. `coverage` is ours, `width` our half width over the best's that covers
-    (COVERS at least), NaN where none does.
+    NaN bounds where there are too few machines, or the other never erred on some. `coverage` is ours, `width` our half
+    width over the best's that covers (COVERS at least), NaN where none does.
     """
 
     best: str
@@ -283,18 +284,26 @@ def ratio(rows: Sequence[SkillRow], method: str, seed: int = 0) -> Ratio | None:
     low = high = float("nan")
     if len(pairs) >= MIN_INTERVAL_DIFFERENCES:
         sums = pairs[np.random.default_rng(seed).integers(0, len(pairs), (RESAMPLES, len(pairs)))].sum(axis=1)
-        low, high = np.quantile(sums[:, 0] / sums[:, 1], [0.05, 0.95]).tolist()
+        if np.all(sums[:, 1] > 0):
+            low, high = np.quantile(sums[:, 0] / sums[:, 1], [0.05, 0.95]).tolist()
     covering = [whole[name].half_width for name in others if whole[name].coverage >= COVERS]
     return Ratio(
         best=best,
         machines=len(pairs),
-        mae=whole[method].mae / min(whole[name].mae for name in others),
-        crps=whole[method].crps / whole[best].crps,
+        mae=_over(whole[method].mae, min(whole[name].mae for name in others)),
+        crps=_over(whole[method].crps, whole[best].crps),
         low=low,
         high=high,
         coverage=whole[method].coverage,
-        width=whole[method].half_width / min(covering) if covering else float("nan"),
+        width=_over(whole[method].half_width, min(covering)) if covering else float("nan"),
     )
+
+
+def _over(ours: float, best: float) -> float:
+    """The ratio of two figures; a machine that stood still leaves persistence without an error."""
+    if best > 0:
+        return ours / best
+    return inf if ours > 0 else 1.0
 
 
 def show_ratios(rows: Mapping[str, Sequence[SkillRow]], ours: Sequence[str]) -> None:

@@ -8,13 +8,15 @@ from collections.abc import AsyncIterator, Callable, Iterator, Mapping, Sequence
 from enum import Enum
 from importlib import import_module
 from pathlib import Path
-from typing import Any, Protocol, Self, runtime_checkable
+from typing import TYPE_CHECKING, Any, Protocol, Self, runtime_checkable
 
 from drivers.capabilities import Capabilities, LinkKind
 from drivers.connections import Connections
 from drivers.errors import DriverError, missing_part
-from drivers.supervision import Supervisor
 from drivers.tag import Sample, Tag, Value
+
+if TYPE_CHECKING:
+    from drivers.supervision import Supervisor  # asyncio with it, which no help needs
 
 Clock = Callable[[], float]
 BeforeSending = Callable[[], None]
@@ -163,7 +165,7 @@ class Complains(Protocol):
 class Supervised(Protocol):
     """A driver that keeps threads or tasks of its own going."""
 
-    supervisor: Supervisor
+    supervisor: "Supervisor"
     """Knows all of them; whoever runs the driver takes it into his own."""
 
 

@@ -28,6 +28,10 @@ gc.disable()
 sys.dont_write_bytecode = False
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
+# As `decanter` has it for its own processes (decanter_gateway/start.py): tests start modules, which would look through
+# all installed packages for plug-ins of pydantic each time.
+os.environ["PYDANTIC_DISABLE_PLUGINS"] = "__all__"
+
 # Tests look for words, not for where a table folds them; the tests of tables name their own width.
 os.environ["COLUMNS"] = "240"
 

@@ -18,7 +18,7 @@ from click.testing import CliRunner
 
 from deploy import build_deb
 from gateway.cli.main import main
-from gateway.cli.plant.top import EXITS
+from gateway.cli.plant.commands import EXITS
 from gateway.console import SERVICE_FOLDER, find_service
 from gateway.outside.status import Health
 from gateway.settings import load_config

@@ -25,7 +25,7 @@ from drivers.errors import (
     WriteForbidden,
     WriteUnverified,
 )
-from drivers.modbus.address import Area, TagSpan, locate
+from drivers.modbus.address import Area, TagSpan, WideRange, locate
 from drivers.modbus.factors import ScaledTag, in_order, scaled_sample, scaled_tag, spans_of
 from drivers.modbus.identity import (
     MOST_PARTS,
@@ -50,7 +50,7 @@ from drivers.modbus.plan import (
 from drivers.modbus.quarantine import RefusedAddresses
 from drivers.modbus.settings import ModbusSettings, connection_place, read_settings
 from drivers.modbus.shared import SharedLink
-from drivers.modbus.verify import exception_quality
+from drivers.modbus.verify import NO_WAY_TO_UNIT, exception_quality
 from drivers.modbus.wire import WireReply, read_request, write_request
 from drivers.survey import Raw
 from drivers.tag import Quality, Sample, Tag, Value
@@ -74,6 +74,8 @@ IDENTITY_S = 60.0
 """So often a pinned device says who it is, also where nothing has failed."""
 _NOT_KNOWN = "it is not known whether this is the pinned device (identity)"
 _FIRST_PAUSE_S = 0.02
+_LINE_PAUSE_S = 0.05
+"""After a gateway has said that its unit gave no reply, until the unit is asked again."""
 _MAX_WRITE_BITS = 1968  # 0x07B0 (MODBUS Application Protocol V1.1b3, 6.11)
 _LAYOUTS_KEPT = 64
 _EARLY_PERIOD_SHARE = 0.05
@@ -233,7 +235,10 @@ class ModbusDriver:
         self._settings = settings
         self._clock = clock
         self._limits = settings.limits
-        self._write_map = {span.tag.name: span for span in map(_writable, write_map)}
+        spans = [_writable(tag, settings.wide_registers) for tag in write_map]
+        self._write_map = {span.tag.name: span for span in spans}
+        # As a rule: a request asks for what is wanted, and for registers of 16 bits.
+        self._plainly = settings.aligned == 1 and not settings.wide_registers
         self._writable_addresses = frozenset(
             (span.area, number) for span in self._write_map.values() for number in range(span.start, span.stop)
         )
@@ -254,6 +259,8 @@ class ModbusDriver:
         self._writes: dict[tuple[int, ...], _WriteLayout] = {}
         # A block that was answered: by it silence to another is told from absence.
         self._known_good: AddressBlock | None = None
+        # It has answered, and since then no reading has ended with a gateway's word that it has no way to it.
+        self._reached = False
         self._searches: dict[tuple[Area, int, int], BlockSearch] = {}
         # By a tag's identity, of those with a period of their own.
         self._paced: dict[int, PacedTag] = {}
@@ -539,7 +546,7 @@ class ModbusDriver:
                         scaled.append(part)
                         factors[id(part.factor)] = factor
                     else:
-                        span = check_span(locate(tag), self._limits)
+                        span = check_span(locate(tag, self._limits.wide), self._limits)
                 except AddressError as error:
                     misplaced.append((tag, str(error)))
                     continue
@@ -573,7 +580,7 @@ class ModbusDriver:
         samples = self._samples(block, outcome)
         if isinstance(outcome, WireReply):
             self._refused.note_answer(block)
-            self._known_good = block
+            self._known_good, self._reached = block, True
             return samples
         if not (outcome.asked and self._may_refuse(outcome) and self._refused.may_bisect(block, _now())):
             return samples
@@ -708,7 +715,7 @@ class ModbusDriver:
             before, reading = decoded.get(key, _NOTHING)
             if own != before:
                 if (read := readers.get(key)) is None:
-                    read = readers[key] = reader(tag)
+                    read = readers[key] = reader(tag) if span.wide is None else _wide_reader(tag)
                 reading = read(own)
                 decoded[key] = (own, reading)
             value, quality, reason = reading
@@ -726,6 +733,7 @@ class ModbusDriver:
                     return await self._while_busy(lambda: self._request_block(block, again=True), _BUSY)
                 return await self._attempts(block)
             except DeviceException as error:
+                self._reached = error.code not in NO_WAY_TO_UNIT
                 return Failure(exception_quality(error.code), str(error), error.code)
             except ReplyTimeout as error:
                 return Failure(Quality.TIMEOUT, str(error), asked=not isinstance(error, NotAsked))
@@ -757,8 +765,12 @@ class ModbusDriver:
             pause *= 2
 
     async def _tries(self, block: AddressBlock, *, urgent: bool) -> WireReply:
-        """Read a block, again with a new transaction id if no valid reply came."""
-        again, wire = False, self._line.connection
+        """Read a block, again with a new transaction id if no valid reply came.
+
+        A gateway's word that its unit gave no reply (exceptions 10 and 11) is no reply, too: the line behind it may
+        have been disturbed. A unit that has not answered, or not since a reading that ended so, is asked once.
+        """
+        again, wire, began = False, self._line.connection, 0.0
         # After a connection that was taken and never answered, the next ones get one question each.
         for _ in range(0 if self._line.suspect else self._settings.attempts - 1):
             try:
@@ -768,14 +780,25 @@ class ModbusDriver:
                     raise
                 self._counts["retries"] += 1
                 again = True
+            except DeviceException as error:
+                began = began or _now()
+                rest = self._settings.longest_read - (_now() - began)
+                if error.code not in NO_WAY_TO_UNIT or not self._reached or self._line.suspect or rest < _LINE_PAUSE_S:
+                    raise
+                self._counts["retries"] += 1
+                await asyncio.sleep(_LINE_PAUSE_S)
+                again = False
         return await self._request_block(block, again=again, urgent=urgent)
 
     def _request_block(self, block: AddressBlock, *, again: bool, urgent: bool = False) -> Awaitable[WireReply]:
         """Ask for a block once; where the device takes aligned reads alone, for what lies around it too."""
-        settings = self._settings
-        if settings.aligned > 1 and not block.area.is_bits:
+        if self._plainly:
+            request = read_request(block.area, block.start, block.count, self._settings.unit)
+            return self._line.ask(request, again=again, urgent=urgent)
+        wide = block.wide is not None
+        if self._settings.aligned > 1 and not wide and not block.area.is_bits:
             return self._request_aligned_block(block, again=again, urgent=urgent)
-        request = read_request(block.area, block.start, block.count, settings.unit)
+        request = read_request(block.area, block.start, block.count, self._settings.unit, wide=wide)
         return self._line.ask(request, again=again, urgent=urgent)
 
     async def _request_aligned_block(self, block: AddressBlock, *, again: bool, urgent: bool) -> WireReply:
@@ -796,10 +819,13 @@ class ModbusDriver:
         """The reading with the words that it was made of, where it was made of any."""
         decoded = self._decoded.get(id(tag)) if sample.sent is not None else None
         try:
-            span = locate(tag)
+            span = locate(tag, self._limits.wide)
         except AddressError:
             return Raw(tag, sample, tag.address, 0)
-        return Raw(tag, sample, f"{span.area}:{span.start}", span.count, decoded[0] if decoded else None)
+        words = decoded[0] if decoded else None
+        if words is not None and span.wide is not None:
+            words = _words_of_wide(words)
+        return Raw(tag, sample, f"{span.area}:{span.start}", span.count, words)
 
     def allow(self, timeout: float) -> None:
         """Wait so long (s) for an answer from now on: what the device has been seen to need."""
@@ -955,9 +981,22 @@ def _words(spans: Iterable[TagSpan]) -> int:
     return longest
 
 
-def _writable(tag: Tag) -> TagSpan:
+def _words_of_wide(registers: Sequence[int]) -> tuple[int, ...]:
+    """Registers of 32 bits as words of 16, the upper one first: as they come."""
+    return tuple(word for register in registers for word in (register >> 16, register & 0xFFFF))
+
+
+def _wide_reader(tag: Tag) -> Callable[[Sequence[int]], Reading]:
+    """As `reader`, of registers of 32 bits."""
+    read = reader(tag)
+    return lambda registers: read(_words_of_wide(registers))
+
+
+def _writable(tag: Tag, wide: Sequence[WideRange]) -> TagSpan:
     """The tag's place, if the protocol can write it. Raises AddressError where it cannot."""
-    span = locate(tag)
+    span = locate(tag, wide)
+    if span.wide is not None:
+        raise AddressError(f"{tag.name}: {tag.address} has 32 bits (wide_registers), and such registers are read alone")
     if not span.area.is_writable:
         raise AddressError(f"{tag.name}: {tag.address} is read-only by protocol: write to holding or coil addresses")
     if tag.bit is not None:

@@ -43,12 +43,12 @@ def spans_of(part: ScaledTag, limits: RequestLimits) -> tuple[TagSpan, TagSpan]:
     if part.tag.bit is not None or part.tag.dtype in (DType.BOOL, DType.STRING):
         raise AddressError(f"{part.tag.name}: a {part.tag.dtype} has no scale; take scale_from out")
     try:
-        factor = locate(part.factor)
+        factor = locate(part.factor, limits.wide)
     except AddressError as error:
         raise AddressError(f"{part.tag.name}: scale_from: {error}") from None
     if factor.area.is_bits:
         raise AddressError(f"{part.tag.name}: scale_from: {part.tag.scale_from} is one bit; give a register")
-    return check_span(locate(part.raw), limits), factor
+    return check_span(locate(part.raw, limits.wide), limits), factor
 
 
 def in_order(

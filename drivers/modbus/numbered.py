@@ -16,18 +16,28 @@ from pymodbus.pdu import ModbusPDU
 from drivers.driver import BeforeSending, Clock, anyhow
 from drivers.errors import DeviceException, DriverError, LinkDown, LinkFault, ReplyMismatch, ReplyTimeout
 from drivers.modbus.replies import ID_REUSE_DELAY_S, ReplyStream, TransactionIds
-from drivers.modbus.verify import NO_WAY_TO_UNIT, Asked, check_reply, leaves_open, parse_request, unpack_words
+from drivers.modbus.verify import (
+    NO_WAY_TO_UNIT,
+    REGISTER_BYTES,
+    Asked,
+    check_reply,
+    leaves_open,
+    parse_request,
+    unpack_words,
+)
 from drivers.modbus.wire import (
     ANY_ID,
     FLOOD,
     LATE,
     NOT_BEHIND_A_PART,
     OTHER_ID,
+    WIDTHS,
     Secured,
     WireReply,
     discard,
     keep_alive,
     no_connection,
+    read_little,
     rest_of_wait,
     socket_place,
 )
@@ -98,6 +108,7 @@ class NumberedWire(asyncio.Protocol):
             raise no_connection(f"{self._host}:{self._port}", error, secured) from error
         if self._transport is not None:
             keep_alive(self._transport)
+            read_little(self._transport)
 
     @property
     def alive(self) -> bool:
@@ -154,7 +165,8 @@ class NumberedWire(asyncio.Protocol):
         foreign = self.foreign
         self._late.pop(request.dev_id, None)
         reading = self._readings.setdefault(request.dev_id, number)
-        question = _Question(parse_request(frame), self._clock(), now, reading, reply, now + deadline)
+        width = WIDTHS.get(request.__class__, REGISTER_BYTES)
+        question = _Question(parse_request(frame, width), self._clock(), now, reading, reply, now + deadline)
         self._questions[number] = question
         self._unasked = 0
         self._since_answer[request.dev_id] += 1

@@ -5,22 +5,34 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 from drivers.errors import AddressError
-from drivers.modbus.address import Area, TagSpan, locate
+from drivers.modbus.address import Area, TagSpan, WideRange, locate
 from drivers.tag import Tag
 
 
 @dataclass(frozen=True, slots=True)
 class RequestLimits:
-    """What the device allows: registers and bits a read, addresses read in vain to save a read, pause between (s)."""
+    """What the device allows: registers and bits a read, addresses read in vain to save a read, pause between (s).
+
+    `wide` are the addresses whose registers have 32 bits.
+    """
 
     max_registers: int = 125
     max_bits: int = 2000
     max_gap: int = 8
     pause: float = 0.0
+    wide: tuple[WideRange, ...] = ()
 
-    def largest(self, area: Area) -> int:
-        """The most addresses that one read of this table may ask for."""
+    def largest(self, area: Area, wide: WideRange | None = None) -> int:
+        """The most addresses that one read of this table may ask for; of 32-bit registers half as many."""
+        if wide is not None:
+            return self.max_registers // 2
         return self.max_bits if area.is_bits else self.max_registers
+
+    def joins(self, block: "AddressBlock", span: TagSpan, stop: int) -> bool:
+        """Whether one request can read the block and the span up to `stop`: all of it has registers of one width."""
+        if block.wide is not None or span.wide is not None:
+            return block.wide == span.wide
+        return not any(wide.meets(block.area, block.start, stop) for wide in self.wide)
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,6 +48,11 @@ class AddressBlock:
     def stop(self) -> int:
         """The first address after it."""
         return self.start + self.count
+
+    @property
+    def wide(self) -> WideRange | None:
+        """The range of 32-bit registers in which it lies."""
+        return self.spans[0].wide if self.spans else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +87,7 @@ def plan(tags: Sequence[Tag], limits: RequestLimits, quarantine: Quarantine = ()
     A tag is never split over two blocks, so a 32-bit value comes from one reply. Raises AddressError for a tag without
     a place in a Modbus device, or wider than one request.
     """
-    return plan_spans([check_span(locate(tag), limits) for tag in tags], limits, quarantine)
+    return plan_spans([check_span(locate(tag, limits.wide), limits) for tag in tags], limits, quarantine)
 
 
 def plan_spans(
@@ -92,7 +109,8 @@ def plan_spans(
         if (
             block is not None
             and block.area is span.area
-            and stop - block.start <= limits.largest(block.area)
+            and stop - block.start <= limits.largest(block.area, block.wide)
+            and limits.joins(block, span, stop)
             and span.start - block.stop <= limits.max_gap
             and not any(_covers_refusal(refusal, block.area, block.start, stop) for refusal in quarantine)
         ):
@@ -109,9 +127,10 @@ def _may_be_reply(block: AddressBlock) -> bool:
 
 def check_span(span: TagSpan, limits: RequestLimits) -> TagSpan:
     """The span itself, if one request can read it. Raises AddressError if not."""
-    if span.count > limits.largest(span.area):
+    largest = limits.largest(span.area, span.wide)
+    if span.count > largest:
         raise AddressError(
-            f"{span.tag.name}: it covers {span.count} registers and one request reads {limits.largest(span.area)}; "
+            f"{span.tag.name}: it covers {span.count} registers and one request reads {largest}; "
             "a value is never put together from two replies"
         )
     return span

@@ -32,7 +32,7 @@ def plan_requests(settings: Mapping[str, Any], tags: Sequence[Tag], written: Seq
                 span, factors[tag.scale_from] = spans_of(part, limits)
                 scaled[tag.name] = part
             else:
-                span = check_span(locate(tag), limits)
+                span = check_span(locate(tag, limits.wide), limits)
             spans.append(span)
         except AddressError as error:
             problems.append(str(error))
@@ -99,7 +99,7 @@ def _write_functions(written: Sequence[Tag], checked: ModbusSettings) -> str:
 
 def _worst(count: int, block: AddressBlock, checked: ModbusSettings) -> float:
     """The deadline, and on a serial line the time that the bytes need (s)."""
-    octets = (count + 7) // 8 if block.area.is_bits else 2 * count
+    octets = (count + 7) // 8 if block.area.is_bits else 2 * count * (1 if block.wide is None else 2)
     wire = rtu.transmission(_REQUEST_BYTES + _REPLY_HEAD_BYTES + octets, checked.baud) if checked.serial else 0.0
     return checked.timeout + wire
 
@@ -109,7 +109,7 @@ def _plan_write(
 ) -> tuple[tuple[PlannedRequest, ...], tuple[str, ...]]:
     """One write of the block, and the requests that read it back; and what keeps it from being one request."""
     try:
-        spans = tuple(sorted((locate(tag) for tag in written), key=lambda span: span.start))
+        spans = tuple(sorted((locate(tag, limits.wide) for tag in written), key=lambda span: span.start))
     except AddressError as error:
         return (), (str(error),)
     whole = AddressBlock(spans[0].area, spans[0].start, spans[-1].stop - spans[0].start, spans)

@@ -8,7 +8,7 @@ from pymodbus.framer import FramerRTU
 from pymodbus.pdu import ModbusPDU
 
 from drivers.errors import ReplyMismatch
-from drivers.modbus.verify import IDENTIFY, REPORT, SAYS_WHO, WRITES, Asked
+from drivers.modbus.verify import IDENTIFY, REGISTER_BYTES, REPORT, SAYS_WHO, WRITES, Asked
 
 BITS = 11
 """Of one character on a serial Modbus line: start, eight data, parity and stop, or a second stop."""
@@ -30,11 +30,11 @@ def crc(data: bytes) -> bytes:
     return FramerRTU.compute_CRC(data).to_bytes(2, "big")
 
 
-def parse_request(frame: bytes) -> Asked:
+def parse_request(frame: bytes, width: int = REGISTER_BYTES) -> Asked:
     """What a request of function 1 to 6, 15 or 16 asks for, from its own bytes; 17 and 43 have no address."""
     if frame[1] in SAYS_WHO:
         return Asked(0, frame[0], frame[1], 0, 0)
-    return Asked(0, frame[0], frame[1], int.from_bytes(frame[2:4], "big"), int.from_bytes(frame[4:6], "big"))
+    return Asked(0, frame[0], frame[1], int.from_bytes(frame[2:4], "big"), int.from_bytes(frame[4:6], "big"), width)
 
 
 def silence(baud: int) -> float:
@@ -53,7 +53,7 @@ def reply_octets(request: Asked) -> int:
         return LONGEST
     if request.function in WRITES:
         return _CONFIRMATION
-    return 5 + (2 * request.count if request.function in (3, 4) else (request.count + 7) // 8)
+    return 5 + (request.width * request.count if request.function in (3, 4) else (request.count + 7) // 8)
 
 
 def reply_length(request: Asked, data: bytes) -> int | None:

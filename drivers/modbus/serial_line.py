@@ -24,8 +24,8 @@ from drivers.errors import DeviceException, LinkDown, LinkFault, NotAsked, Reply
 from drivers.modbus import rtu
 from drivers.modbus.ascii import AsciiStream, ascii_frame
 from drivers.modbus.settings import ModbusSettings
-from drivers.modbus.verify import ECHOED, HEADER, Asked, check_reply, split_frames, unpack_words
-from drivers.modbus.wire import WireReply, socket_place, system_reason
+from drivers.modbus.verify import ECHOED, HEADER, REGISTER_BYTES, Asked, check_reply, split_frames, unpack_words
+from drivers.modbus.wire import WIDTHS, WireReply, read_little, socket_place, system_reason
 from drivers.tap import Medium, current, make_frame
 
 GAP_S = 0.02
@@ -156,7 +156,7 @@ class LineWire:
         Raises ReplyTimeout, ReplyMismatch, DeviceException, or LinkDown if the line is gone.
         """
         frame = rtu.request_frame(request)
-        wanted = rtu.parse_request(frame)
+        wanted = rtu.parse_request(frame, WIDTHS.get(request.__class__, REGISTER_BYTES))
         until = _now() + deadline + self._on_line(len(frame) + rtu.reply_octets(wanted))
         if not again:
             self._asked.discard(wanted.unit)
@@ -450,6 +450,7 @@ class _Dialled(asyncio.Protocol):
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         if isinstance(transport, asyncio.Transport):
             self._transport = transport
+            read_little(transport)
 
     def data_received(self, data: bytes) -> None:
         self._wire.receive(data)

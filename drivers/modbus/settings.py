@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
 
+from drivers.modbus.address import WideRange, parse_wide_ranges
 from drivers.modbus.identity import PinnedMark, pinned_marks
 from drivers.modbus.plan import RequestLimits
 from drivers.settings import Reconnecting, check_settings, with_place
@@ -39,6 +40,7 @@ TRANSPORTS: dict[str, dict[str, Any]] = {
 _LINES = ("rtu", "rtu-tcp", "ascii", "ascii-tcp")
 _ONE_AT_A_TIME = (*_LINES, "udp")
 _LAST_UNIT = 247
+_WORDS_OF_WIDE = 2
 
 
 class ModbusSettings(Reconnecting):
@@ -98,6 +100,9 @@ class ModbusSettings(Reconnecting):
     aligned: int = Field(
         1, ge=1, le=8, description="reads begin at a multiple of it and have as many registers, 1 to 8"
     )
+    wide_registers: Annotated[tuple[WideRange, ...], BeforeValidator(parse_wide_ranges)] = Field(
+        (), description='the addresses whose registers have 32 bits, such as ["holding:5001-5999"] (Enron, Daniel)'
+    )
     one_client: bool = Field(False, description="true if the device serves one connection only")
     max_failures: int = Field(3, ge=1, le=100, description="the failures in a row that end a connection, 1 to 100")
     max_silence: float = Field(
@@ -150,6 +155,8 @@ class ModbusSettings(Reconnecting):
             raise ValueError(f"transaction_id and answers_as mean nothing with transport {self.transport!r}")
         if self.aligned > 1 and self.max_registers <= 2 * (self.aligned - 1):
             raise ValueError(f"max_registers is {self.max_registers}, too few for reads aligned to {self.aligned}")
+        if self.wide_registers and self.max_registers < _WORDS_OF_WIDE:
+            raise ValueError("max_registers is 1, and a register of wide_registers is two")
         if self.on_line and self.outstanding > 1:
             line = "such a connection" if self.transport == "udp" else "a serial line"
             raise ValueError(f"outstanding is {self.outstanding}, and {line} carries 1 request at a time")
@@ -175,7 +182,9 @@ class ModbusSettings(Reconnecting):
         """What the device allows in one request."""
         # What alignment adds at either end must still fit.
         room = 2 * (self.aligned - 1)
-        return RequestLimits(self.max_registers - room, self.max_bits, self.max_gap, self.pause_ms / 1000)
+        return RequestLimits(
+            self.max_registers - room, self.max_bits, self.max_gap, self.pause_ms / 1000, self.wide_registers
+        )
 
     @property
     def longest_read(self) -> float:

@@ -18,6 +18,7 @@ from drivers.modbus.address import Area, locate
 from drivers.modbus.driver import ModbusDriver, make_modbus
 from drivers.modbus.identity import MOST_PARTS, identification, object_request, server_id_request, text_of_server_id
 from drivers.modbus.settings import ModbusSettings, read_settings
+from drivers.modbus.verify import NO_WAY_TO_UNIT
 from drivers.modbus.wire import WireReply, read_request
 from drivers.survey import Raw, ReadWords
 from drivers.tag import Quality, Tag
@@ -26,7 +27,9 @@ FIRST_ANSWER_S = 3.0
 """Seconds for which the first question to a device is asked and waited for."""
 SEARCH_S = 20.0
 """Seconds for which places are looked for that a device refuses by silence."""
-_SILENT = frozenset({Quality.TIMEOUT, Quality.NOT_CONNECTED})
+_SILENT = frozenset({Quality.TIMEOUT, Quality.NOT_CONNECTED, Quality.NO_COMMUNICATION})
+LINE_PAUSES_S = (0.1, 0.3)
+"""After a gateway has said that its unit gave no answer (exceptions 10, 11), until it is asked again."""
 _REGULAR_OBJECT_ID = 3
 """The first object of the regular category of an identification."""
 
@@ -80,7 +83,9 @@ class ModbusSurvey:
 
     async def read(self, area: str, start: int, count: int, unit: int | None = None) -> ReadWords:
         """One request for `count` registers or bits. Raises DriverError by its kinds."""
-        reply = await self._exchange(read_request(Area(area), start, count, self._unit(unit)))
+        own = unit is None or unit == self._settings.unit
+        wide = own and any(wide.meets(Area(area), start, start + count) for wide in self._settings.wide_registers)
+        reply = await self._exchange(read_request(Area(area), start, count, self._unit(unit), wide=wide))
         return ReadWords(reply.words, reply.received - reply.sent)
 
     async def identity(self, unit: int | None = None) -> Mapping[str, str]:
@@ -115,13 +120,18 @@ class ModbusSurvey:
     async def tags(self, tags: Sequence[Tag]) -> list[Raw]:
         """Each tag with its raw words, as the driver reads them; a failure is a sample of bad quality.
 
-        A device of which nothing at all comes is asked one question with all patience, and then once more.
+        A device of which nothing at all comes is asked one question with all patience, and then once more; one of
+        which only a part comes, since its first answer was late, is read once more.
         """
         samples = await self.driver.read(tags)
-        if not self._tried and all(sample.quality in _SILENT for sample in samples):
+        silent = 0 if self._tried else sum(sample.quality in _SILENT for sample in samples)
+        if 0 < silent < len(samples):
+            samples = await self.driver.read(tags)
+        elif silent:
             with suppress(DriverError, AddressError):
-                span = locate(tags[0])
-                await self._exchange(read_request(span.area, span.start, span.count, self._unit(None)))
+                span = locate(tags[0], self._settings.wide_registers)
+                wide = span.wide is not None
+                await self._exchange(read_request(span.area, span.start, span.count, self._unit(None), wide=wide))
             if self._answered:
                 samples = await self.driver.read(tags)
         until, searching = _now() + SEARCH_S, self.driver.is_searching
@@ -136,14 +146,21 @@ class ModbusSurvey:
 
     async def _exchange(self, request: ModbusPDU) -> WireReply:
         """One question. The first one is asked again with a growing deadline: the device may be slow, or answer nothing
-        for a while after a connection was made."""
+        for a while after a connection was made; a gateway's word that it is silent is believed when it is the third."""
         if self._answered or self._tried:
             return await self._once(request, self._deadline, again=False)
         self._tried, began = True, _now()
         deadline, again = self._deadline, False
+        pauses = list(LINE_PAUSES_S)
         while True:
             try:
                 return await self._once(request, deadline, again=again)
+            except DeviceException as error:
+                if error.code not in NO_WAY_TO_UNIT or not pauses:
+                    raise
+                again = False
+                await asyncio.sleep(pauses.pop(0))
+                began = _now()
             except ReplyTimeout:
                 again, deadline = True, min(2 * deadline, began + FIRST_ANSWER_S - _now())
                 if deadline < self._settings.timeout:

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from drivers.errors import DeviceException, ReplyMismatch
 from drivers.tag import Quality
 
+REGISTER_BYTES, WIDE_REGISTER_BYTES = 2, 4
 HEADER = 6
 """Bytes before unit and PDU: transaction and protocol id, length."""
 _SHORTEST, _LONGEST = 3, 254  # the length field: unit, function and at least one byte; a PDU has at most 253 bytes
@@ -49,13 +50,17 @@ NO_WAY_TO_UNIT = frozenset({10, 11})
 
 @dataclass(frozen=True, slots=True)
 class Asked:
-    """What a request asked for, read from its own bytes; of one that writes a single address `count` is its value."""
+    """What a request asked for, read from its own bytes; of one that writes a single address `count` is its value.
+
+    `width` are the bytes of a register, which the bytes of a request do not say.
+    """
 
     transaction: int
     unit: int
     function: int
     address: int
     count: int
+    width: int = REGISTER_BYTES
 
     def __str__(self) -> str:
         if self.function in SAYS_WHO:
@@ -63,12 +68,12 @@ class Asked:
         return f"{_TABLES[self.function]}:{self.address} count {1 if self.function in ECHOED else self.count}"
 
 
-def parse_request(request: bytes) -> Asked:
+def parse_request(request: bytes, width: int = REGISTER_BYTES) -> Asked:
     """Read a request of function 1 to 6, 15 or 16, or of 17 or 43 (which have neither address nor count)."""
     if request[7] in SAYS_WHO:
         return Asked(int.from_bytes(request[:2], "big"), request[6], request[7], 0, 0)
     transaction, _, _, unit, function, address, count = struct.unpack(">HHHBBHH", request[:12])
-    return Asked(transaction, unit, function, address, count)
+    return Asked(transaction, unit, function, address, count, width)
 
 
 def split_frames(stream: bytes) -> tuple[list[bytes], bytes]:
@@ -142,10 +147,12 @@ def check_reply(request: Asked, reply: bytes) -> None:
             raise ReplyMismatch(f"{request}: the device confirms {body.hex()} instead of {echo.hex()}")
     else:
         # The byte count must be what was asked, and be true: a reply that is longer or shorter belongs to other values.
-        expected = 2 * request.count if function in _REGISTERS else (request.count + 7) // 8
+        expected = request.width * request.count if function in _REGISTERS else (request.count + 7) // 8
         if body[0] != expected or len(body) - 1 != expected:
+            wide = function in _REGISTERS and body[0] == len(body) - 1 == WIDE_REGISTER_BYTES * request.count
+            hint = "; if its registers have 32 bits each (Enron), give wide_registers" if wide else ""
             raise ReplyMismatch(
-                f"{request}: {expected} bytes were asked, the reply announces {body[0]} and has {len(body) - 1}"
+                f"{request}: {expected} bytes were asked, the reply announces {body[0]} and has {len(body) - 1}{hint}"
             )
 
 
@@ -160,7 +167,7 @@ def unpack_words(request: Asked, data: bytes) -> tuple[int, ...]:
     Of what a device says of itself they are its bytes, behind MEI type or byte count.
     """
     if request.function in _REGISTERS:
-        return struct.unpack(f">{request.count}H", data)
+        return struct.unpack(f">{request.count}{'H' if request.width == REGISTER_BYTES else 'I'}", data)
     if request.function in _BITS:
         packed = int.from_bytes(data, "little")
         return tuple(packed >> index & 1 for index in range(request.count))

@@ -39,7 +39,16 @@ from drivers.driver import BeforeSending, Clock, anyhow
 from drivers.errors import DeviceException, DriverError, LinkDown, LinkFault, ReplyMismatch, ReplyTimeout
 from drivers.modbus.address import Area
 from drivers.modbus.replies import ReplyStream, TransactionIds
-from drivers.modbus.verify import WRITES, Asked, check_reply, leaves_open, parse_request, unpack_words
+from drivers.modbus.verify import (
+    REGISTER_BYTES,
+    WIDE_REGISTER_BYTES,
+    WRITES,
+    Asked,
+    check_reply,
+    leaves_open,
+    parse_request,
+    unpack_words,
+)
 from drivers.tap import current, make_frame
 
 FLOOD = 65536
@@ -52,7 +61,10 @@ ANY_ID = {"transaction_id": "any"}
 OTHER_ID = (
     ' ({} with another transaction id dropped; if all of the device\'s answers have, give transaction_id = "any")'
 )
-# asyncio reads up to 256 KiB at once; a chunk that pymodbus finds too large it drops without a word.
+_READ_BYTES = 16_384
+"""Read from a socket at once, many frames. asyncio's own 256 KiB are allocated anew for each reply and, by the state of
+the heap, returned to the system: the page faults of that are a third of a scan's processor time."""
+# A chunk that pymodbus finds too large it drops without a word.
 _LARGEST_CHUNK = 1 << 20
 _PROBE_S, _PROBES = 1, 2
 # pymodbus times nothing here: every exchange and every connect has a deadline of ours, and it must not fire first.
@@ -66,6 +78,22 @@ _READS: dict[Area, type[ModbusPDU]] = {
 }
 
 
+class _ReadWideHoldingRegisters(ReadHoldingRegistersRequest):
+    """A read of registers of 32 bits: the bytes of any read, and a reply of twice as many."""
+
+
+class _ReadWideInputRegisters(ReadInputRegistersRequest):
+    """As `_ReadWideHoldingRegisters`."""
+
+
+_WIDE_READS: dict[Area, type[ModbusPDU]] = {
+    Area.INPUT: _ReadWideInputRegisters,
+    Area.HOLDING: _ReadWideHoldingRegisters,
+}
+WIDTHS = dict.fromkeys(_WIDE_READS.values(), WIDE_REGISTER_BYTES)
+"""The bytes of a register by the kind of request, where they are not the usual ones."""
+
+
 @dataclass(frozen=True, slots=True)
 class WireReply:
     """The registers (or bits as 0 and 1) of one reply, with the moments of sending and of complete reception."""
@@ -76,9 +104,12 @@ class WireReply:
 
 
 @lru_cache(maxsize=1024)
-def read_request(area: Area, start: int, count: int, unit: int) -> ModbusPDU:
-    """The request that reads `count` addresses of a table; made once, as a wire numbers it when it frames it."""
-    return _READS[area](address=start, count=count, dev_id=unit)
+def read_request(area: Area, start: int, count: int, unit: int, *, wide: bool = False) -> ModbusPDU:
+    """The request that reads `count` addresses of a table; made once, as a wire numbers it when it frames it.
+
+    `wide`: they are registers of 32 bits.
+    """
+    return (_WIDE_READS if wide else _READS)[area](address=start, count=count, dev_id=unit)
 
 
 def write_request(area: Area, start: int, words: Sequence[int], unit: int, *, single: bool = False) -> ModbusPDU:
@@ -165,6 +196,7 @@ class Wire:
             await self._client.ctx.call_create()
             if isinstance(transport := self._client.ctx.transport, asyncio.Transport):
                 keep_alive(transport)
+                read_little(transport)
         except (OSError, ValueError) as error:  # ValueError: a host name that DNS or TLS cannot even be asked for
             self._client.close()
             raise no_connection(f"{parameters.host}:{parameters.port}", error, self._secured) from error
@@ -247,7 +279,8 @@ class Wire:
         self._attempts.add(number)
         data = self._client.ctx.framer.buildFrame(request)
         # Read from the very bytes that go: what was asked is what the reply is held against.
-        self._request, self._sent, self._unasked = parse_request(data), self._clock(), 0
+        width = WIDTHS.get(request.__class__, REGISTER_BYTES)
+        self._request, self._sent, self._unasked = parse_request(data, width), self._clock(), 0
         self._open[number] = (self._request, self._sent)
         self._tell(data, sent=True)
         transport.write(data)
@@ -380,6 +413,12 @@ def keep_alive(transport: asyncio.Transport) -> None:
         for option in (socket.TCP_KEEPIDLE, socket.TCP_KEEPINTVL):
             raw.setsockopt(socket.IPPROTO_TCP, option, _PROBE_S)
         raw.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPCNT, _PROBES)
+
+
+def read_little(transport: asyncio.Transport) -> None:
+    """Have asyncio's socket read _READ_BYTES at once; another loop's transport, or that of TLS, is left as it is."""
+    if isinstance(getattr(transport, "max_size", None), int):
+        transport.max_size = _READ_BYTES  # type: ignore[attr-defined]
 
 
 def discard(transport: asyncio.Transport, unanswered: Iterable[Asked]) -> None:

@@ -2,14 +2,14 @@
 
 from gateway.entry import FirstWordCommand, Table
 
-_COMMANDS = "gateway.cli.plant.alarms"
+_COMMANDS = "gateway.cli.plant.commands"
 COMMANDS: Table = {
     "list": (f"{_COMMANDS}:list_alarms", "List the alarms that are not normal, the most urgent first."),
-    "show": (f"{_COMMANDS}:show", "Show one alarm: what it watches, what to do, what comes of not doing it."),
+    "show": (f"{_COMMANDS}:show_alarm", "Show one alarm: what it watches, what to do, what comes of not doing it."),
     "acknowledge": (f"{_COMMANDS}:acknowledge", "Say that you know: of the named alarms, or of all that wait."),
     "shelve": (f"{_COMMANDS}:shelve", "Put alarms aside for some minutes."),
     "unshelve": (f"{_COMMANDS}:unshelve", "Take alarms back before their time is over."),
-    "remove-from-service": (f"{_COMMANDS}:remove", "Take alarms out for work on what they watch."),
+    "remove-from-service": (f"{_COMMANDS}:remove_from_service", "Take alarms out for work on what they watch."),
     "return": (f"{_COMMANDS}:return_to_service", "Return alarms to service."),
     "reset": (f"{_COMMANDS}:reset", "Let go of latched alarms."),
     "journal": (f"{_COMMANDS}:journal", "Show what alarms did, and who did what with them."),

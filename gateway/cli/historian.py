@@ -2,7 +2,7 @@
 
 from gateway.entry import FirstWordCommand, Table
 
-_COMMANDS = "gateway.cli.plant.records"
+_COMMANDS = "gateway.cli.plant.commands"
 COMMANDS: Table = {
     "export": (f"{_COMMANDS}:export", "Write a table of the records as CSV or Parquet."),
     "import": (

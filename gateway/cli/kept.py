@@ -3,16 +3,16 @@
 from gateway.entry import FirstWordCommand, Table
 
 KEPT: Table = {
-    "backup": ("gateway.cli.keep.backup:backup", "Copy all that a gateway is into a new folder, while it runs."),
-    "restore": ("gateway.cli.keep.backup:restore", "Put a backup's files back in their places."),
-    "support": ("gateway.cli.keep.support:support", "Put what support needs into one file, without secrets."),
-    "history": ("gateway.cli.keep.configurations:history", "List the configurations that were taken over."),
+    "backup": ("gateway.cli.keep.commands:backup", "Copy all that a gateway is into a new folder, while it runs."),
+    "restore": ("gateway.cli.keep.commands:restore", "Put a backup's files back in their places."),
+    "support": ("gateway.cli.keep.commands:support", "Put what support needs into one file, without secrets."),
+    "history": ("gateway.cli.keep.commands:history", "List the configurations that were taken over."),
     "diff": (
-        "gateway.cli.keep.configurations:diff",
+        "gateway.cli.keep.commands:diff",
         "Show what differs between two configurations, or to the files now.",
     ),
     "rollback": (
-        "gateway.cli.keep.configurations:rollback",
+        "gateway.cli.keep.commands:rollback",
         "Put the files of a former configuration back, never armed.",
     ),
 }

@@ -3,9 +3,9 @@
 from gateway.entry import FirstWordCommand, Table
 
 COMMANDS: Table = {
-    "list": ("gateway.cli.plant.machines:list_machines", "List the machines, and how they are where a gateway runs."),
-    "add": ("gateway.cli.plant.machines:add", "Add a machine to the plant file."),
-    "remove": ("gateway.cli.plant.machines:remove", "Take a machine out of the plant file; its records stay."),
+    "list": ("gateway.cli.plant.commands:list_machines", "List the machines, and how they are where a gateway runs."),
+    "add": ("gateway.cli.plant.commands:add_machine", "Add a machine to the plant file."),
+    "remove": ("gateway.cli.plant.commands:remove_machine", "Take a machine out of the plant file; its records stay."),
 }
 EXAMPLES = {
     "list": "machine list --config plant.toml",

@@ -13,24 +13,24 @@ from gateway.cli.user import user
 from gateway.entry import LazyGroup, Table
 
 COMMANDS: Table = {
-    "init": ("gateway.cli.setup.init:init", "Make a folder that runs, from an address and an I/O list."),
+    "init": ("gateway.cli.setup.commands:init", "Make a folder that runs, from an address and an I/O list."),
     "demo": (
         "gateway.demo.command:demo",
         "Run the main job on this computer, with a picture.",
     ),
-    "run": ("gateway.cli.plant.run:run", "Run the gateway with a configuration file."),
-    "top": ("gateway.cli.plant.top:top", "Watch a running gateway; --once: one look, and an exit code."),
-    "reload": ("gateway.cli.plant.reload:reload", "Let a running gateway read its plant file anew."),
+    "run": ("gateway.cli.plant.commands:run", "Run the gateway with a configuration file."),
+    "top": ("gateway.cli.plant.commands:top", "Watch a running gateway; --once: one look, and an exit code."),
+    "reload": ("gateway.cli.plant.commands:reload", "Let a running gateway read its plant file anew."),
     "arm": ("gateway.commission.commands:arm", "Let blocks be written: by whom, why and for how many minutes."),
     "disarm": ("gateway.commission.commands:disarm", "Take the arming back."),
     "audit": ("gateway.commission.commands:audit", "Show and verify the audit log."),
     "emulate": (
-        "gateway.cli.setup.emulate:emulate",
+        "gateway.cli.setup.commands:emulate",
         "Start the software PLC, which replays a trace.",
     ),
     "keep": ("gateway.cli.kept:keep", "Keep it: backup, restore, support, history, diff, rollback."),
     "certificates": (
-        "gateway.cli.setup.certificates:certificates",
+        "gateway.cli.setup.commands:certificates",
         "Make certificates and keys for Modbus/TCP Security or OPC UA.",
     ),
     "diagnose": (

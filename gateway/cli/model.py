@@ -6,9 +6,9 @@ from gateway.entry import FirstWordCommand, LazyGroup, Table
 
 COMMANDS: Table = {
     "learn": ("gateway.cli.model:learn", "Learn from traces: a model, a correction, settings, a fleet."),
-    "show": ("gateway.lab.models.show:show", "Show a model and where it comes from."),
+    "show": ("gateway.lab.models.commands:show", "Show a model and where it comes from."),
     "simulate": (
-        "gateway.lab.checking.simulate:simulate",
+        "gateway.lab.checking.commands:simulate",
         "Let a model run along measured traces; say how far off it is.",
     ),
     "check": ("gateway.lab.checking.commands:check", "Answer a query: how probable, how hot, whether it can."),
@@ -92,7 +92,7 @@ VERSIONED: Table = {
         "gateway.lab.retraining.commands:shadow_command",
         "Compare two versions on live cycles; promote the better one by a stated policy.",
     ),
-    "promote": ("gateway.lab.models.promote:promote", "Make a version of a store current, if its model verifies."),
+    "promote": ("gateway.lab.models.commands:promote", "Make a version of a store current, if its model verifies."),
     "lineage": (
         "gateway.lab.retraining.commands:lineage_command",
         "Draw the family of a store's versions; make one again.",

@@ -9,9 +9,9 @@ from gateway.entry import FirstWordCommand, LazyGroup, Table
 
 COMMANDS: Table = {
     "probe": ("gateway.commission.commands:probe", "Is the device there, does it speak, and who is it?"),
-    "scan": ("gateway.commission.scan:scan", "Look for units, nodes, CAN frames, or readable registers."),
+    "scan": ("gateway.commission.commands:scan", "Look for units, nodes, CAN frames, or readable registers."),
     "read": (
-        "gateway.commission.read:read",
+        "gateway.commission.commands:read",
         "Read tags or bare addresses: raw words and values; --watch: as they change.",
     ),
     "guess": (
@@ -32,7 +32,7 @@ COMMANDS: Table = {
         "Where peers find each tag, its quality and its age, if the gateway serves them.",
     ),
     "codegen": (
-        "gateway.commission.writeback.codegen:codegen",
+        "gateway.commission.commands:codegen",
         "Generate the PLC's side of the write-back as Structured Text.",
     ),
     "report": ("gateway.commission.commands:report", "Make or verify the site acceptance report: page, paper, JSON."),
@@ -61,7 +61,7 @@ CHECKS: Table = {
         "Read for a longer time: cycle times, losses, the period to be recommended.",
     ),
     "write": (
-        "gateway.commission.writeback.test:test",
+        "gateway.commission.commands:test",
         "Test the PLC's side: alarm bits, heartbeats, the contract; needs an arming.",
     ),
 }

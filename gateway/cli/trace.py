@@ -6,7 +6,7 @@ from gateway.entry import LazyGroup, Table
 
 COMMANDS: Table = {
     "can": (
-        "gateway.lab.traces.can:can_log",
+        "gateway.lab.traces.commands:can_log",
         "Decode a CAN log (candump, ASC, BLF, TRC, CSV, MF4) to a table and a CSV.",
     ),
     "ingest": (
@@ -14,11 +14,11 @@ COMMANDS: Table = {
         "Take a folder's files into an archive: recognised, copied, listed; doubles refused.",
     ),
     "map": (
-        "gateway.lab.traces.map:map_command",
+        "gateway.lab.traces.commands:map_command",
         "Draft a column map from a CSV: clock, units, switches, temperature, thresholds.",
     ),
-    "show": ("gateway.lab.traces.show:show", "Load traces; say what was used, what was refused and why."),
-    "synth": ("gateway.lab.traces.synth:synth", "Write SYNTHETIC traces as CSV."),
+    "show": ("gateway.lab.traces.commands:show", "Load traces; say what was used, what was refused and why."),
+    "synth": ("gateway.lab.traces.commands:synth", "Write SYNTHETIC traces as CSV."),
 }
 
 

@@ -3,10 +3,10 @@
 from gateway.entry import FirstWordCommand, Table
 
 COMMANDS: Table = {
-    "add": ("gateway.cli.plant.accounts:add", "Make an account; its password is asked for."),
-    "list": ("gateway.cli.plant.accounts:list_accounts", "List the accounts and what each may do."),
-    "password": ("gateway.cli.plant.accounts:password", "Give an account another password; its sessions end."),
-    "remove": ("gateway.cli.plant.accounts:remove", "Remove an account; its sessions end."),
+    "add": ("gateway.cli.plant.commands:add_account", "Make an account; its password is asked for."),
+    "list": ("gateway.cli.plant.commands:list_accounts", "List the accounts and what each may do."),
+    "password": ("gateway.cli.plant.commands:change_password", "Give an account another password; its sessions end."),
+    "remove": ("gateway.cli.plant.commands:remove_account", "Remove an account; its sessions end."),
 }
 EXAMPLES = {
     "add": "user add rossi --role operator --config plant.toml",

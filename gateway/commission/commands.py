@@ -22,7 +22,8 @@ from gateway.commission.options import (
     plant_options,
     record_options,
 )
-from gateway.console import json_option, socket_option
+from gateway.commission.writeback.targets import TARGETS
+from gateway.console import config_dir, json_option, renamed_option, socket_option
 
 _PATH = click.Path(path_type=Path)
 
@@ -372,5 +373,115 @@ def import_list(**options: Any) -> None:
     does not say of a tag stays as it is in the file.
     """
     from gateway.commission.import_list import import_list as work
+
+    work(**options)
+
+
+@click.command(short_help="Look for units, nodes, CAN frames, or readable registers.")
+@click.argument("what", type=click.Choice(("units", "nodes", "frames", "registers", "models")))
+@click.argument("stretch", required=False, metavar="[RANGE]")
+@click.option("--requests", type=click.IntRange(1), help="registers: the most requests to send.  [default: 3000]")
+@click.option("--seconds", type=click.FloatRange(0.1, 3600), help="frames: how long to listen.  [default: 5]")
+@click.option("--listen-only", is_flag=True, default=None, help="nodes: send nothing, only hear their heartbeats.")
+@renamed_option("--units", "give them as RANGE, `decanter plc scan units 1-32`")
+@renamed_option("--nodes", "give them as RANGE, `decanter plc scan nodes 1-32`")
+@link_options
+def scan(**options: Any) -> None:
+    """Look for what is there: units, nodes, frames, registers or models, within RANGE. Nothing is written.
+
+    units: which Modbus units answer behind this connection (1-247, without RANGE until twenty in a row are silent);
+    each is asked for one register, twice at most.
+    nodes: which CANopen nodes are on this bus (1-127), by their heartbeats and by their answers to SDO requests.
+    frames: which frames are on this CAN bus, how often, and what they may be; nothing is sent.
+    registers: which of holding:0-999, or 40001-41000, can be read, and how many at once. Blocks are asked first,
+    refused ones are cut in halves; what the bound on requests leaves unasked is said.
+    models: which SunSpec models the device has, from holding:40000, 0 or 50000 on, or from RANGE; each with its import.
+    """
+    from gateway.commission.scan import scan as work
+
+    work(**options)
+
+
+@click.command(short_help="Read tags or bare addresses: raw words and values; --watch: as they change.")
+@click.argument("what", nargs=-1)
+@click.option("--type", "dtype", type=click.Choice(TYPES), help="What the addresses hold; plain registers without it.")
+@click.option("--order", type=click.Choice(ORDERS), default="ABCD", show_default=True, help="Byte and word order.")
+@click.option("--scale", type=float, default=1.0, help="Engineering units per count.")
+@click.option("--offset", type=float, default=0.0, help="Engineering units at raw 0.")
+@bit_option
+@click.option("--length", type=click.IntRange(1), default=2, help="Bytes of a string.")
+@click.option("--count", type=click.IntRange(1, 2000), default=1, help="So many values in a row.")
+@click.option("--watch", "watches", is_flag=True, help="Read again and again; show what changes.")
+@click.option("--period", type=click.FloatRange(0.02, 3600), default=1.0, show_default=True, help="With --watch: each.")
+@click.option("--seconds", type=click.FloatRange(0.02), help="With --watch: stop after so long; else Ctrl-C ends it.")
+@link_options
+def read(**options: Any) -> None:
+    """Read tags or bare addresses once: raw words and values side by side.
+
+    WHAT are tags of the device file, or addresses: holding:100, 40101, holding:100-119, 0x2001:1, dbc:Message.Signal.
+    Without WHAT all tags are read.
+
+    With --watch they are read until Ctrl-C: value, quality, age, least and greatest, a sparkline. On a terminal the
+    view is live, and Enter sets a mark: its time and all values are kept in the records. Elsewhere each change is a
+    line.
+    """
+    from gateway.commission.read import read as work
+
+    work(**options)
+
+
+@click.command(short_help="Generate the PLC's side of the write-back as Structured Text.")
+@click.option(
+    "--device",
+    type=click.Path(path_type=Path),
+    default=lambda: config_dir() / "devices" / "decanter_plc.toml",
+    show_default="config/devices/decanter_plc.toml",
+    help="The device file (register map) with the [writeback] table.",
+)
+@click.option(
+    "--target",
+    type=click.Choice(list(TARGETS)),
+    default="plain",
+    show_default=True,
+    help="The tool that the text goes into: its names, its places of registers, its spelling.",
+)
+@click.option("--out", type=click.Path(path_type=Path), help="File of the Structured Text.  [default: the screen]")
+@click.option("--name", default="", help="Name of the function block.  [default: made from the device's name]")
+@click.option("--program/--no-program", default=True, show_default=True, help="Also an example program that calls it.")
+@click.option(
+    "--location", default="", help="Where registers lie in the PLC: %MW, %QW or %IW.  [default: the target's]"
+)
+@click.option("--permit-at", default="", metavar="LOCATION", help="The bit of the permit's switch, such as %IX0.0.")
+@click.option("--cycle", type=click.IntRange(1, 10_000), default=20, show_default=True, help="The task's cycle in ms.")
+@click.option("--suite", type=click.Path(path_type=Path), help="Also write the conformance suite here (JSON).")
+@json_option
+def codegen(**options: Any) -> None:
+    """Generate the function block that checks the gateway's blocks: plain IEC 61131-3, 2nd edition, from the map.
+
+    It checks layout version, sequence copy, CRC, session and heartbeat, keeps a timer, and falls back to the PLC's own
+    logic. What to paste where in OpenPLC, CODESYS and TIA Portal is in docs/plc_side.md.
+    """
+    from gateway.commission.writeback.codegen import codegen as work
+
+    work(**options)
+
+
+@click.command(short_help="Test the PLC's side: alarm bits, heartbeats, the contract; needs an arming.")
+@click.argument("what", type=click.Choice(("alarms", "heartbeat", "conformance")))
+@click.option("--ask", is_flag=True, default=None, help="alarms, conformance: put each question to the person here.")
+@click.option("--watchdog/--no-watchdog", default=None, help="heartbeat: let the PLC's timer run out.  [default: yes]")
+@audit_option
+@link_options
+def test(**options: Any) -> None:
+    """Test the PLC's side of the write-back. It writes, so it needs an arming (decanter arm).
+
+    alarms sets each alarm bit alone, then none: the PLC has to accept the block, and the HMI to show it (--ask).
+    heartbeat moves and checks both heartbeats; the PLC's timer runs out when the blocks cease. Blocks of both have
+    validity 0, but for one that starts the timer, with a probability of 0 and no other number in it.
+
+    conformance puts the PLC's side through the suite of the contract: whole, torn, wrong and late blocks, for about
+    five times the PLC's timer. With --ask a person gives and takes the permit when the suite wants it.
+    """
+    from gateway.commission.writeback.test import test as work
 
     work(**options)

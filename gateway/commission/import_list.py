@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from drivers.driver import capabilities
+from drivers.settings import read_toml
 from gateway.commission.files import (
     MOST_REPEATS,
     Binding,
@@ -35,12 +36,14 @@ def import_list(given: SharedOptions, path: Path, **options: Any) -> None:
     def work(files: Files) -> CommandResult:
         device, plant = split_settings(options["keep"])
         registers = capabilities(files.driver).registers
+        held = read_toml(files.device).get("device", {}) if files.device.exists() else {}
         how = make_reading(
             options,
             table=options["registers"],
             registers=registers,
             rename=options["rename"],
             unit=given.settings.get("unit"),
+            wide="wide_registers" in {**held, **files.settings, **device},
             repeats=repeats_of(options["repeat"]),
         )
         io_list = read_io_list(path, how, options["columns"], options["sheet"])

@@ -1,6 +1,5 @@
 """`decanter plc probe`: is the device there, does it speak, and who is it? The first step that fails ends it."""
 
-import asyncio
 import json
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -50,8 +49,6 @@ UNREQUESTED_WAIT_S = 0.25
 """A first answer that takes longer than this and than all others comes of a device that is silent at first."""
 OTHER_UNITS = (1, 255, 0, 2, 247)
 """Asked when the given unit is silent: what devices and gateways use where nothing was set."""
-GATEWAY_PAUSES_S = (0.1, 0.3)
-"""After a gateway has said that its unit gave no answer (exceptions 10, 11), until it is asked again."""
 MOST_REMEDIES = 3
 """Settings that are tried on a device that answers in an unusual way."""
 _HABITS = {
@@ -272,20 +269,12 @@ async def _speaks(site: Site, survey: AsksRegisters, steps: list[CheckStep]) -> 
 
 
 async def _first_read(survey: AsksRegisters, register: Register) -> tuple[DeviceException | None, float]:
-    """How a register is refused, or None, and the seconds that this question took by itself.
-
-    A gateway's word that its unit is silent is believed when it is the third.
-    """
-    for pause in (0.0, *GATEWAY_PAUSES_S):
-        await asyncio.sleep(pause)
-        begun = time.monotonic()
-        try:
-            return None, (await survey.read(register.table, register.number, 1)).seconds
-        except DeviceException as error:
-            refusal, seconds = error, time.monotonic() - begun
-            if error.code not in BEHIND_GATEWAY:
-                break
-    return refusal, seconds
+    """How a register is refused, or None, and the seconds that this question took by itself."""
+    begun = time.monotonic()
+    try:
+        return None, (await survey.read(register.table, register.number, 1)).seconds
+    except DeviceException as error:
+        return error, time.monotonic() - begun
 
 
 async def _other_units(survey: AsksRegisters, unit: int) -> list[int]:

@@ -15,7 +15,7 @@ from drivers.codec import register_count
 from drivers.driver import Explains, PlanKind
 from drivers.survey import Raw
 from drivers.tag import DType, Order, Quality, Tag
-from gateway.commission.options import ORDERS, TYPES, SharedOptions, bit_option, link_options
+from gateway.commission.options import SharedOptions
 from gateway.commission.session import Site, perform, read_samples, running_gateway
 from gateway.commission.survey import SDO_S, AddressTextError, parse_stretch, reference_number
 from gateway.console import CommandResult, Part, Rows
@@ -157,19 +157,6 @@ async def read_raw(site: Site, tags: Sequence[Tag]) -> list[Raw]:
     return [Raw(tag, sample, tag.address, 1) for tag, sample in zip(tags, samples, strict=True)]
 
 
-@click.command(short_help="Read tags or bare addresses: raw words and values; --watch: as they change.")
-@click.argument("what", nargs=-1)
-@click.option("--type", "dtype", type=click.Choice(TYPES), help="What the addresses hold; plain registers without it.")
-@click.option("--order", type=click.Choice(ORDERS), default="ABCD", show_default=True, help="Byte and word order.")
-@click.option("--scale", type=float, default=1.0, help="Engineering units per count.")
-@click.option("--offset", type=float, default=0.0, help="Engineering units at raw 0.")
-@bit_option
-@click.option("--length", type=click.IntRange(1), default=2, help="Bytes of a string.")
-@click.option("--count", type=click.IntRange(1, 2000), default=1, help="So many values in a row.")
-@click.option("--watch", "watches", is_flag=True, help="Read again and again; show what changes.")
-@click.option("--period", type=click.FloatRange(0.02, 3600), default=1.0, show_default=True, help="With --watch: each.")
-@click.option("--seconds", type=click.FloatRange(0.02), help="With --watch: stop after so long; else Ctrl-C ends it.")
-@link_options
 def read(
     given: SharedOptions,
     what: Sequence[str],
@@ -184,15 +171,7 @@ def read(
     period: float,
     seconds: float | None,
 ) -> None:
-    """Read tags or bare addresses once: raw words and values side by side.
-
-    WHAT are tags of the device file, or addresses: holding:100, 40101, holding:100-119, 0x2001:1, dbc:Message.Signal.
-    Without WHAT all tags are read.
-
-    With --watch they are read until Ctrl-C: value, quality, age, least and greatest, a sparkline. On a terminal the
-    view is live, and Enter sets a mark: its time and all values are kept in the records. Elsewhere each change is a
-    line.
-    """
+    """The work of `plc read`."""
     kind = DType(dtype) if dtype else None
     how = How(
         dtype=kind,

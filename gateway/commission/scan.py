@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 from drivers.capabilities import Capabilities
-from gateway.commission.options import SharedOptions, link_options
+from gateway.commission.options import SharedOptions
 from gateway.commission.session import Site, find_target, perform
 from gateway.commission.survey import (
     BASES,
@@ -18,7 +18,7 @@ from gateway.commission.survey import (
     scan_registers,
     scan_units,
 )
-from gateway.console import CommandResult, Part, Rows, View, progress, renamed_option
+from gateway.console import CommandResult, Part, Rows, View, progress
 from gateway.entry import sentences
 
 
@@ -93,26 +93,8 @@ KINDS: dict[str, ScanKind] = {
 }
 
 
-@click.command(short_help="Look for units, nodes, CAN frames, or readable registers.")
-@click.argument("what", type=click.Choice(list(KINDS)))
-@click.argument("stretch", required=False, metavar="[RANGE]")
-@click.option("--requests", type=click.IntRange(1), help="registers: the most requests to send.  [default: 3000]")
-@click.option("--seconds", type=click.FloatRange(0.1, 3600), help="frames: how long to listen.  [default: 5]")
-@click.option("--listen-only", is_flag=True, default=None, help="nodes: send nothing, only hear their heartbeats.")
-@renamed_option("--units", "give them as RANGE, `decanter plc scan units 1-32`")
-@renamed_option("--nodes", "give them as RANGE, `decanter plc scan nodes 1-32`")
-@link_options
 def scan(given: SharedOptions, what: str, stretch: str | None, **options: Any) -> None:
-    """Look for what is there: units, nodes, frames, registers or models, within RANGE. Nothing is written.
-
-    units: which Modbus units answer behind this connection (1-247, without RANGE until twenty in a row are silent);
-    each is asked for one register, twice at most.
-    nodes: which CANopen nodes are on this bus (1-127), by their heartbeats and by their answers to SDO requests.
-    frames: which frames are on this CAN bus, how often, and what they may be; nothing is sent.
-    registers: which of holding:0-999, or 40001-41000, can be read, and how many at once. Blocks are asked first,
-    refused ones are cut in halves; what the bound on requests leaves unasked is said.
-    models: which SunSpec models the device has, from holding:40000, 0 or 50000 on, or from RANGE; each with its import.
-    """
+    """The work of `plc scan`."""
     kind = KINDS[what]
     options = {name: value for name, value in options.items() if value is not None}
     if foreign := [name for name in options if name not in kind.options]:

@@ -8,7 +8,6 @@ from typing import Any
 
 from gateway.console import config_dir
 from gateway.demo.can_bus import can_hub, hub_path
-from gateway.network import make_all
 
 Ready = Mapping[str, Any]
 """The ready line of the software PLC; what a face says of itself stands under `faces` and the face's name."""
@@ -35,6 +34,8 @@ class DemoLink:
 
 def certificates(folder: Path) -> Path:
     """The demonstration's certificates, made on the spot: they are good for this machine and a few days."""
+    from gateway.network import make_all  # cryptography with it, which no help needs
+
     return make_all(folder / "certificates", hosts=("localhost", "127.0.0.1"), days=7)
 
 

@@ -84,6 +84,19 @@ def fail(sentence: str, code: int = Exit.USAGE, *, answer: CallAnswer | None = N
     sys.exit(code)
 
 
+def _also_missing(error: click.MissingParameter, words: Sequence[str]) -> list[str]:
+    """The other options without which the command does not run either: click tells of one, and then of the next."""
+    if error.ctx is None:
+        return []
+    given = {word.partition("=")[0] for word in words}
+    return [
+        option.opts[0]
+        for option in error.ctx.command.params
+        if isinstance(option, click.Option) and option.required and option is not error.param
+        and not given.intersection(option.opts) and option.value_from_envvar(error.ctx) is None
+    ]  # fmt: skip
+
+
 def run_command(run: Callable[..., Any], words: Sequence[str]) -> NoReturn:
     """Run a click command's `main` with these words; what click has to say is one sentence too, and the exit code.
 
@@ -102,6 +115,8 @@ def run_command(run: Callable[..., Any], words: Sequence[str]) -> NoReturn:
     except click.ClickException as error:
         # Click breaks some of its messages into lines, and ends some with a full stop.
         said = " ".join(error.format_message().split()).rstrip(".")
+        if isinstance(error, click.MissingParameter):
+            said += "".join(f", and {option!r}" for option in _also_missing(error, words))
         context = getattr(error, "ctx", None)
         remedy = f"; see `{context.command_path} --help`" if context is not None else ""
         fail(said + remedy, error.exit_code, answer=answer)

@@ -43,3 +43,22 @@ trace_option = click.option("--trace", "paths", multiple=True, help="A file, a f
 traces_option = click.option(
     "--traces", "paths", multiple=True, required=True, help="A file, a folder or a glob; may be given again."
 )
+
+
+def _drawable(_: click.Context, __: click.Parameter, path: Path | None) -> Path | None:
+    """Refuse what cannot be drawn before anything is computed."""
+    if path is None:
+        return None
+    from sim.lab.pictures import PICTURE_SUFFIXES
+
+    if path.suffix.lower() not in PICTURE_SUFFIXES:
+        raise click.BadParameter(f"{str(path)!r} is no picture; give a name that ends in {', '.join(PICTURE_SUFFIXES)}")
+    return path
+
+
+picture_option = click.option(
+    "--picture",
+    type=click.Path(path_type=Path, dir_okay=False),
+    callback=_drawable,
+    help="Also draw the first trace to this file.",
+)

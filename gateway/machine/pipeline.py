@@ -103,6 +103,8 @@ class Machine:
         log_failure: Callable[[], str] = lambda: "",
     ) -> None:
         self._turns, self.without = turns, without
+        # Found out once: to look at what a protocol asks for takes longer than to take a reading's alarms.
+        self._complains = driver if isinstance(driver, Complains) else None
         self.config, self.driver, self.clock, self.log = config, driver, clock, log
         # What can be refused is read first: a model that does not suit the plant leaves no historian behind.
         models = load_models(config) if models is None else models
@@ -379,7 +381,7 @@ class Machine:
         return make_conditions(
             self.config,
             self.inputs,
-            complains=isinstance(self.driver, Complains),
+            complains=self._complains is not None,
             anomaly_levels={tag: record.level for tag, record in records.items() if record is not None},
         )
 
@@ -411,7 +413,7 @@ class Machine:
 
     def complaints(self) -> tuple[str, ...]:
         """What the device itself says is wrong with it, now."""
-        return self.driver.complaints() if isinstance(self.driver, Complains) else ()
+        return self._complains.complaints() if self._complains is not None else ()
 
     async def arm(
         self,

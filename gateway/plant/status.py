@@ -204,6 +204,7 @@ def _forecast(one: FollowedTemperature, last: Scan | None, now: float) -> Foreca
         factors=forecast.factors.tolist(),
         block=values,
         coverage=model.outlook.coverage(),
+        postponed=model.outlook.postponed,
     )
 
 

@@ -2,8 +2,9 @@
 
 import json
 from collections import Counter
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from math import inf, nan
 from pathlib import Path
 from typing import Any
@@ -22,7 +23,7 @@ from gateway.store.read_back import (
     stored_rows,
 )
 from sim.scores import coverage, crps_quantiles
-from sim.sha import Array
+from sim.sha import Array, Mask
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,6 +48,16 @@ class HorizonScore:
     count: int
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StartScore:
+    """The `forecasts` that were made from `begin` to `end` (s) after the machine's start, one score a horizon; an `end`
+    of None is open, and a `begin` of None is at rest."""
+
+    begin: float | None
+    end: float | None
+    forecasts: tuple[HorizonScore, ...]
+
+
 @dataclass(frozen=True, slots=True)
 class WriteScore:
     """Blocks by verdict, and the latency (ms, real time) from a scan's last reply to the confirmed write."""
@@ -60,7 +71,8 @@ class WriteScore:
 class Scorecard:
     """`scans` and `samples` (kept) and `events` are counts; `free_run` and `one_step` the errors of the two ways to
     predict; `forecasts` one score a horizon, ascending; `guards` what the model's guards last said: reviews, clamps;
-    `by_location` the errors one step ahead while the model was in each location."""
+    `by_location` the errors one step ahead while the model was in each location; `by_start` the forecasts by the time
+    since the machine's start, none where it is not known in which locations it runs."""
 
     scans: int
     samples: int
@@ -72,6 +84,7 @@ class Scorecard:
     writes: WriteScore
     guards: Mapping[str, Any] = field(default_factory=dict)
     by_location: Mapping[str, Error] = field(default_factory=dict)
+    by_start: tuple[StartScore, ...] = ()
 
 
 def scorecard(
@@ -81,11 +94,13 @@ def scorecard(
     temperature: str | None = None,
     start: float = -inf,
     end: float = inf,
+    runs: Mapping[str, bool] | None = None,
 ) -> Scorecard:
     """The scores of a followed `temperature` of a machine in the historian at `path`, and of its scans and samples.
 
     None is the only machine, the first temperature that is followed on it. The predictions, forecasts and writes are
-    those from `start` to `end` (s UTC); the counts are of the whole file. Raises HistorianError.
+    those from `start` to `end` (s UTC); the counts are of the whole file. `runs` says of locations whether the machine
+    runs in them. Raises HistorianError.
     """
     with reading(path) as connection:
         counts = {table: row_number(connection, table, machine=machine) for table in ("scans", "samples")}
@@ -119,7 +134,53 @@ def scorecard(
             for name in dict.fromkeys(seen.locations)
             if (here := places == name).any()
         },
+        by_start=_scores_since_start(seen.times, seen.locations, forecasts, runs) if runs else (),
     )
+
+
+START_BOUNDS_S = (0.0, 180.0, 600.0, 1800.0)
+"""Where the classes of the time since a start begin: those of the laboratory's judge of forecasts."""
+LEAST_GAP_S, GAP_SCANS = 60.0, 10.0
+"""How long nothing was predicted, at least and in usual steps, for a start meanwhile to have been missed."""
+
+
+def time_since_start(times: Array, locations: Sequence[str], runs: Mapping[str, bool]) -> Array:
+    """Seconds since the machine's last start at each of some ascending times; -inf at rest, NaN where it is not known:
+    before the first start, and after a gap in which one may have been missed.
+
+    A location of which it is not known whether the machine runs in it changes nothing.
+    """
+    if not times.size:
+        return np.empty(0)
+    steps, order = np.diff(times, prepend=-inf), np.arange(times.size)
+    fresh = steps > (max(LEAST_GAP_S, GAP_SCANS * float(np.median(steps[1:]))) if times.size > 1 else 0.0)
+    state = np.array([runs.get(location, nan) for location in locations], dtype=float)
+    state = state[np.maximum.accumulate(np.where(np.isfinite(state) | fresh, order, 0))]
+    starts = ~fresh & (state == 1.0) & (np.roll(state, 1) == 0.0)
+    last = np.maximum.accumulate(np.where(starts | fresh, order, 0))
+    running = np.where(starts[last], times - times[last], nan)
+    return np.where(state == 0.0, -inf, np.where(state == 1.0, running, nan))
+
+
+def _scores_since_start(
+    times: Array, locations: Sequence[str], forecasts: Mapping[float, Matured], runs: Mapping[str, bool]
+) -> tuple[StartScore, ...]:
+    since = time_since_start(times, locations, runs)
+    classes = ((None, None), *pairwise((*START_BOUNDS_S, None)))
+    found: dict[tuple[float | None, float | None], list[HorizonScore]] = {each: [] for each in classes}
+    for _, one in sorted(forecasts.items()):
+        place = np.searchsorted(times, one.times, side="right") - 1
+        own = np.where(place >= 0, np.append(since, nan)[place], nan)
+        for begin, end in classes:
+            here = own == -inf if begin is None else (own >= begin) & (own < (inf if end is None else end))
+            if here.any():
+                found[begin, end].append(_horizon_score(_select(one, here)))
+    return tuple(StartScore(begin=b, end=e, forecasts=tuple(scores)) for (b, e), scores in found.items() if scores)
+
+
+def _select(forecasts: Matured, here: Mask) -> Matured:
+    parts = ("times", "quantiles", "p_limit", "persistence", "outcome")
+    return replace(forecasts, **{name: getattr(forecasts, name)[here] for name in parts})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -34,11 +34,13 @@ if TYPE_CHECKING:
         FORECAST_CRITERION,
         NO_VERDICT_TEXT,
         VERDICT_FILE,
+        ForeseenHorizon,
         JudgedCriterion,
         ModelVerdict,
         Word,
         rate_criteria,
         read_verdict,
     )
+    from sim.artefacts.verdict_pair import HorizonPair, compare_verdicts, pair_horizons
 else:
     __getattr__ = lazy_getattr(__name__)

@@ -108,17 +108,19 @@ def objection(store: Path, version: str) -> tuple[bool, str]:
     return True, "; and ".join(objections(verification.reasons, verdict))
 
 
-def promote(store: Path, version: str, force: Force | None = None) -> None:
+def promote(store: Path, version: str, force: Force | None = None, *, beside: str = "") -> None:
     """Makes a version the current one, if its files are as they were written, its model verifies as deployable, and it
     was not judged unfit where it was learned.
 
-    `force` promotes one that can be run all the same; it is recorded in the store. Raises ArtefactError.
+    `beside` is what speaks against it beside the one that runs ("" for nothing). `force` promotes one that can be run
+    all the same; it is recorded in the store. Raises ArtefactError.
     """
     runs, reason = objection(store, version)
     if not runs:
         raise file_error(
             store / VERSIONS_FOLDER / version, None, f"is not promoted, as it cannot be run at all: {reason}"
         )
+    reason = "; and ".join(filter(None, (reason, beside)))
     if reason and force is None:
         raise file_error(
             store / VERSIONS_FOLDER / version,

@@ -3,6 +3,7 @@
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from math import isfinite
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -33,11 +34,24 @@ class JudgedCriterion:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class ForeseenHorizon:
+    """What was held out at a `horizon` (s): the mean CRPS (in the model's unit) by cycle, or day, of each recording.
+
+    Errors beyond `rare` standard deviations of the band that the model promises are rare there (`sim.forecast.review`).
+    """
+
+    horizon: float
+    units: Mapping[str, float]
+    rare: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ModelVerdict:
-    """The `word`, and all criteria behind it."""
+    """The `word`, all criteria behind it, and the figures by which another version is held against it."""
 
     word: Word
     criteria: tuple[JudgedCriterion, ...]
+    foreseen: tuple[ForeseenHorizon, ...] = ()
 
     @property
     def reasons(self) -> tuple[JudgedCriterion, ...]:
@@ -102,6 +116,8 @@ def read_verdict(folder: Path) -> ModelVerdict | None:
         return ModelVerdict(
             word=document["word"],
             criteria=tuple(_criterion(each) for each in document["criteria"]),
+            # A verdict of a former release keeps no figures.
+            foreseen=tuple(_foreseen_horizon(each) for each in document.get("foreseen", ())),
         )
     except (AttributeError, KeyError, OverflowError, RecursionError, TypeError, ValueError) as error:
         raise file_error(
@@ -114,3 +130,11 @@ def _criterion(plain: Mapping[str, Any]) -> JudgedCriterion:
         raise ValueError(f"{plain['kept']!r} says nothing of a criterion")
     texts = {name: str(plain[name]) for name in ("criterion", "sentence", "next_step")}
     return JudgedCriterion(kept=plain["kept"], **texts)
+
+
+def _foreseen_horizon(plain: Mapping[str, Any]) -> ForeseenHorizon:
+    units = {str(unit): float(crps) for unit, crps in plain["units"].items()}
+    horizon, rare = float(plain["horizon"]), float(plain["rare"])
+    if not all(isfinite(value) and value >= 0 for value in (horizon, rare, *units.values())):
+        raise ValueError("a figure of what it foresaw is no number of at least 0")
+    return ForeseenHorizon(horizon=horizon, units=units, rare=rare)

@@ -9,12 +9,13 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import click
 
-from sim.plc.modbus import UnitsBehind
-from sim.plc.program import CycleFaults, InputError, Plc
+if TYPE_CHECKING:  # pymodbus and pydantic with them, which no help needs
+    from sim.plc.modbus import UnitsBehind
+    from sim.plc.program import CycleFaults, Plc
 
 Complain = Callable[[str], None]
 _FILE = click.Path(path_type=Path)
@@ -29,7 +30,7 @@ class Face(Protocol):
         """Begin to serve. Raises OSError with a reason."""
         ...
 
-    async def apply(self, line: CycleFaults) -> None:
+    async def apply(self, line: "CycleFaults") -> None:
         """Once a cycle: bring the face to what `line` asks for (already narrowed to this face)."""
         ...
 
@@ -123,11 +124,13 @@ def face_options(options: Mapping[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in options.items() if name in names}
 
 
-def make_faces(plc: Plc, options: Mapping[str, Any], complain: Complain, units: UnitsBehind | None) -> list[Face]:
+def make_faces(plc: "Plc", options: Mapping[str, Any], complain: Complain, units: "UnitsBehind | None") -> list[Face]:
     """The faces that the options ask for; those that tell units apart serve `units`.
 
     A machine behind another one has none of these (`units` is None). Raises InputError.
     """
+    from sim.plc.program import InputError
+
     faces: list[Face] = []
     for kind in FACES.values():
         if options.get(kind.option) is not None:

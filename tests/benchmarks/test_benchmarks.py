@@ -77,6 +77,14 @@ def test_footprint_counts_the_scans_of_a_living_gateway(model_folder: Path) -> N
 
 
 @pytest.mark.benchmark
+def test_beside_a_busy_neighbour_a_bare_client_shows_what_is_lost_outside_the_gateway(model_folder: Path) -> None:
+    options = ("--neighbours", "1", "--machines", "1", "--seconds", "1.5", "--model-folder", str(model_folder))
+    figures = by_name(said("footprint", *options)["figures"])
+    ages = figures["  age of a block when followed, p99"]
+    assert ages["value"] > 0 < ages["other"] and "bare client" in ages["against"]
+
+
+@pytest.mark.benchmark
 def test_memory_by_import_is_all_of_a_running_gateways_which_loads_nothing_that_it_does_not_need(
     model_folder: Path,
 ) -> None:

@@ -97,7 +97,8 @@ def test_without_an_arming_nothing_is_written_and_the_exit_code_is_6(plc: tuple[
         ("Ada", ["--reason", "x", "--minutes", "481"], "at most 480"),
         ("Ada", ["--reason", "x", "--minutes", "nan"], "at most 480"),
         ("Ada", ["--reason", "x"], "Missing option '--minutes'"),
-        ("Ada", ["--minutes", "5"], "Missing option '--reason'"),
+        ("Ada", ["--minutes", "5"], "Missing option '--reason'; see"),
+        ("Ada", [], "Missing option '--reason', and '--minutes'; see"),
     ],
 )
 def test_an_arming_that_is_not_signed_is_refused(tmp_path: Path, by: str, words: list[str], reason: str) -> None:

@@ -630,3 +630,174 @@ def test_a_plants_unit_number_is_no_unit_of_modbus(
 ) -> None:
     text = f"Name;Address;Type;Unit No\nA;100;INT16;{units[0]}\nB;101;INT16;{units[1]}\n"
     assert len(read(tmp_path, text, Reading(unit=unit)).tags) == count
+
+
+# ---------------------------------------------------------------- maps of gateways and loggers
+
+
+def test_numbers_of_a_device_whose_addresses_have_32_bits_do_not_lie_across_one_another(tmp_path: Path) -> None:
+    text = "Name;Address;Type\nVolume;5001;DINT\nFlow;5002;REAL\nTemp;5003;REAL\n"
+    assert [tag.name for tag in read(tmp_path, text, Reading(wide=True)).tags] == ["Volume", "Flow", "Temp"]
+    (said,) = read(tmp_path, text).problems
+    assert "give --keep wide_registers=RANGES" in said
+
+
+def test_a_name_stands_in_another_column_of_names_where_its_own_is_empty(tmp_path: Path) -> None:
+    found = read(
+        tmp_path,
+        "variable name,data type,register,documented name,unit\n"
+        "Battery,USHORT,1,Vbat,0.1V\n,USHORT,2,Ibat,10mA\n,,3,,V\n",
+    )
+    assert [(tag.name, tag.keys["scale"], tag.keys["unit"]) for tag in found.tags] == [
+        ("Battery", 0.1, "V"),
+        ("Ibat", 10.0, "mA"),
+    ]
+    assert found.tags[1].taken.startswith("named by 'documented name'")
+    (said,) = found.problems
+    assert "line 4" in said and "is empty; give the tag's name" in said
+
+
+def test_words_of_one_counter_tell_that_all_pairs_are_words(tmp_path: Path) -> None:
+    head = "Name,Documented Name,Address,Type,Unit\n"
+    power, energy = "PV,Ppv H,1,UINT16,0.1W\nRest,Ppv L,2,UINT16,0.1W\n", "E,Epv H,3,UINT16,kWh\nF,Epv L,4,UINT16,kWh\n"
+    assert len(read(tmp_path, head + power).tags) == 2  # two limits may be named so
+    found = read(tmp_path, head + power + energy)
+    assert not found.tags and len(found.problems) == 4
+    assert "line 2: 'PV' is one word of a number of 32 bits, and the other is in line 3" in found.problems[0]
+
+
+@pytest.mark.parametrize(
+    ("cells", "says"),
+    [
+        ("100;103;U16", "'U16' has 1 register, and the row says 4"),
+        ("100;103;", "is empty, and the row has 4 registers"), ("200;190;U16", "is no range of one table"),
+        ("100;;U16", "holding:100"), ("100;100;U16", "holding:100"), ("100;101;UDINT", "holding:100"),
+        ("0x0100;0x0101;REAL", "holding:256"), ("40101;40102;UDINT", "holding:100"),
+        ("186;197;ASCII", "holding:186"),
+    ],
+)  # fmt: skip
+def test_an_end_address_says_how_many_registers_a_row_has(cells: str, says: str, tmp_path: Path) -> None:
+    found = row(tmp_path, "Addr;Addr End;Type", cells)
+    assert (says in found) if isinstance(found, str) else found["address"] == says
+    assert "ASCII" not in cells or (isinstance(found, dict) and found["length"] == 24)
+
+
+@pytest.mark.parametrize(
+    ("header", "cells", "says"),
+    [
+        ("Length", "UINT;2byte", "uint16"), ("Length", "UINT;4 bytes", "'UINT' has 1 register, and the row says 2"),
+        ("Length", "UDINT;2 words", "uint32"),
+        ("Length", "UDINT;2 byte", "'UDINT' has 2 registers, and the row says 1"),
+        ("Length", "STRING;32byte", "string"), ("Length", "ASCII;12 registers", "string"),
+        ("Quantity", "REAL;2 regs", "float32"), ("Quantity", "INT16;2 registers", "has 1 register, and the row says 2"),
+        ("Länge", "16 bit ohne Vorzeichen;1 Wort", "uint16"), ("Length", "STRING;12 bits", "no whole bytes"),
+    ],
+)  # fmt: skip
+def test_a_size_may_say_in_what_it_counts(header: str, cells: str, says: str, tmp_path: Path) -> None:
+    found = row(tmp_path, f"Address;Type;{header}", f"100;{cells}")
+    assert (says in found) if isinstance(found, str) else found["dtype"] == says
+    if isinstance(found, dict) and says == "string":
+        assert found["length"] == (24 if "12" in cells else 32)
+
+
+@pytest.mark.parametrize(
+    ("cell", "dtype"),
+    [
+        ("intero 32 bit con segno", "int32"), ("32 bit con segno", "int32"), ("signed word", "int16"),
+        ("DWORD signed", "int32"), ("word con segno", "int16"), ("int32 unsigned", "uint32"),
+        ("entier 32 bits signé", "int32"), ("Entier non signé 16 bits", "uint16"),
+        ("Ganzzahl 16 Bit mit Vorzeichen", "int16"), ("32 Bit ohne Vorzeichen", "uint32"),
+        ("entero 16 bits sin signo", "uint16"), ("16 bit 2's complement", "int16"),
+        ("16BIT_FLAGS", "uint16"), ("32 bit bitmap", "uint32"), ("Short16", "int16"),
+        ("unsigned, big endian", "uint16"), ("16 bit", None), ("uint32 signed", None), ("8bit", None), ("HEX", None),
+    ],
+)  # fmt: skip
+def test_a_type_has_the_sign_that_its_cell_says(cell: str, dtype: str | None, tmp_path: Path) -> None:
+    found = row(tmp_path, "Address;Type", f"100;{cell}")
+    assert (isinstance(found, str) and "is no type" in found) if dtype is None else found["dtype"] == dtype  # type: ignore[index]
+
+
+@pytest.mark.parametrize(
+    ("header", "cells", "right"),
+    [
+        ("Signed", "INT16;yes", True), ("Signed", "INT16;no", False), ("Signed", "WORD;Y", False),
+        ("Signed", "UINT16;N", True), ("Signo", "INT;sin signo", False), ("Vorzeichen", "UINT16;ohne", True),
+        ("Sign", "REAL;no", True), ("Unsigned", "INT16;yes", False), ("Unsigned", "UINT16;yes", True),
+        ("Signed", ";yes", False), ("Signed", ";", True), ("Sign", "INT16;+/-", True), ("Sign", "INT16;?", True),
+    ],
+)  # fmt: skip
+def test_a_column_of_signs_agrees_with_the_type_or_the_row_is_refused(
+    header: str, cells: str, right: bool, tmp_path: Path
+) -> None:
+    found = row(tmp_path, f"Address;Type;{header}", f"100;{cells}")
+    assert isinstance(found, dict) is right, found
+    assert right or f"'{header}' says" in found
+
+
+@pytest.mark.parametrize(
+    ("header", "cells", "right"),
+    [
+        ("A';B';C'", "1;0;0", True), ("A';B';C'", "1;-1;0", False), ("m;b", "0,1;-40", False), ("m;b", "1;0", True),
+        ("A;B", "L1;L2", True), ("B", "5", True), ("B;C", "5;6", True), ("M;Q", "1;20", False),
+    ],
+)  # fmt: skip
+def test_letters_of_a_straight_line_are_not_passed_over(header: str, cells: str, right: bool, tmp_path: Path) -> None:
+    text = f"Name;Address;Type;{header}\nT;100;INT16;{cells}\n"
+    if right:
+        assert len(read(tmp_path, text).tags) == 1
+        return
+    with pytest.raises(ListError, match="may say how readings are scaled"):
+        read(tmp_path, text)
+
+
+@pytest.mark.parametrize(
+    ("cell", "table"),
+    [("read_input_register", "input"), ("Read_Holding_Register", "holding"), ("Read Coil Status", "coil")],
+)
+def test_a_table_may_be_named_by_one_register(cell: str, table: str, tmp_path: Path) -> None:
+    found = row(tmp_path, "Function;Address", f"{cell};7")
+    assert isinstance(found, dict) and found["address"] == f"{table}:7"
+
+
+def test_an_x_before_a_number_is_hexadecimal_where_that_is_said(tmp_path: Path) -> None:
+    found = row(tmp_path, "Address;Type", "x1A;UINT16")
+    assert isinstance(found, str) and "give --numbers hex" in found
+    told = row(tmp_path, "Address;Type", "x1A;UINT16", Reading(numbers="hex"))
+    assert isinstance(told, dict) and told["address"] == "holding:26"
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        "Nome;Endereço;Tipo de dado;Escala;Unidade", "Naam;Adres;Gegevenstype;Schaal;Eenheid",
+        "Nazwa;Adres;Typ danych;Mnożnik;Jednostka", "Nombre;Dirección;Tipo de dato;Escala;Unidades",
+    ],
+)  # fmt: skip
+def test_lists_in_further_languages_are_read(header: str, tmp_path: Path) -> None:
+    (tag,) = read(tmp_path, f"{header}\nT;40001;INT16;0,1;°C\n").tags
+    assert (tag.keys["address"], tag.keys["scale"], tag.keys["unit"]) == ("holding:0", 0.1, "degC")
+
+
+@pytest.mark.parametrize(
+    ("header", "cell"),
+    [("Mask", "0x00FF"), ("Bit mask", "0x8000"), ("Shift", "8"), ("Maske", "255"), ("Poids", "0,1"), ("Peso", "0,1"),
+     ("Wert pro Digit", "0,1")],
+)  # fmt: skip
+def test_what_says_another_number_than_the_register_is_not_passed_over(header: str, cell: str, tmp_path: Path) -> None:
+    with pytest.raises(ListError, match="is not understood"):
+        read(tmp_path, f"Name;Address;Type;{header}\nT;100;UINT16;{cell}\n")
+    plain = "0xFFFF" if header in ("Mask", "Bit mask", "Maske") else "0" if header == "Shift" else ""
+    assert len(read(tmp_path, f"Name;Address;Type;{header}\nT;100;UINT16;{plain}\n").tags) == 1
+
+
+@pytest.mark.parametrize(
+    ("remark", "may"),
+    [
+        ("0xFFFF = not available", "a number that is no value"), ("invalid: 32767", "a number that is no value"),
+        ("scaled by 10", "a scale"), ("Temperature [0.1 °C]", "a scale"), ("Temp (x100)", "a scale"),
+        ("range 0 to 65535", ""), ("bearing 10", ""), ("see page 0x10", ""),
+    ],
+)  # fmt: skip
+def test_a_scale_or_a_sentinel_in_a_remark_is_said(remark: str, may: str, tmp_path: Path) -> None:
+    (tag,) = read(tmp_path, f"Name;Address;Type;Notes\nT;100;INT16;{remark}\n").tags
+    assert (f"may say {may}" in tag.unread) if may else not tag.unread

@@ -1,6 +1,7 @@
 """What devices are and take: who they say they are, other functions, other frames, connections that end."""
 
 import asyncio
+import socket
 import struct
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
@@ -9,14 +10,15 @@ from typing import Any
 
 import pytest
 
+from drivers.connections import Connections
 from drivers.driver import Complains
-from drivers.errors import DeviceException, DriverError, LinkDown
+from drivers.errors import AddressError, DeviceException, DriverError, LinkDown
 from drivers.modbus.ascii import AsciiStream, ascii_frame
 from drivers.modbus.driver import PinnedDriver, open_modbus
 from drivers.modbus.identity import pinned_marks, stranger, text_of_server_id
 from drivers.modbus.rtu import crc
 from drivers.modbus.settings import connection_place, read_settings
-from drivers.tag import DType, Quality, Sample, Tag
+from drivers.tag import DType, Order, Quality, Sample, Tag
 
 TAGS = [Tag(f"T{number}", f"holding:{number}", DType.INT16, writable=True) for number in range(8)]
 SOON = {"timeout": 0.5, "backoff_first": 0.01, "backoff_cap": 0.02, "connect_timeout": 5.0}
@@ -277,6 +279,111 @@ async def test_reads_are_aligned_where_the_device_takes_no_others() -> None:
         samples = await driver.read(tags)
     assert samples[0].value == 3 and samples[2].value == 21
     assert all(not start % 2 and not number % 2 and number <= 10 for _, start, number in device.asked)
+
+
+@pytest.mark.parametrize("kind", ["alone", "shared", "as on a line"])
+async def test_a_wire_asks_the_system_for_a_few_frames_at_once(monkeypatch: pytest.MonkeyPatch, kind: str) -> None:
+    # asyncio's own 256 KiB a reply are page faults: a third of a scan's processor time.
+    sizes: dict[int, set[int]] = {}
+
+    def receive(self: socket.socket, size: int, *flags: int) -> bytes:
+        sizes.setdefault(self.getpeername()[1], set()).add(size)
+        return super(socket.socket, self).recv(size, *flags)
+
+    monkeypatch.setattr(socket.socket, "recv", receive)
+    server = await asyncio.start_server(Socket(Device()).serve, "127.0.0.1", 0)
+    port = server.sockets[0].getsockname()[1]
+    own = {"transaction_id": "any"} if kind == "as on a line" else {}
+    connections = Connections() if kind == "shared" else None
+    where = {"host": "127.0.0.1", "port": port, **SOON, **own}
+    driver = open_modbus(where, clock=asyncio.get_running_loop().time, connections=connections)
+    try:
+        await driver.open()
+        assert good(await driver.read(TAGS))
+    finally:
+        await driver.close()
+        server.close()
+    assert max(sizes[port]) <= 16_384
+
+
+WIDE = {"wide_registers": ["holding:5001-5099", "input:7001-7003"]}
+WIDE_TAGS = [
+    Tag("volume", "holding:5001", DType.INT32),
+    Tag("flow", "holding:5003", DType.FLOAT32),
+    Tag("swapped", "holding:5004", DType.FLOAT32, order=Order.CDAB),
+    Tag("total", "holding:5010", DType.UINT64),
+    Tag("plain", "holding:5000"),
+    Tag("beyond", "holding:5100", DType.INT32),
+    Tag("rate", "input:7003", DType.FLOAT32),
+]
+
+
+class WideDevice(Device):
+    """A flow computer: from a wide address on it answers four bytes for each."""
+
+    def answer(self, pdu: bytes) -> bytes | None:
+        function, start, number = struct.unpack(">BHH", pdu[:5])
+        self.asked.append((function, start, number))
+        held = {5000: b"\0\7", 5001: struct.pack(">i", -123456789), 5003: struct.pack(">f", 2.5)}
+        held |= {
+            5004: struct.pack(">f", -7.25)[2:] + struct.pack(">f", -7.25)[:2],
+            5010: b"\0\0\0\1",
+            5011: b"\0\0\0\2",
+        }
+        held |= {5100: b"\0\1", 5101: b"\0\2", 7003: struct.pack(">f", 0.125)}
+        wide = 5001 <= start < 5100 or start >= 7001
+        data = b"".join(held.get(at, bytes(4 if wide else 2)) for at in range(start, start + number))
+        return bytes((function, len(data))) + data
+
+
+@pytest.mark.parametrize("attached", [{}, {"transaction_id": "any"}])
+async def test_registers_of_32_bits_are_one_address_each(attached: dict[str, Any]) -> None:
+    async with plugged(device := WideDevice(), [], **WIDE, **attached) as (_, driver):
+        samples = await driver.read(WIDE_TAGS)
+        raws = [driver.raw(tag, sample) for tag, sample in zip(WIDE_TAGS, samples, strict=True)]
+    values = [sample.value for sample in samples]
+    assert values == [-123456789, 2.5, -7.25, (1 << 32) + 2, 7, 65538, 0.125], [sample.reason for sample in samples]
+    assert (raws[1].place, raws[1].count, raws[1].raw) == ("holding:5003", 1, (0x4020, 0))
+    asked = [(start, number) for _, start, number in device.asked]
+    assert sorted(asked) == [(5000, 1), (5001, 11), (5100, 2), (7003, 1)], "no request has both widths"
+
+
+async def test_registers_of_32_bits_without_the_setting_are_refused_with_it() -> None:
+    async with plugged(WideDevice(), []) as (_, driver):
+        (sample,) = await driver.read([Tag("volume", "holding:5001", DType.INT32)])
+    assert sample.value is None and "give wide_registers" in sample.reason
+
+
+@pytest.mark.parametrize(
+    ("tag", "said"),
+    [
+        (Tag("a", "holding:5001"), "is a register of 32 bits"),
+        (Tag("a", "holding:5001", DType.BOOL, bit=3), "the tag is one bit"),
+        (Tag("a", "holding:5000", DType.INT32), "begins before holding:5001-5099"),
+        (Tag("a", "input:7003", DType.FLOAT64), "reach beyond input:7001-7003"),
+    ],
+)
+async def test_what_is_no_whole_register_of_32_bits_is_no_tag(tag: Tag, said: str) -> None:
+    async with plugged(WideDevice(), [], **WIDE) as (_, driver):
+        (sample,) = await driver.read([tag])
+    assert sample.quality is Quality.CONFIGURATION_ERROR and said in sample.reason
+
+
+def test_registers_of_32_bits_are_read_alone() -> None:
+    tag = Tag("a", "holding:5001", DType.INT32, writable=True)
+    with pytest.raises(AddressError, match="such registers are read alone"):
+        open_modbus({"host": "127.0.0.1", **WIDE}, clock=lambda: 0.0, write_map=[tag])
+
+
+@pytest.mark.parametrize("given", ["5001-5999", ["holding:5999-5001"], ["coil:1-2"], ["holding:1-70000"], [5], 7])
+def test_a_range_of_32_bits_that_is_none_is_refused(given: object) -> None:
+    with pytest.raises(DriverError, match="give ranges of PDU addresses"):
+        read_settings({"host": "plc", "wide_registers": given})
+
+
+def test_ranges_of_32_bits_do_not_overlap() -> None:
+    with pytest.raises(DriverError, match="has holding:20 twice"):
+        read_settings({"host": "plc", "wide_registers": ["holding:10-20", "holding:20-30", "input:10-20"]})
 
 
 async def test_a_tag_with_a_period_is_read_no_more_often_and_what_was_read_stands_meanwhile() -> None:

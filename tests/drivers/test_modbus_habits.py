@@ -105,12 +105,59 @@ async def test_a_search_by_silence_takes_no_reading_longer_than_its_time() -> No
                 break
 
 
+async def test_a_gateways_word_is_believed_by_hand_when_it_is_the_third() -> None:
+    habit = Habit(no_way=2)
+    async with served(habit) as settings, open_survey(settings, clock=lambda: 0.0) as survey:
+        assert [raw.sample.value for raw in await survey.tags(TAGS)] == list(range(8))
+    habit = Habit(no_way=100)
+    async with served(habit) as settings, open_survey(settings, clock=lambda: 0.0) as survey:
+        assert {raw.sample.quality for raw in await survey.tags(TAGS)} == {Quality.NO_COMMUNICATION}
+    # A reading as the gateway has it, one question thrice, and another reading.
+    assert len(habit.requests) == 5
+
+
+class LateAtFirst(Habit):
+    def answer(self, pdu: bytes) -> bytes | None:
+        self.late = 0.0 if self.requests else 1.2
+        return super().answer(pdu)
+
+
+async def test_a_first_answer_that_is_late_costs_no_tag_by_hand(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("drivers.modbus.survey.FIRST_ANSWER_S", 30.0)
+    far = [TAGS[0], TAGS[7]]
+    async with (
+        served(LateAtFirst(), timeout=0.3, max_gap=0) as settings,
+        open_survey(settings, clock=lambda: 0.0) as survey,
+    ):
+        assert [raw.sample.value for raw in await survey.tags(far)] == [0, 7]
+
+
 async def test_silence_is_found_by_hand_too() -> None:
     async with served(Habit(silent_at=5)) as settings, open_survey(settings, clock=lambda: 0.0) as survey:
         raws = await survey.tags(TAGS)
         assert [raw.sample.value for raw in raws] == [0, 1, 2, 3, 4, None, 6, 7]
         # As the gateway has it: the place waits in quarantine.
         assert raws[5].sample.quality is Quality.CONFIGURATION_ERROR and "no reply" in raws[5].sample.reason
+
+
+@pytest.mark.parametrize("serial", [False, True], ids=["tcp", "line"])
+async def test_a_gateways_word_that_its_unit_is_silent_is_no_answer(serial: bool) -> None:
+    habit = Habit(serial=serial)
+    async with driven(habit, timeout=5.0) as driver:
+        habit.no_way = 1
+        assert len({sample.reason for sample in await driver.read(TAGS)} - {""}) == len(habit.requests) == 1
+        await values(driver, lambda found: None not in found)
+        habit.no_way = 1
+        assert all(sample.quality.is_good for sample in await driver.read(TAGS))
+        habit.no_way, asked = 100, len(habit.requests)
+        for requests in (2, 3, 4):  # the first reading asks twice, and each one after it once
+            samples = await driver.read(TAGS)
+            assert all("exception 11" in sample.reason for sample in samples)
+            assert len(habit.requests) == asked + requests
+        habit.no_way = 0
+        assert all(sample.quality.is_good for sample in await driver.read(TAGS))
+        habit.no_way = 1
+        assert all(sample.quality.is_good for sample in await driver.read(TAGS))
 
 
 async def test_a_late_read_back_is_waited_for_within_the_writes_time() -> None:

@@ -8,7 +8,7 @@ import pytest
 
 from drivers.tag import Tag
 from gateway.store.read_back import mature_forecasts
-from gateway.store.score import error, scorecard, warning_score
+from gateway.store.score import error, scorecard, time_since_start, warning_score
 from tests.gateway.support import EPOCH, one_machine
 
 LEVELS = [0.05, 0.25, 0.5, 0.75, 0.95]
@@ -46,6 +46,44 @@ def test_errors_forecasts_and_writes_are_those_that_were_put_in(tmp_path: Path) 
     assert 0.0 < ten.crps < ten.mae
     assert card.writes.verdicts == {"written": 4, "failed": 1}
     assert (card.writes.p50, card.writes.p99) == (3.0, 40.0)
+
+
+def test_time_since_a_start_is_known_from_a_start_that_was_seen_until_one_may_have_been_missed() -> None:
+    runs = {"low": True, "high": True, "off": False}
+    told = [("low", 0), ("off", 10), ("?", 20), ("low", 30), ("?", 40), ("high", 50), ("high", 600), ("off", 610)]
+    times = np.array([EPOCH + time for _, time in told])
+    since = time_since_start(times, [location for location, _ in told], runs)
+    nothing, rest = float("nan"), float("-inf")
+    np.testing.assert_array_equal(since, [nothing, rest, rest, 0.0, 10.0, 20.0, nothing, rest])
+    assert time_since_start(np.empty(0), [], runs).size == 0
+    np.testing.assert_array_equal(time_since_start(times[1:2], ["off"], runs), [rest])
+
+
+def test_forecasts_are_scored_by_how_long_the_machine_had_been_running(tmp_path: Path) -> None:
+    store, historian = one_machine(tmp_path / "h.sqlite", (Tag("T", "holding:1"),))
+    for n in range(0, 2400, 5):
+        location = "off" if n < 100 else "on"
+        row = (EPOCH + n, location, 1, 20.0, 20.0, 19.0, 21.0, 20.0, 0.1, "green")
+        historian.put("predictions", [row])
+        if n % 100 == 0:
+            # In the first three minutes after the start each is 4 too high, at rest and later none.
+            wrong = 4.0 if 100 <= n < 280 else 0.0
+            fan = json.dumps([each + wrong for each in (19.0, 19.5, 20.0, 20.5, 21.0)])
+            historian.put("forecasts", [(EPOCH + n, 10.0, json.dumps(LEVELS), fan, 0.0, 80.0, 20.0)])
+    assert store.close()
+    card = scorecard(tmp_path / "h.sqlite", runs={"on": True, "off": False})
+    found = {
+        (one.begin, one.end): [(each.horizon, each.mae, each.coverage90, each.count) for each in one.forecasts]
+        for one in card.by_start
+    }
+    assert found == {
+        (None, None): [(10.0, 0.0, 1.0, 1)],
+        (0.0, 180.0): [(10.0, 4.0, 0.0, 2)],
+        (180.0, 600.0): [(10.0, 0.0, 1.0, 4)],
+        (600.0, 1800.0): [(10.0, 0.0, 1.0, 12)],
+        (1800.0, None): [(10.0, 0.0, 1.0, 5)],
+    }
+    assert scorecard(tmp_path / "h.sqlite").by_start == (), "nobody said in which locations the machine runs"
 
 
 def test_a_forecast_is_compared_with_the_first_reading_at_or_after_its_time(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 import sqlite3
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
+from dataclasses import replace
 from pathlib import Path
 from random import Random
 from typing import Any
@@ -131,6 +132,32 @@ async def test_model_follows_forecasts_and_finds_without_a_machine_around_it(tmp
         assert unit.findings(prediction, None)["predicted over limit"] is None
         unit.begin_anew()
         assert unit.prediction is None and unit.outlook.latest is None
+        await unit.close()
+
+
+async def test_a_forecast_waits_for_half_a_period_at_most_where_scans_are_skipped(tmp_path: Path) -> None:
+    config = config_in(tmp_path, model=two_modes(), forecast__period=2.0, **FORECAST)
+    loaded = load_model(config)
+    assert loaded is not None
+    with stored(config) as (historian, log):
+        unit, counts = ModelUnit(config, loaded, (), historian=historian, log=log), []
+
+        async def follow(second: float, missed: int = 0, duration: float = 0.0) -> None:
+            values = {RUNNING: True, CURRENT: 150.0, TEMPERATURE: 30.0}
+            scan = replace(scan_of(values, EPOCH + second), missed=missed, duration=duration)
+            prediction = unit.follow(scan)
+            unit.settle(prediction)
+            unit.foresee(scan, prediction)
+            counts.append((unit.outlook.busy, unit.outlook.postponed))
+            await unit.outlook.finish()
+
+        await follow(0.0, missed=1)
+        assert counts == [(True, 0)], "there is none yet that could be used meanwhile"
+        for second in (1.0, 2.0, 2.9, 3.0):
+            await follow(second, missed=1)
+        assert counts[1:] == [(False, 0), (False, 1), (False, 1), (True, 1)]
+        await follow(5.0, missed=1, duration=1.5)
+        assert counts[-1] == (True, 1), "the device is slow, and not the box"
         await unit.close()
 
 

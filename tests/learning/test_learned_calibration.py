@@ -1,12 +1,17 @@
 """The bands of a learned model cover what they say, on traces of the same plant that it never saw."""
 
+from collections.abc import Mapping
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from sim.lab.learning.bins.candidates import BinsCandidate
 from sim.lab.learning.bins.learn import learn_bins
 from sim.lab.learning.calibrate import HORIZONS_S, Scored, calibrate, horizon_coverage, score_forecasts
+from sim.sha import Array, Model, Trace, encode_trace
 from sim.sha.events import DECANTER
+from tests.gateway.support import CURRENT, RUNNING, TEMPERATURE, two_modes
 from tests.learning.plants import Truth, simulate
 from tests.rig.no_bands import without_bands
 
@@ -41,6 +46,23 @@ def test_little_evidence_leaves_the_factor_near_its_cautious_start() -> None:
     (one,) = horizon_coverage(scored(np.zeros(1)))
     assert 0.9 < one.factor < 1.25
     assert horizon_coverage([]) == ()
+
+
+def test_a_cycle_of_a_recording_has_the_same_name_whatever_else_was_read_and_whichever_model_forecast_it() -> None:
+    model = two_modes(gap=150.0)
+    times = 1.7e9 + np.arange(0.0, 2 * 86_400.0, 60.0)
+    on = times // 7200.0 % 2
+    signals = {RUNNING: on, CURRENT: 150.0 * on, TEMPERATURE: 20.0 + 20.0 * on}
+    more = {**signals, "Feed": on}
+
+    def units(own: Model, columns: Mapping[str, Array]) -> list[set[str]]:
+        trace = encode_trace(Trace("export", times, columns), own.alphabet)
+        found = score_forecasts(own, [trace], [float(times[0])], np.random.default_rng(0), origins=48)
+        return [set(row.units) for row in horizon_coverage(found)]
+
+    every, other = units(model, signals), units(replace(model, sensor_sigma=1.0), more)
+    assert every == other and len(every) == 3 and all(len(names) > 6 for names in every)
+    assert every != units(model, {**signals, TEMPERATURE: 20.5 + 20.0 * on})
 
 
 def test_only_forecasts_after_the_given_moment_count(monkeypatch: pytest.MonkeyPatch) -> None:

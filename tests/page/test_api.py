@@ -19,7 +19,7 @@ from gateway.network.certificates import make_all
 from gateway.outside.web.access import AccountRole, change_password, remove_account
 from gateway.outside.web.backing_up import BackupMaker, BackupRefused
 from gateway.store import read_manifest
-from sim.artefacts import VERDICT_FILE, JudgedCriterion, ModelVerdict, promote
+from sim.artefacts import VERDICT_FILE, ForeseenHorizon, JudgedCriterion, ModelVerdict, promote
 from sim.lab.formats import save
 from sim.sha import Distribution, Flow
 from tests.discrepancy_report.made_diagnoses import of
@@ -214,11 +214,17 @@ def test_a_version_of_the_models_store_is_proven_and_runs_once_a_person_says_so(
     *others, on = model.sha.locations
     endless = replace(on, flow=Flow("linear", {"noise": 0.0}), distribution=slope, entry="parameter")
     growing = replace(model, sha=replace(model.sha, locations=(*others, endless)))
-    first, second = (save(store, one, created=1.0) for one in (model, renamed))
+    figures = [{f"recording/{number}": crps for number in range(8)} for crps in (0.5, 0.8)]
+    fit, unlike = (
+        ModelVerdict(word="fit", criteria=(), foreseen=(ForeseenHorizon(horizon=300.0, units=units, rare=2.0),))
+        for units in figures
+    )
+    first = save(store, model, created=1.0, more={VERDICT_FILE: fit.text()})
+    second = save(store, renamed, created=1.0)
     promote(store, first)
     third, _ = propose(store, growing, of("named"), created=1.0)
     worse = JudgedCriterion(criterion="forecast", kept=False, sentence="worse than the last reading held")
-    unfit = ModelVerdict(word="unfit", criteria=(worse,))
+    unfit = replace(unlike, word="unfit", criteria=(worse,))
     other = replace(model, sha=replace(model.sha, name="worse"))
     fourth = save(store, other, created=2.0, more={VERDICT_FILE: unfit.text()})
     with served(tmp_path, accounts=ACCOUNTS, model__path=store) as gateway:
@@ -233,8 +239,10 @@ def test_a_version_of_the_models_store_is_proven_and_runs_once_a_person_says_so(
         assert enzo.ask("POST", "/api/promote", {**asked, "version": "0009-00000000"})[0] == 404
         status, refused = enzo.ask("POST", "/api/promote", {**asked, "version": third})
         assert status == 409 and "is not promoted" in refused["reason"]
-        score = "worse than the last reading held"
-        assert runs()["verdicts"] == {fourth: {"word": "unfit", "sentence": unfit.sentence, "score": score}}
+        beside = "worse than the version that runs (CRPS 0.8 against 0.5 °C at 300 s over 8 cycles or days (p 0.0078))"
+        score = f"worse than the last reading held; {beside}"
+        told = {first: {"word": "fit", "sentence": "fit", "score": ""}}
+        assert runs()["verdicts"] == told | {fourth: {"word": "unfit", "sentence": unfit.sentence, "score": score}}
         assert runs()["origins"][second]["method"] == "by hand"
         status, refused = enzo.ask("POST", "/api/promote", {**asked, "version": fourth})
         assert status == 409 and "it is unfit: worse than the last reading held" in refused["reason"]

@@ -268,7 +268,8 @@ def test_what_people_did_is_that_of_the_audit_log_and_a_name_holds_for_a_day(tmp
     log.close()
     found = read_people(path, start=EPOCH, end=END)
     assert found["deeds"] == [
-        {"time": EPOCH + 2.0, "kind": "alarm shelved", "by": "enzo", "reason": "cable", "about": "decanter, link"}
+        {"time": EPOCH + 2.0, "kind": "alarm shelved", "by": "enzo", "reason": "cable", "machine": "decanter"}
+        | {"alarm": {"alarm": "link", "kind": "link", "tag": ""}, "version": None}
     ]
     assert [note["text"] for note in found["notes"]] == ["new grease"]
     assert found["on_shift"] == {"names": "Anna, Luca", "by": "olga", "time": EPOCH - 9 * HOUR}
@@ -295,7 +296,9 @@ def report() -> dict[str, Any]:
         "kind": "alarm acknowledged",
         "by": "olga",
         "reason": "",
-        "about": "decanter, rising T",
+        "machine": "decanter",
+        "alarm": {"alarm": "rising T", "kind": "rising", "tag": "T"},
+        "version": None,
     }
     return {
         "start": EPOCH,
@@ -306,6 +309,13 @@ def report() -> dict[str, Any]:
         "deeds": [deed],
         "left_out": {"notes": 3, "deeds": 0},
     }
+
+
+def test_of_a_warning_that_stands_nothing_is_said_for_good() -> None:
+    told = report()
+    told["machines"]["decanter"]["alarms"][0]["ended"] = None
+    for language, said in (("en", "not passed so far; stands"), ("it", "finora non superato"), ("de", "bisher nicht")):
+        assert said in shift_text(all_words()[language], {}, {}, told)
 
 
 def test_its_mail_is_said_in_each_language_with_all_that_is_in_it() -> None:
@@ -323,7 +333,7 @@ def test_its_mail_is_said_in_each_language_with_all_that_is_in_it() -> None:
         "    2023-11-14 22:28:20  gearbox bearing: over its limit: stands; Acknowledged by nobody",
         "  3 older ones are not listed.",
         "  2023-11-14 22:13:25  Decanter 2: new grease (olga)",
-        "  2023-11-14 22:14:50  olga: alarm acknowledged, decanter, rising T",
+        "  2023-11-14 22:14:50  olga: alarm acknowledged, Decanter 2, gearbox bearing: rose towards its limit",
     ):
         assert line in text["en"].splitlines()
     assert "am heißesten 81,2 °C" in text["de"] and "limite non superato" in text["it"]

@@ -5,7 +5,7 @@ from random import Random
 
 import pytest
 
-from sim.plc.__main__ import parse_stretch, read_faults
+from sim.plc.emulator import parse_stretch, read_faults
 from sim.plc.program.checks import InputError
 from sim.plc.program.faults import FAULTS, describe, parse_fault
 from sim.plc.program.pdu import ModbusReply, ModbusRequest

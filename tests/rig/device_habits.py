@@ -92,6 +92,13 @@ HABITS: tuple[DeviceHabit, ...] = (
         wire={"busy": 1},
     ),
     DeviceHabit(
+        habit="is behind a gateway that now and then has no answer of it (exceptions 10 and 11)",
+        found="by the exception",
+        done="a read of a unit that has answered is asked again as after silence; if it ends so, not until one is good",
+        setting="attempts",
+        test=f"{_HABITS}::test_a_gateways_word_that_its_unit_is_silent_is_no_answer",
+    ),
+    DeviceHabit(
         habit="shows late what was written to it",
         found="it reads back the former value first",
         done="read back again for as long as a reading lasts at most",
@@ -174,6 +181,13 @@ HABITS: tuple[DeviceHabit, ...] = (
         setting="aligned",
         wire={"even": True},
         needs={"aligned": 2},
+    ),
+    DeviceHabit(
+        habit="counts a register of 32 bits as one address, as flow computers do (Enron, Daniel)",
+        found="the reply has twice the bytes, and its reason names the setting",
+        done="a number of 32 bits is one address there, no request has registers of both widths, nothing is written",
+        setting="wide_registers",
+        test=f"{_DEVICES}::test_registers_of_32_bits_are_one_address_each",
     ),
     DeviceHabit(
         habit="takes short requests alone",
@@ -273,6 +287,17 @@ A CANopen node is pinned by the numbers of its object 0x1018: `identity = { vend
 `decanter plc probe` prints what a device says, and `--write --pin` puts it into the file. A device that does not say
 what is pinned is not believed; a block is sent only over the connection on which it has said so, and after a silence
 only when it has said so again. One that hangs up after each answer can be read so, and not written.
+
+## Registers of 32 bits
+
+```toml
+[device]
+wide_registers = ["holding:5001-5999", "holding:7001-7999"]   # PDU addresses, as they go on the wire
+```
+
+A tag in such a range is `int32`, `uint32` or `float32` at one address (`int64` and `float64` at two), in the order of
+its own bytes. Addresses outside the ranges are registers of 16 bits as ever. Some of these devices put the number of
+the manual on the wire (5001), others count from 0 (5000): `decanter plc read` shows which.
 
 ## Factors and periods of tags
 

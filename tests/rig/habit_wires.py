@@ -39,6 +39,7 @@ class Habit:
     quiet: float = 0.0
     silent_at: int = -1
     busy: int = 0
+    no_way: int = 0
     stale: int = 0
     transaction: int | None = None
     unit: int | None = None
@@ -64,6 +65,9 @@ class Habit:
         self.requests.append((function, start, number))
         if self.moving:
             self.times.append(asyncio.get_running_loop().time())
+        if self.no_way and function == 3:
+            self.no_way -= 1
+            return bytes((function | 0x80, 11))
         if self.busy and next(self._asked) % 3 < self.busy:
             return bytes((function | 0x80, 6))
         if function == 16 and self.single:

@@ -104,6 +104,18 @@ def test_the_ratio_to_the_best_other_method_has_an_interval_over_machines() -> N
     assert ratio([one for one in rows if one.method == "bins"], "bins") is None
 
 
+def test_a_machine_that_stands_still_is_no_reason_to_say_nothing_of_the_others() -> None:
+    still, off = np.zeros(len(DENSE_LEVELS)), np.full(len(DENSE_LEVELS), 1.0)
+    rows = [
+        row(0.0, law, method=method, machine=machine)
+        for machine in "ABCDEF"
+        for method, law in (("bins", off), ("lsha", still), ("persistence", still))
+    ]
+    found, exact = ratio(rows, "bins"), ratio(rows, "lsha")
+    assert found is not None and (found.mae, found.crps) == (np.inf, np.inf) and np.isnan(found.low)
+    assert exact is not None and (exact.mae, exact.crps) == (1.0, 1.0)
+
+
 def test_persistence_is_the_last_reading_with_the_changes_so_far() -> None:
     times = np.arange(0.0, 1000.0, 10.0)
     ramp = 20.0 + 0.01 * times

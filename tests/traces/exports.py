@@ -73,17 +73,21 @@ def comma(value: float) -> str:
     return str(value).replace(".", ",")
 
 
-def on_change(plant: Recording, deadband: float) -> list[str]:
-    """Rows `time,heat,current,running` of a historian that stores a value where it changes, one scan after another."""
-    kept: list[str] = []
-    last = [np.nan, np.nan, np.nan]
+def on_change(plant: Recording, deadband: float, every: float = np.inf) -> list[str]:
+    """Rows `time,heat,current,running` of a historian that stores a value where it changes, one scan after another.
+
+    A value is also told anew when it is `every` s old.
+    """
+    kept, last, told = list[str](), [np.nan] * 3, [-np.inf] * 3
     bands = (deadband, max(4 * deadband, 4.0), 0.5)
-    for moment, *values in zip(plant.moments, plant.heat, plant.current, plant.running, strict=True):
+    for time, moment, *values in zip(
+        plant.seconds, plant.moments, plant.heat, plant.current, plant.running, strict=True
+    ):
         cells = []
         for place, (value, band) in enumerate(zip(values, bands, strict=True)):
-            changed = not abs(value - last[place]) < band
-            cells.append(f"{value:g}" if changed else "")
-            last[place] = value if changed else last[place]
+            says = not abs(value - last[place]) < band or time - told[place] >= every
+            cells.append(f"{value:g}" if says else "")
+            last[place], told[place] = (value, time) if says else (last[place], told[place])
         if any(cells):
-            kept.append(",".join([moment.strftime("%Y-%m-%d %H:%M:%S"), *cells]))
+            kept.append(",".join([f"{moment:%Y-%m-%d %H:%M:%S}", *cells]))
     return kept

@@ -441,7 +441,9 @@ def test_a_recorder_that_is_off_for_an_hour_each_sunday_is_off_in_the_night_of_s
 def test_a_temperature_that_passes_85_is_no_code(tmp_path: Path) -> None:
     plant = recording(ambient=60.0)
     heat = plant.heat.round(0)
-    (trace,), report, said = mapped(wide(tmp_path / "a.csv", of=replace(plant, heat=heat)), tmp_path / "m.toml")
+    header = "Time,Bearing temperature [°C],Motor current,Running"
+    export = wide(tmp_path / "a.csv", header=header, of=replace(plant, heat=heat))
+    (trace,), report, said = mapped(export, tmp_path / "m.toml")
     assert (
         85.0 in trace.signals["Bearing_temperature"] and report.files[0].bad_cells == 0 and "bad =" not in said["text"]
     )

@@ -2,14 +2,14 @@
 
 import os
 from collections.abc import Callable, Sequence
-from datetime import datetime, timedelta
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from sim.lab.recordings import load_map, load_traces
-from sim.lab.recordings.mapping import is_time
+from sim.lab.recordings.mapping import Answers, Undecided, draft_map, is_time
 from sim.lab.recordings.mapping.clocks import bare_time
 from sim.lab.recordings.mapping.columns import has_levels
 from sim.lab.recordings.mapping.words import split_unit
@@ -68,6 +68,15 @@ def test_a_year_of_two_digits_may_come_first_and_is_none_of_the_future(tmp_path:
     os.utime(export, (BEGIN + 30 * 86400.0,) * 2)
     (trace,), _, _ = mapped(export, tmp_path / "n.toml")
     assert trace.times[0] == BEGIN + 18 * 86400.0
+
+
+def test_which_dates_are_of_the_future_is_told_by_the_clock_that_is_handed_in(tmp_path: Path) -> None:
+    """26-03-13 is the 26th of March 2013 until 2026: the draft asked the computer's own clock."""
+    export = wide(tmp_path / "a.csv", clock=lambda t: (t + timedelta(days=730)).strftime("%y-%m-%d %H:%M:%S"))
+    before, after = (datetime(year, 6, 1, tzinfo=UTC).timestamp() for year in (2020, 2030))
+    assert "%d-%m-%y" in draft_map(export, Answers(), now=before).text
+    with pytest.raises(Undecided, match="most likely 'year'"):
+        draft_map(export, Answers(), now=after)
 
 
 HEADERS = {

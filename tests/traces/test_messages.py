@@ -13,7 +13,7 @@ import pytest
 import sim.lab.recordings
 import sim.lab.recordings.mapping
 from gateway.entry import FirstWordCommand
-from gateway.lab.traces.map import map_command
+from gateway.lab.traces.commands import map_command
 from tests.cli.support import command_paths, find_command
 
 OPTION = re.compile(r"(?<![\w-])--([a-z][a-z-]+)")

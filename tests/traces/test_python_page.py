@@ -3,6 +3,7 @@
 import ast
 import re
 import runpy
+import time
 from dataclasses import fields, replace
 from inspect import signature
 from pathlib import Path
@@ -67,7 +68,7 @@ def test_the_page_runs_and_its_first_block_is_ten_lines(names: dict[str, Any], e
 
 
 def test_a_data_frame_is_read_as_its_file_is(frame: pd.DataFrame, export: Path) -> None:
-    drafted = draft_map(export, Answers())
+    drafted = draft_map(export, Answers(), now=time.time())
     (trace,), _ = load_traces(export, parse_map(drafted.text, "map"))
     for given in (frame, frame.reset_index(), frame.tz_localize("UTC"), frame.astype(str)):
         read = decanter.read(given)

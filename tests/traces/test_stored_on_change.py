@@ -115,29 +115,12 @@ def test_a_map_that_names_no_gap_has_that_of_the_recording(step: float, tmp_path
     assert report.alphabet.gap == 5 * step and "unknown" not in [event.symbol for event in trace.events]
 
 
-def beating(plant: Recording, deadband: float, every: float) -> list[str]:
-    """As `on_change`, each value also told anew when it is `every` s old."""
-    kept, last, told = list[str](), [np.nan] * 3, [-np.inf] * 3
-    bands = (deadband, max(4 * deadband, 4.0), 0.5)
-    for time, moment, *values in zip(
-        plant.seconds, plant.moments, plant.heat, plant.current, plant.running, strict=True
-    ):
-        cells = []
-        for place, (value, band) in enumerate(zip(values, bands, strict=True)):
-            says = not abs(value - last[place]) < band or time - told[place] >= every
-            cells.append(f"{value:g}" if says else "")
-            last[place], told[place] = (value, time) if says else (last[place], told[place])
-        if any(cells):
-            kept.append(",".join([f"{moment:%Y-%m-%d %H:%M:%S}", *cells]))
-    return kept
-
-
 @pytest.mark.parametrize("every", [60.0, 600.0, 3600.0])
 @pytest.mark.parametrize("deadband", [0.5, 2.0])
 def test_a_recorder_that_tells_values_anew_after_its_longest_time_is_seen_to_store_on_change(
     every: float, deadband: float, dense: tuple[Trace, tuple[float, ...]], tmp_path: Path
 ) -> None:
-    export = written(tmp_path / "a.csv", HEADER, beating(long_recording(), deadband, every))
+    export = written(tmp_path / "a.csv", HEADER, on_change(long_recording(), deadband, every))
     (held,), _, _ = mapped(export, tmp_path / "m.toml")
     assert load_map(tmp_path / "m.toml").stored == "on change"
     assert thresholds(tmp_path / "m.toml") == pytest.approx(dense[1], rel=0.05)
@@ -147,7 +130,7 @@ def test_a_recorder_that_tells_values_anew_after_its_longest_time_is_seen_to_sto
 
 @pytest.mark.parametrize("dead", [0, 1])
 def test_a_tag_that_dies_while_others_speak_is_unknown_after_its_own_longest_silence(dead: int, tmp_path: Path) -> None:
-    rows = beating(long_recording(), 0.5, 600.0)
+    rows = on_change(long_recording(), 0.5, 600.0)
     half = len(rows) // 2
     lines = []
     for number, row in enumerate(rows):

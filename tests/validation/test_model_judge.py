@@ -9,14 +9,23 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
+from click.testing import CliRunner, Result
 
 from gateway.cli.main import main
 from gateway.machine.model import load_model
 from gateway.outside.status import HealthFinding, findings, judge_health, read_status
 from gateway.plant.app import run
 from gateway.settings import load_config, load_plant
-from sim.artefacts import VERDICT_FILE, Force, ModelVerdict, current, promote, read_verdict, version_directory
+from sim.artefacts import (
+    VERDICT_FILE,
+    Force,
+    ModelVerdict,
+    compare_verdicts,
+    current,
+    promote,
+    read_verdict,
+    version_directory,
+)
 from sim.files import ArtefactError
 from sim.lab.formats import save, write_model_directory
 from sim.lab.judge import judge_learning
@@ -257,6 +266,100 @@ def test_a_verdict_is_kept_and_read_back_and_a_damaged_one_is_refused(tmp_path: 
         (tmp_path / VERDICT_FILE).write_text(json.dumps(whole | wrong), encoding="utf-8")
         with pytest.raises(ArtefactError, match="cannot be used as a verdict"):
             read_verdict(tmp_path)
+
+
+def with_units(crps: Sequence[float], first: int = 0) -> list[Coverage]:
+    """So much at 60 s in each cycle from the first one on, and the same at the other horizons whatever is given."""
+    names = [f"recording/{first + at}" for at in range(len(crps))]
+    return [
+        replace(row, units=dict(zip(names, crps if row.horizon == 60.0 else [1.0] * len(crps), strict=True)))
+        for row in foreseen()
+    ]
+
+
+RUNS = (0.4, 0.5, 0.6, 0.5, 0.4, 0.5, 0.6, 0.5)
+ALIKE = "not told apart from the version that runs (CRPS "
+BESIDE = {
+    "worse in eight cycles": (
+        with_units([1.3 * each for each in RUNS]),
+        False,
+        "worse than the version that runs (CRPS 0.65 against 0.5 °C at 60 s over 8 cycles or days (p 0.023)",
+    ),
+    "better in eight cycles": (
+        with_units([0.7 * each for each in RUNS]),
+        True,
+        "better than the version that runs (CRPS 0.35 against 0.5",
+    ),
+    "worse in six cycles": (
+        with_units([1.3 * each for each in RUNS[:6]]),
+        None,
+        f"{ALIKE}0.628 against 0.483 °C at 60 s over 6 cycles or days (p 0.094)",
+    ),
+    "worse by a trifle": (with_units([1.02 * each for each in RUNS]), None, ALIKE),
+    "the same": (with_units(RUNS), None, "at 60 s over 8 cycles or days (p 1)"),
+    "of other recordings": (with_units(RUNS, first=100), None, "they were judged on other recordings"),
+    "without figures": (foreseen(), None, "they were judged on other recordings"),
+}
+
+
+@pytest.mark.parametrize("what", BESIDE)
+def test_a_version_is_held_against_the_one_that_runs_by_the_cycles_that_both_foresaw(what: str) -> None:
+    coverage, kept, said = BESIDE[what]
+    found = compare_verdicts(judged(coverage=coverage), judged(coverage=with_units(RUNS)), "degC", "rank both")
+    assert (found.kept, found.next_step) == (kept, "" if kept else "rank both") and said in found.sentence, found
+
+
+def test_better_at_one_horizon_and_worse_at_another_is_a_persons_choice() -> None:
+    own = [
+        replace(row, units={name: crps * (0.5 if row.horizon == 900.0 else 1.5) for name, crps in row.units.items()})
+        for row in with_units(RUNS)
+    ]
+    found = compare_verdicts(judged(coverage=own), judged(coverage=with_units(RUNS)), "degC", "")
+    assert (
+        found.kept is None
+        and "worse than the version that runs at some horizons, and better at others" in found.sentence
+    )
+
+
+def test_figures_are_kept_and_a_verdict_of_a_former_release_has_none(tmp_path: Path) -> None:
+    verdict = judged(coverage=with_units(RUNS))
+    (tmp_path / VERDICT_FILE).write_text(verdict.text(), encoding="utf-8")
+    assert read_verdict(tmp_path) == verdict and verdict.foreseen[0].units["recording/2"] == 0.6
+    former = json.loads(verdict.text())
+    del former["foreseen"]
+    (tmp_path / VERDICT_FILE).write_text(json.dumps(former), encoding="utf-8")
+    old = read_verdict(tmp_path)
+    assert old is not None and old == replace(verdict, foreseen=())
+    assert "one of them keeps no figures" in compare_verdicts(verdict, old, "degC", "").sentence
+    for wrong in ([{"horizon": 60.0}], [{"horizon": 60.0, "units": {"a": -1}, "rare": 3.0}], 3):
+        (tmp_path / VERDICT_FILE).write_text(json.dumps(former | {"foreseen": wrong}), encoding="utf-8")
+        with pytest.raises(ArtefactError, match="cannot be used as a verdict"):
+            read_verdict(tmp_path)
+
+
+def test_one_that_foresaw_the_same_cycles_worse_is_promoted_with_a_reason_alone_and_going_back_is_free(
+    tmp_path: Path,
+) -> None:
+    store = tmp_path / "store"
+    kept = [judged(coverage=with_units([ratio * each for each in RUNS])) for ratio in (1.0, 1.3, 0.7)]
+    first, worse, better = (
+        save(store, MODEL, created=float(at), more={VERDICT_FILE: verdict.text()}) for at, verdict in enumerate(kept)
+    )
+
+    def promoted(version: str, *more: str) -> Result:
+        return CliRunner().invoke(main, ["model", "version", "promote", str(store), version, *more])
+
+    assert promoted(first).exit_code == 0
+    said = promoted(worse)
+    assert said.exit_code == 2 and "is not promoted, as it is worse than the version that runs" in said.stderr
+    assert current(store) == first
+    said = promoted(worse, "--force", "a trial", "--by", "Ada")
+    assert said.exit_code == 0 and f"{worse} is current, forced by Ada: a trial" in said.output
+    said = promoted(better, "--json")
+    found = json.loads(said.output)
+    assert found["current"] == better and found["beside"]["kept"] is True
+    said = promoted(first)
+    assert said.exit_code == 0 and "that runs" not in said.output, "it ran before: no candidate"
 
 
 def test_an_unfit_model_is_promoted_with_a_reason_on_record_alone(tmp_path: Path) -> None:

@@ -6,14 +6,12 @@ from collections.abc import Iterator, Sequence
 from importlib.metadata import version
 from pathlib import Path
 
-import click
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from drivers.named_files import MOST_TOML_BYTES, name_write_errors, normal_path
-from gateway.cli.plant.plant_file import config_option
 from gateway.commission.session import login
 from gateway.commission.writeback.block_writer import gateway_runs
-from gateway.console import CommandResult, Part, conclude, json_option
+from gateway.console import CommandResult, Part, conclude
 from gateway.entry import sentences
 from gateway.machine.writing import own_process
 from gateway.plant import configuration_files, require_named_places, without_arming
@@ -45,17 +43,8 @@ from gateway.store import (
 )
 
 
-@click.command(short_help="Copy all that a gateway is into a new folder, while it runs.")
-@click.argument("folder", type=click.Path(path_type=Path))
-@config_option
-@json_option
 def backup(path: Path, folder: Path, as_json: bool) -> None:
-    """Copy all that a gateway is into the new FOLDER, while it runs: plant file, device files, models, historian (with
-    guards and states), the page's accounts, audit log with its key and signed heads.
-
-    The folder is there whole or not at all, with the SHA-256 of each file. It holds the key: keep it as such. The log,
-    certificates and other programs' files are not in it.
-    """
+    """The work of `keep backup`."""
     with sentences():
         machines = load_plant(path)
         key, unsigned = _held_key(machines[0])
@@ -123,32 +112,10 @@ def _model_files(model: Path) -> Iterator[Path]:
     yield from sorted(files, key=lambda file: (len(file.relative_to(model).parts), file))
 
 
-@click.command(short_help="Put a backup's files back in their places.")
-@click.argument("folder", type=click.Path(path_type=Path))
-@click.option("--into", type=click.Path(path_type=Path), default=Path("/"), help="Another root than / for all places.")
-@click.option("--overwrite", is_flag=True, help="Set aside what stands in the places, and put the backup's there.")
-@click.option("--by", default="", envvar="DECANTER_BY", help="Who restores, for the audit log.  [default: the login]")
-@click.option(
-    "--seal", default="", metavar="HASH", help="The seal that `decanter keep backup` printed for this backup."
-)
-@click.option(
-    "--public-key",
-    type=click.Path(path_type=Path),
-    help="A copy of the gateway's public key.  [default: the key that the gateway holds]",
-)
-@json_option
 def restore(
     folder: Path, into: Path, overwrite: bool, by: str, seal: str, public_key: Path | None, as_json: bool
 ) -> None:
-    """Put the files of the backup in FOLDER back where they were (below --into), after every one was looked at.
-
-    Somebody has to vouch for it: it is signed by the key that the gateway holds, or by the key of --public-key, or its
-    --seal is given by hand. Nothing is written but what the plant file in it names.
-
-    A backup that is damaged, partial or made by a newer program is refused, and so is one whose gateway runs. What is
-    restored is never armed: the audit log gets a row that disarms it, and mode 'armed' in the plant file becomes
-    'shadow'.
-    """
+    """The work of `keep restore`."""
     with sentences():
         manifest, into = read_manifest(folder), into.absolute()
         _require_own_places(folder, manifest)

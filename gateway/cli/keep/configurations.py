@@ -10,9 +10,8 @@ import click
 
 from drivers.named_files import normal_path
 from drivers.settings import ConfigError, read_toml
-from gateway.cli.plant.plant_file import by_option, config_option
 from gateway.commission.session import login
-from gateway.console import CommandResult, Part, Rows, conclude, find_service, json_option
+from gateway.console import CommandResult, Part, Rows, conclude, find_service
 from gateway.entry import Exit, fail, sentences
 from gateway.outside.status import ControlError, connect
 from gateway.plant import (
@@ -31,13 +30,6 @@ from gateway.store import BackupError
 
 PATIENCE_S = 60.0
 """A machine that is stopped for a reload takes back what stands in its PLC first."""
-
-_history_option = click.option(
-    "--history",
-    "folder",
-    type=click.Path(path_type=Path, file_okay=False),
-    help="The folder of the kept configurations.  [default: configurations/ beside the historian]",
-)
 
 
 def _list_configurations(path: Path, folder: Path | None) -> list[KeptConfiguration]:
@@ -72,12 +64,8 @@ def _pick_configuration(found: Sequence[KeptConfiguration], number: int) -> Kept
     raise BackupError(f"there is no configuration {number}; there are {found[0].number} to {found[-1].number}")
 
 
-@click.command(short_help="List the configurations that were taken over.")
-@config_option
-@_history_option
-@json_option
 def history(path: Path, folder: Path | None, as_json: bool) -> None:
-    """List the configurations that a gateway has taken over at a start or a reload, the newest last. Times are UTC."""
+    """The work of `keep history`."""
     with sentences():
         found = _list_configurations(path, folder)
     rows = [
@@ -105,15 +93,8 @@ def _date(seconds: float) -> str:
     return datetime.fromtimestamp(seconds, UTC).strftime("%Y-%m-%d %H:%M:%S")
 
 
-@click.command(short_help="Show what differs between two configurations, or to the files now.")
-@click.argument("old", type=int, required=False)
-@click.argument("new", type=int, required=False)
-@config_option
-@_history_option
 def diff(path: Path, folder: Path | None, old: int | None, new: int | None) -> None:
-    """Show what differs between the configurations OLD and NEW; without NEW to the files as they are now, without OLD
-    from the newest one that was taken over.
-    """
+    """The work of `keep diff`."""
     with sentences():
         found = _list_configurations(path, folder)
         before = _pick_configuration(found, found[-1].number if old is None else old)
@@ -125,19 +106,8 @@ def diff(path: Path, folder: Path | None, old: int | None, new: int | None) -> N
     click.echo("\n".join(lines) if lines else "nothing differs")
 
 
-@click.command(short_help="Put the files of a former configuration back, never armed.")
-@click.argument("number", type=int)
-@click.option("--reason", required=True, help="Why, for the history.")
-@by_option
-@config_option
-@_history_option
-@json_option
 def rollback(path: Path, folder: Path | None, number: int, reason: str, by: str, as_json: bool) -> None:
-    """Put the plant and device files of configuration NUMBER back, and let a running gateway take them over.
-
-    What is in the files now is kept first. A configuration that cannot be used any more is refused, and nothing is
-    changed then; one that was armed comes back as 'shadow'.
-    """
+    """The work of `keep rollback`."""
     with sentences():
         found = _list_configurations(path, folder)
         wanted = _pick_configuration(found, number)

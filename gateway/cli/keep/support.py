@@ -16,16 +16,14 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qsl, urlsplit
 
-import click
 import tomlkit
 
 from drivers.errors import OneLineError
 from drivers.settings import ConfigError
 from gateway.cli.keep.masking import make_mask, mask_values, written_forms
-from gateway.cli.plant.plant_file import config_option
 from gateway.clock_sync import clock_error
 from gateway.commission.session import versions
-from gateway.console import CommandResult, conclude, json_option
+from gateway.console import CommandResult, conclude
 from gateway.entry import sentences
 from gateway.outside.status import ControlError, connect, findings, judge_health, read_status
 from gateway.outside.web import box_facts
@@ -59,17 +57,8 @@ class LeakError(OneLineError, ValueError):
     """A secret is in the bundle; nothing is written."""
 
 
-@click.command(short_help="Put what support needs into one file, without secrets.")
-@click.argument("file", type=click.Path(path_type=Path, dir_okay=False), required=False)
-@config_option
-@json_option
 def support(path: Path, file: Path | None, as_json: bool) -> None:
-    """Write FILE (decanter-support-TIME.zip by default): versions, configuration, status, log, alarms, records, disk,
-    clock. What cannot be had is said in its place, so that it works where nothing else does.
-
-    Passwords, tokens and web hooks' addresses are masked; keys, accounts, readings and models are not in it. Look
-    through it before you send it: it is a ZIP of text files.
-    """
+    """The work of `keep support`."""
     with sentences():
         now = time.time()
         file = file or Path(f"decanter-support-{time.strftime('%Y%m%d-%H%M%S', time.gmtime(now))}.zip")

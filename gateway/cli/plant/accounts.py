@@ -6,8 +6,7 @@ from pathlib import Path
 
 import click
 
-from gateway.cli.plant.plant_file import config_option
-from gateway.console import CommandResult, Part, Rows, conclude, json_option
+from gateway.console import CommandResult, Part, Rows, conclude
 from gateway.entry import sentences
 from gateway.outside.web.access import ROLES, AccountRole, add_account, change_password, read_accounts, remove_account
 from gateway.settings import Config, load_plant
@@ -25,31 +24,16 @@ def _config(path: Path) -> Config:
     return load_plant(path)[0]
 
 
-@click.command(short_help="Make an account; its password is asked for.")
-@click.argument("name")
-@click.option(
-    "--role",
-    type=click.Choice([role.value for role in AccountRole]),
-    required=True,
-    help="; ".join(f"{role}: {meaning}" for role, meaning in ROLES.items()) + ".",
-)
-@config_option
 def add(name: str, role: str, path: Path) -> None:
-    """Make an account NAME for the page. There is none at first, and no password that anybody knows.
-
-    The password is asked for twice at a terminal, and is one line of standard input elsewhere: 12 to 128 characters.
-    """
+    """The work of `user add`."""
     with sentences():
         file = _config(path).users
         add_account(file, name, AccountRole(role), _asked_password())
     click.echo(f"{name} may log in as {role} ({file})")
 
 
-@click.command("list", short_help="List the accounts and what each may do.")
-@config_option
-@json_option
 def list_accounts(path: Path, as_json: bool) -> None:
-    """List the accounts of the page, with their roles."""
+    """The work of `user list`."""
     with sentences():
         file = _config(path).users
         accounts = {name: account.role for name, account in read_accounts(file).items()}
@@ -64,21 +48,15 @@ def list_accounts(path: Path, as_json: bool) -> None:
     conclude(CommandResult({"file": str(file), "accounts": accounts}), lambda _: show(), as_json=as_json)
 
 
-@click.command(short_help="Give an account another password; its sessions end.")
-@click.argument("name")
-@config_option
 def password(name: str, path: Path) -> None:
-    """Give the account NAME another password; whoever is logged in with it is logged out."""
+    """The work of `user password`."""
     with sentences():
         change_password(_config(path).users, name, _asked_password())
     click.echo(f"{name} has another password; its sessions have ended")
 
 
-@click.command(short_help="Remove an account; its sessions end.")
-@click.argument("name")
-@config_option
 def remove(name: str, path: Path) -> None:
-    """Remove the account NAME; whoever is logged in with it is logged out."""
+    """The work of `user remove`."""
     with sentences():
         remove_account(_config(path).users, name)
     click.echo(f"{name} is removed; its sessions have ended")

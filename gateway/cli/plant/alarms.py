@@ -1,17 +1,15 @@
 """The commands of `decanter alarm`: asked of the running gateway, or read from its historian."""
 
 import getpass
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import closing
 from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-import click
-
-from gateway.cli.plant.plant_file import by_option, config_option, control_socket, machine_option
-from gateway.console import CommandResult, Part, Rows, conclude, json_option
+from gateway.cli.plant.plant_file import control_socket
+from gateway.console import CommandResult, Part, Rows, conclude
 from gateway.entry import Exit, fail, sentences
 from gateway.machine.alarms import (
     BY_PERSONS,
@@ -25,8 +23,6 @@ from gateway.settings import ALARM_KINDS, OF_PLANT, alarm_subject, load_plant
 
 PATIENCE_S = 15.0
 """What hides an alarm waits until it is on record."""
-
-_reason_option = click.option("--reason", required=True, help="Why, for the audit log and the journal.")
 
 
 def _gateway(socket: Path, path: Path, machine: str | None = None) -> GatewayLine:
@@ -62,16 +58,8 @@ def _date(seconds: float | None) -> str:
     return "–" if seconds is None else datetime.fromtimestamp(seconds, UTC).strftime("%Y-%m-%d %H:%M:%S")
 
 
-@click.command("list", short_help="List the alarms that are not normal, the most urgent first.")
-@click.option("--all", "every", is_flag=True, help="Those that are normal too.")
-@config_option
-@machine_option
-@json_option
 def list_alarms(path: Path, machine: str | None, every: bool, as_json: bool) -> None:
-    """List the alarms that are not normal, the most urgent first, with what an operator shall do. Times are UTC.
-
-    Exit code 1 where one waits for an acknowledgement or stands.
-    """
+    """The work of `alarm list`."""
     with sentences():
         found = _ask_alarms(path, machine)
     rows = [
@@ -100,13 +88,8 @@ def list_alarms(path: Path, machine: str | None, every: bool, as_json: bool) -> 
     conclude(CommandResult({"alarms": rows}, ok=not urgent), lambda _: show_rows(), as_json=as_json)
 
 
-@click.command(short_help="Show one alarm: what it watches, what to do, what comes of not doing it.")
-@click.argument("name")
-@config_option
-@machine_option
-@json_option
 def show(name: str, path: Path, machine: str | None, as_json: bool) -> None:
-    """Show the alarm NAME: its state, what it watches, what an operator shall do, what comes of not doing it."""
+    """The work of `alarm show`."""
     with sentences():
         found = _ask_alarms(path, machine)
     rows = [{"machine": each, **row} for each, alarms in found.items() for row in alarms if row["name"] == name]
@@ -138,17 +121,17 @@ def show(name: str, path: Path, machine: str | None, as_json: bool) -> None:
     conclude(CommandResult({"alarms": rows}), lambda _: show_rows(), as_json=as_json)
 
 
-def _change(
-    change: Change, path: Path, machine: str | None, names: Sequence[str], *, as_json: bool, by: str, **keys: Any
+def change(
+    wanted: Change, *, path: Path, machine: str | None, names: Sequence[str], as_json: bool, by: str, **keys: Any
 ) -> None:
-    """Ask the running gateway for a change, and say what became of it."""
+    """The work of what a person does with alarms: ask the running gateway for a change, and say what became of it."""
     with sentences():
         socket = control_socket(path, None)
         if machine is None and set(names) <= OF_PLANT and names:
             machine = _machines(socket, path)[0]  # which looks after the plant's: nobody has to know which one that is
         line = _gateway(socket, path, machine)
         try:
-            answer = line.ask(change.value, alarms=list(names), by=by or getpass.getuser(), **keys)
+            answer = line.ask(wanted.value, alarms=list(names), by=by or getpass.getuser(), **keys)
         except ControlError as error:
             fail(str(error), Exit.CHECK_FAILED)
         finally:
@@ -157,85 +140,11 @@ def _change(
 
     def show_states() -> Iterator[Part]:
         for name, state in states.items():
-            yield f"{name}: {BY_PERSONS[change]}, now {state}"
+            yield f"{name}: {BY_PERSONS[wanted]}, now {state}"
         if not states:
             yield "no alarm waits for an acknowledgement"
 
     conclude(CommandResult({"alarms": states}), lambda _: show_states(), as_json=as_json)
-
-
-def _names(required: bool = True) -> Callable[[Any], Any]:
-    return click.argument("names", nargs=-1, required=required, metavar="NAME...")
-
-
-@click.command(short_help="Say that you know: of the named alarms, or of all that wait.")
-@_names(required=False)
-@by_option
-@click.option("--reason", default="", help="A remark, for the audit log and the journal.")
-@config_option
-@machine_option
-@json_option
-def acknowledge(names: tuple[str, ...], by: str, reason: str, path: Path, machine: str | None, as_json: bool) -> None:
-    """Acknowledge the alarms NAME..., or all of the machine that wait for it."""
-    _change(Change.ACKNOWLEDGE, path, machine, names, by=by, reason=reason, as_json=as_json)
-
-
-@click.command(short_help="Put alarms aside for some minutes.")
-@_names()
-@click.option(
-    "--minutes", type=click.FloatRange(0, min_open=True), required=True, help="For how long (alarms.longest_shelving)."
-)
-@by_option
-@_reason_option
-@config_option
-@machine_option
-@json_option
-def shelve(
-    names: tuple[str, ...], minutes: float, by: str, reason: str, path: Path, machine: str | None, as_json: bool
-) -> None:
-    """Put the alarms NAME... aside: neither shown nor sent until the time is over, when what stands is raised anew."""
-    _change(Change.SHELVE, path, machine, names, by=by, reason=reason, minutes=minutes, as_json=as_json)
-
-
-def _signed_command(change: Change, name: str, short_help: str, long_help: str) -> click.Command:
-    """The command of a change that takes names, a person and a reason."""
-
-    @_names()
-    @by_option
-    @_reason_option
-    @config_option
-    @machine_option
-    @json_option
-    def command(names: tuple[str, ...], by: str, reason: str, path: Path, machine: str | None, as_json: bool) -> None:
-        _change(change, path, machine, names, by=by, reason=reason, as_json=as_json)
-
-    return click.command(name, short_help=short_help, help=long_help)(command)
-
-
-unshelve = _signed_command(
-    Change.UNSHELVE,
-    "unshelve",
-    "Take alarms back before their time is over.",
-    "Take the shelved alarms NAME... back before their time is over.",
-)
-remove = _signed_command(
-    Change.REMOVE,
-    "remove-from-service",
-    "Take alarms out for work on what they watch.",
-    "Take the alarms NAME... out of service: neither shown nor sent until they are returned.",
-)
-return_to_service = _signed_command(
-    Change.RETURN,
-    "return",
-    "Return alarms to service.",
-    "Return the alarms NAME... to service; what stands is raised anew.",
-)
-reset = _signed_command(
-    Change.RESET,
-    "reset",
-    "Let go of latched alarms.",
-    "Let go of the latched alarms NAME..., which are over and acknowledged.",
-)
 
 
 def _window(path: Path, since: str, machine: str | None) -> tuple[Path, float, float]:
@@ -252,13 +161,8 @@ def _window(path: Path, since: str, machine: str | None) -> tuple[Path, float, f
     return historian, parse_moment(since, end), end
 
 
-@click.command(short_help="Show what alarms did, and who did what with them.")
-@click.option("--since", default="8h", show_default=True, help="A time (2026-03-01T06:00, UTC) or a span back (7d).")
-@config_option
-@machine_option
-@json_option
 def journal(since: str, path: Path, machine: str | None, as_json: bool) -> None:
-    """Show every change of an alarm with its person and reason, in order. Times are UTC."""
+    """The work of `alarm journal`."""
     from gateway.machine.alarms import read_journal
 
     with sentences():
@@ -284,17 +188,8 @@ def journal(since: str, path: Path, machine: str | None, as_json: bool) -> None:
     conclude(CommandResult({"journal": [asdict(row) for row in rows]}), lambda _: show_rows(), as_json=as_json)
 
 
-@click.command(short_help="Hold the alarms against what a person can deal with (EEMUA 191).")
-@click.option("--since", default="7d", show_default=True, help="A time (2026-03-01T06:00, UTC) or a span back (8h).")
-@config_option
-@machine_option
-@json_option
 def rates(since: str, path: Path, machine: str | None, as_json: bool) -> None:
-    """Count the alarms up to the newest scan: average, peak, floods, chattering, standing, stale, priorities.
-
-    Of several machines all are counted together, as one person has to deal with them. Exit code 1 where it is more
-    than a person can deal with.
-    """
+    """The work of `alarm rates`."""
     from gateway.machine.alarms import PRIORITIES, alarm_rates, read_journal
 
     with sentences():

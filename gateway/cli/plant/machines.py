@@ -4,13 +4,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import click
-
 from drivers.settings import with_place
-from gateway.cli.plant.plant_file import config_option
 from gateway.commission.files import Edit, commit, plant_findings, with_machine, without_machine
-from gateway.commission.options import DRY_RUN
-from gateway.console import CommandResult, Line, Part, Rows, conclude, json_option
+from gateway.console import CommandResult, Line, Part, Rows, conclude
 from gateway.entry import sentences
 from gateway.outside.status import ControlError, connect, judge_health, read_status
 from gateway.settings import load_plant
@@ -18,11 +14,8 @@ from gateway.settings import load_plant
 RELOAD = "a gateway that runs takes it over with `decanter reload`"
 
 
-@click.command("list", short_help="List the machines, and how they are where a gateway runs.")
-@config_option
-@json_option
 def list_machines(path: Path, as_json: bool) -> None:
-    """List the machines with their devices and temperatures, and how they are where the gateway runs."""
+    """The work of `machine list`."""
     with sentences():
         configs = load_plant(path)
         health = _health(configs[0].control_socket)
@@ -69,19 +62,6 @@ def _health(socket: Path) -> dict[str, str]:
         line.close()
 
 
-@click.command(short_help="Add a machine to the plant file.")
-@click.argument("name")
-@click.option("--host", help="Its PLC's name or address.")
-@click.option("--port", type=click.IntRange(1, 65535), help="Its TCP port.")
-@click.option("--unit", type=click.IntRange(0, 255), help="Its Modbus unit, behind a gateway for several.")
-@click.option("--node", type=click.IntRange(1, 127), help="Its CANopen node.")
-@click.option("--device", "device_file", help="Its device file, relative to the plant file; the common one without it.")
-@click.option(
-    "--temperature", "temperatures", multiple=True, metavar="TAG[=MODEL]", help="A temperature that is predicted."
-)
-@config_option
-@DRY_RUN
-@json_option
 def add(
     name: str,
     path: Path,
@@ -91,7 +71,7 @@ def add(
     as_json: bool,
     **place: Any,
 ) -> None:
-    """Add the machine NAME to the plant file; what is not given is as for the others."""
+    """The work of `machine add`."""
     predicted = [dict(zip(("tag", "model"), text.split("=", 1), strict=False)) for text in temperatures]
     with sentences():
         device = {key: value for key, value in {"file": device_file, **place}.items() if value is not None}
@@ -100,13 +80,8 @@ def add(
         _apply_edit(edit, dry_run=dry_run, as_json=as_json)
 
 
-@click.command(short_help="Take a machine out of the plant file; its records stay.")
-@click.argument("name")
-@config_option
-@DRY_RUN
-@json_option
 def remove(name: str, path: Path, dry_run: bool, as_json: bool) -> None:
-    """Take the machine NAME out of the plant file; its records stay."""
+    """The work of `machine remove`."""
     with sentences():
         _apply_edit(without_machine(path, name), dry_run=dry_run, as_json=as_json)
 

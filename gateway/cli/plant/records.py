@@ -15,11 +15,8 @@ from math import inf, isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import click
-
 from drivers.csv_rows import write_rows
-from gateway.cli.plant.plant_file import config_option, machine_option
-from gateway.console import CommandResult, Part, Rows, conclude, json_option
+from gateway.console import CommandResult, Part, Rows, conclude
 from gateway.entry import sentences
 from gateway.extras import missing_sentence
 from gateway.settings import load_plant
@@ -34,12 +31,6 @@ ROWS_PER_WRITE = 20_000
 PARQUET = {"text": "string", "real": "float64", "whole": "int64", "flag": "bool_"}
 """pyarrow's types of the kinds of columns, by the names of their functions."""
 TREND_COLUMNS = ("start", "count", "low", "mean", "high")
-
-_since_option = click.option(
-    "--since", default="1d", show_default=True, help="A time (2026-03-01T06:00, UTC), a span back (7d, 36h), or `all`."
-)
-_until_option = click.option("--until", default=None, help="A time (UTC).  [default: the newest scan, and after]")
-_tag_option = click.option("--tag", default=None, metavar="TAG", help="Only this tag's rows, or this alarm's.")
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,22 +77,6 @@ def _rows(window: RecordsWindow, name: str, tag: str | None) -> Iterator[Followe
 # -------------------------------------------------------------------- export
 
 
-@click.command(short_help="Write a table of the records as CSV or Parquet.")
-@click.argument("file", type=click.Path(path_type=Path, dir_okay=False))
-@click.option(
-    "--table",
-    "name",
-    type=click.Choice(list(TABLE_COLUMNS)),
-    default="samples",
-    show_default=True,
-    help="Which; `decanter historian tables` describes them.",
-)
-@_tag_option
-@_since_option
-@_until_option
-@config_option
-@machine_option
-@json_option
 def export(
     file: Path,
     name: str,
@@ -112,11 +87,7 @@ def export(
     machine: str | None,
     as_json: bool,
 ) -> None:
-    """Write rows of the records to FILE, which ends in .csv or .parquet (needs the package decanter-gateway-parquet).
-
-    The file is there whole or not at all. Rows come machine by machine, in the order in which they were recorded; times
-    are UTC.
-    """
+    """The work of `historian export`."""
     with sentences():
         if file.suffix not in WRITERS:
             raise ValueError(f"{file}: ends neither in .csv nor in .parquet; name it so")
@@ -205,21 +176,6 @@ def _date(seconds: float) -> str:
 # -------------------------------------------------------------------- query
 
 
-@click.command(short_help="Show the newest rows of a table, or a tag's means.")
-@click.argument("name", metavar="TABLE", type=click.Choice(list(TABLE_COLUMNS)))
-@_tag_option
-@_since_option
-@_until_option
-@click.option("--last", type=click.IntRange(1, 100_000), default=20, show_default=True, help="How many rows.")
-@click.option(
-    "--every",
-    type=click.Choice(["60", "3600"]),
-    default=None,
-    help="Instead of rows a tag's count, least, mean and greatest value of each minute or hour.",
-)
-@config_option
-@machine_option
-@json_option
 def query(
     name: str,
     tag: str | None,
@@ -231,7 +187,7 @@ def query(
     machine: str | None,
     as_json: bool,
 ) -> None:
-    """Show the newest rows of TABLE: samples, predictions, forecasts, events or alarms. Times are UTC."""
+    """The work of `historian query`."""
     with sentences():
         window = _window(path, machine, since, until)
         head: Sequence[str]
@@ -266,10 +222,8 @@ def _means(window: RecordsWindow, name: str, tag: str | None, width: int) -> lis
     return list(zip(*(column.tolist() for column in columns), strict=True))
 
 
-@click.command(short_help="List the tables and what their columns mean.")
-@json_option
 def tables(as_json: bool) -> None:
-    """List the tables of `decanter historian export`, which are those of the PostgreSQL sink too."""
+    """The work of `historian tables`."""
     data = {
         name: [{"column": one.name, "kind": one.kind, "key": one.key, "meaning": one.meaning} for one in columns]
         for name, columns in TABLE_COLUMNS.items()

@@ -3,10 +3,7 @@
 from collections.abc import Iterator
 from pathlib import Path
 
-import click
-
-from gateway.cli.plant.plant_file import config_option
-from gateway.console import CommandResult, Line, Part, conclude, json_option, socket_option
+from gateway.console import CommandResult, Line, Part, conclude
 from gateway.entry import Exit, fail, sentences
 from gateway.outside.status import ControlError, connect
 from gateway.settings import load_plant
@@ -15,17 +12,8 @@ PATIENCE_S = 60.0
 """A machine that is stopped for it takes back what stands in its PLC first."""
 
 
-@click.command(short_help="Let a running gateway read its plant file anew.")
-@config_option
-@click.option("--dry-run", is_flag=True, help="Only say what would change.")
-@socket_option
-@json_option
 def reload(path: Path, dry_run: bool, socket: Path | None, as_json: bool) -> None:
-    """Let the running gateway read its plant file anew; machines that it does not touch lose no scan.
-
-    A file that cannot be used is refused, and so is a change of what all machines have in common; the former
-    configuration goes on then. What the next start would go without, as a file that it reads is damaged, is said too.
-    """
+    """The work of `reload`."""
     with sentences():
         # A file that cannot be used is refused here and now: nobody has to run for that.
         place = load_plant(path)[0].control_socket if socket is None else socket

@@ -11,28 +11,12 @@ from pathlib import Path
 
 import click
 
-from gateway.cli.plant.plant_file import config_option, load
+from gateway.cli.plant.plant_file import load
 from gateway.entry import Exit, fail, sentences
 from gateway.machine.reading import PlantClock
 from gateway.settings import Config
 
 
-@click.command(short_help="Run the gateway with a configuration file.")
-@config_option
-@click.option("--host", help="Instead of device.host.")
-@click.option("--port", type=click.IntRange(1, 65535), help="Instead of device.port.")
-@click.option(
-    "--clock",
-    "clock_text",
-    metavar="EPOCH,MONOTONIC,SPEED",
-    help="The clock of a replay, as the software PLC announces it.",
-)
-@click.option(
-    "--status", type=click.Path(path_type=Path), help="Rewrite this file with the present state (one line of JSON)."
-)
-@click.option("--watch", is_flag=True, help="Show the live panel, as `decanter top` does; lines off a terminal.")
-@click.option("--quiet", is_flag=True, help="Log to the file only.")
-@click.option("--stdin", is_flag=True, help="Also stop when standard input ends, as it does when the parent is gone.")
 def run(
     path: Path,
     host: str | None,
@@ -43,12 +27,7 @@ def run(
     quiet: bool,
     stdin: bool,
 ) -> None:
-    """Run the gateway until it is told to stop (SIGTERM or Ctrl-C).
-
-    It begins with three lines (model, PLC, records) and says each change of state in one line on standard output.
-    Other events of the log go to standard error. SIGHUP, sent to a gateway that runs off a terminal, has it read its
-    configuration anew, as `decanter reload` does.
-    """
+    """The work of `run`."""
     if watch and quiet:
         raise click.UsageError("--watch and --quiet exclude each other: one shows what the other hides")
     clock = _clock(clock_text) if clock_text else None

@@ -11,55 +11,22 @@ from typing import Any, NoReturn
 import click
 from rich.console import Console
 
-from gateway.cli.plant.plant_file import config_option, control_socket, machine_option
-from gateway.console import CommandResult, Drawing, conclude, json_option, socket_option
-from gateway.entry import Exit, fail, sentences
+from gateway.cli.plant.commands import EXITS, REFRESH_S
+from gateway.cli.plant.plant_file import control_socket
+from gateway.console import CommandResult, Drawing, conclude
+from gateway.entry import fail, sentences
 from gateway.outside.panel import follow, panel
 from gateway.outside.status import GatewayStatus, GatewayWatch, Health, Sighting, findings, judge_health
 from sim.strict_json import strict
 
 ANSWER_S = 5.0
 """How long (s) a gateway has for its first answer."""
-REFRESH_S = 0.5
-EXITS: dict[Health, tuple[Exit, str]] = {
-    Health.WELL: (Exit.OK, "readings arrive and no check finds anything"),
-    Health.ATTENTION: (
-        Exit.CHECK_FAILED,
-        "an alarm, a reading, the model, the write-back, the records, a part, the clock, the device",
-    ),
-    Health.ABSENT: (Exit.CANNOT_CONNECT, "no gateway runs with this plant file"),
-    Health.NO_READINGS: (Exit.DEVICE_EXCEPTION, "it runs, and its device gives no good reading"),
-    Health.SILENT: (Exit.TIMEOUT, "it is there and does not answer"),
-}
-"""The exit code of `decanter top --once` by the gateway's health, and when it is that."""
 WORSE = (Health.WELL, Health.ATTENTION, Health.NO_READINGS)
 """The words of machines that answer, each worse than the one before."""
-_EXIT_CODES = "; ".join(f"{code:d} {word}: {when}" for word, (code, when) in EXITS.items())
-_HELP = f"""\
-Watch a running gateway until Ctrl-C: value, age, quality, state, prediction, alarms, records, arming.
-
-On a terminal a panel, elsewhere three lines and then one for each change. An old number is never shown as a present
-one: without an answer the panel says so, and for how long. Several may watch one gateway.
-
-With --once there is one look. Its exit codes: {_EXIT_CODES}.
-"""
 
 
-@click.command(short_help="Watch a running gateway; --once: one look, and an exit code.", help=_HELP)
-@config_option
-@machine_option
-@click.option("--watch/--once", "watches", default=True, show_default=True, help="Until Ctrl-C, or one look.")
-@click.option(
-    "--every",
-    type=click.FloatRange(0.1, 60.0),
-    default=REFRESH_S,
-    show_default=True,
-    help="Seconds between two looks.",
-)
-@socket_option
-@json_option
 def top(path: Path, machine: str | None, watches: bool, every: float, socket: Path | None, as_json: bool) -> None:
-    """Watch a running gateway, or look once."""
+    """The work of `top`."""
     if watches and as_json:
         raise click.UsageError("--json is for one look: give --once too")
     with sentences(), closing(GatewayWatch(control_socket(path, socket), machine=machine)) as watch:

@@ -19,19 +19,8 @@ run_command(partial(main.main, prog_name="decanter emulate"), sys.argv[1:])
 """
 
 
-@click.command(
-    context_settings={"ignore_unknown_options": True, "help_option_names": []},
-    add_help_option=False,
-    short_help="Start the software PLC, which replays a trace.",
-)
-@click.option("--trace", type=click.Path(path_type=Path), help="Trace to replay.")
-@click.option("--columns", metavar="MAP", help="Column map by which --trace is read: an export of one's own.")
-@click.argument("arguments", nargs=-1, type=click.UNPROCESSED)
 def emulate(trace: Path | None, columns: str | None, arguments: tuple[str, ...]) -> None:
-    """Start the software PLC; all arguments are its own (try `decanter emulate --help`).
-
-    This process becomes the PLC's, so that signals and exit codes are the PLC's too.
-    """
+    """The work of `emulate`."""
     if columns is not None:
         if trace is None:
             raise click.UsageError("--columns says how a trace is read; give --trace FILE, too")

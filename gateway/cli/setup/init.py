@@ -25,46 +25,18 @@ from gateway.commission.files import (
     template,
 )
 from gateway.commission.import_list import bindings, make_reading
-from gateway.commission.options import HEARTBEAT, SharedOptions, list_options, pairs, place_options
+from gateway.commission.options import SharedOptions
 from gateway.console import CommandResult, Line, Part, conclude, find_service, make_folder, shipped_file
 from gateway.entry import sentences
 from gateway.settings import load_device
 
-_PATH = click.Path(path_type=Path)
 _LIST_ENDINGS = (".csv", ".xlsx", ".txt", ".tsv")
 _NO_NUMBERS = ("bool", "string")
 _HEARTBEAT = re.compile("heart ?beat|life ?(bit|counter|word)|watchdog|contatore ?vita|lebens", re.IGNORECASE)
 
 
-@click.command(short_help="Make a folder that runs, from an address and an I/O list.")
-@click.argument("folder", type=_PATH, default=".")
-@click.option("--list", "list_path", type=_PATH, help="The PLC's I/O list (CSV, XLSX).")
-@list_options
-@click.option("--without", multiple=True, metavar="TAG", help="Leave this tag of the list out; may be given again.")
-@click.option("--skip-bad", is_flag=True, help="Leave out rows of the list that cannot be used.")
-@click.option(
-    "--temperature",
-    "temperatures",
-    multiple=True,
-    metavar="TAG",
-    help="A tag that is predicted and watched; may be given again.  [default: those that the device takes blocks of]",
-)
-@click.option("--trace", type=_PATH, help="A recorded CSV, for which a column map is drafted.")
-@click.option(
-    "--rename", multiple=True, metavar="COLUMN=TAG", callback=pairs, help="Which tag a column of the trace is."
-)
-@click.option("--overwrite", is_flag=True, help="Replace files that are there.")
-@HEARTBEAT
-@place_options
 def init(given: SharedOptions, folder: Path, **options: Any) -> None:
-    """Make FOLDER (this one by default) a plant's: plant.toml, devices/plc.toml, columns.toml, models/, README.md.
-
-    On a terminal it asks for what is not given. Where the PLC is, --host or --serial say, or any other option of
-    `decanter plc`; where its tags lie, --list or --device FILE, which may be a shipped one such as decanter_plc. In
-    /etc/decanter it is the plant of the installed service: records in /var/lib/decanter, the page enabled; in
-    /etc/decanter/GROUP that of the service decanter@GROUP. The PLC is not asked, and nothing is written where something
-    is wrong: what is made is checked as `decanter run` does.
-    """
+    """The work of `init`."""
     with sentences():
         asked = _Prompt(terminal())
         how = make_reading(options)

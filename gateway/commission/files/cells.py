@@ -272,6 +272,7 @@ _NOT_BESIDE: Mapping[str, frozenset[str]] = {
         "register", "registers", "address", "poll", "polling", "priority", "historian", "deadband", "sampling",
         "adc", "display", "power", "turndown",
     }),
+    "bit": frozenset({"mask", "maske", "maschera", "masque", "mascara", "shift"}),
     "decimals": frozenset({"display", "displayed", "shown", "hmi", "anzeige"}),
     "order": frozenset({"sort", "work", "tag", "display", "row", "scan"}),
     "unit": frozenset({"no", "nr", "number", "id", "modbus", "slave", "address", "per", "zero", "full"}).union(*_ENDS),

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from gateway.commission.files.cells import ListSheet
+from gateway.commission.files.cells import ListRow, ListSheet, header_key
 from gateway.commission.files.io_words import WIDTHS
 from gateway.commission.survey import parse_register
 
@@ -62,14 +62,26 @@ def part_overlaps(sheet: ListSheet, tags: Sequence[Listed]) -> tuple[list[Listed
         said[tag.line] = (
             f"{sheet.path}: line {tag.line}: {tag.name!r}, {tag.keys['dtype']} at {tag.written!r}, shares registers "
             f"with {across.name!r} of line {across.line}, {across.keys['dtype']} at {across.written!r}: correct an "
-            "address or a type (32 bits at each address, as Enron and Daniel devices have them, are not read)"
+            "address or a type (where each address has 32 bits, as of Enron's and Daniel's devices, give --keep "
+            "wide_registers=RANGES)"
         )
     return [tag for tag in tags if tag.line not in said], list(said.values())
 
 
+_NAMES = re.compile(r"\b(?:name|nome|nom|nombre)$")
+
+
+def other_name(sheet: ListSheet, line: ListRow) -> tuple[str, str]:
+    """A row's name in another column of names, as `Documented Name` beside an empty `Name`, with that said."""
+    for header, cell in zip(sheet.ignored, line.unread, strict=False):
+        if cell and _NAMES.search(header_key(header)):
+            return cell, f"named by {header!r}"
+    return "", ""
+
+
 def part_halves(sheet: ListSheet, tags: Sequence[Listed]) -> tuple[list[Listed], list[str], str]:
     """(the tags that stay, a sentence for each word that has a unit or a scale, a note on what may be words)."""
-    remarks = {line.number: line.get("remark") for line in sheet.lines}
+    remarks = {line.number: (line.get("remark"), other_name(sheet, line)[0]) for line in sheet.lines}
     torn: dict[int, str] = {}
     doubted: list[tuple[Listed, Listed]] = []
     for first, second in _neighbours(tags):
@@ -80,14 +92,15 @@ def part_halves(sheet: ListSheet, tags: Sequence[Listed]) -> tuple[list[Listed],
             if not certain:
                 doubted.append((first, second))
             elif any(tag.keys.get(key) for tag in (first, second) for key in ("scale", "unit")):
-                for tag, other in ((first, second), (second, first)):
-                    torn[tag.line] = (
-                        f"{sheet.path}: line {tag.line}: {tag.name!r} is one word of a number of 32 bits, and the "
-                        f"other is in line {other.line}: give both one row of two registers, UINT32 or INT32, order "
-                        f"{order}"
-                    )
+                torn |= _said_torn(sheet, first, second, f", order {order}")
             break
     note = ""
+    # Who writes a counter as two rows writes all wide numbers so: no counter has limits.
+    if any(tag.keys.get("unit") in _COUNTERS for pair in doubted for tag in pair):
+        for first, second in doubted:
+            if any(tag.keys.get(key) for tag in (first, second) for key in ("scale", "unit")):
+                torn |= _said_torn(sheet, first, second, "")
+        doubted = [pair for pair in doubted if pair[0].line not in torn]
     if doubted:
         first, second = doubted[0]
         pairs = "1 pair of rows" if len(doubted) == 1 else f"{len(doubted)} pairs of rows"
@@ -96,6 +109,18 @@ def part_halves(sheet: ListSheet, tags: Sequence[Listed]) -> tuple[list[Listed],
             f"{first.line} and {second.line}): where they are, give both one row of two registers"
         )
     return [tag for tag in tags if tag.line not in torn], list(torn.values()), note
+
+
+_COUNTERS = frozenset({"Wh", "kWh", "MWh", "varh", "kvarh", "Mvarh", "VAh", "kVAh", "m3", "m³", "h", "hours"})
+
+
+def _said_torn(sheet: ListSheet, first: Listed, second: Listed, order: str) -> dict[int, str]:
+    """The sentence of either word, by its line."""
+    return {
+        tag.line: f"{sheet.path}: line {tag.line}: {tag.name!r} is one word of a number of 32 bits, and the other is "
+        f"in line {other.line}: give both one row of two registers, UINT32 or INT32{order}"
+        for tag, other in ((first, second), (second, first))
+    }
 
 
 def _neighbours(tags: Sequence[Listed]) -> Iterator[tuple[Listed, Listed]]:
@@ -111,10 +136,11 @@ def _neighbours(tags: Sequence[Listed]) -> Iterator[tuple[Listed, Listed]]:
 
 
 def _order(
-    first: Listed, second: Listed, remarks: Mapping[int, str], high: re.Pattern[str], low: re.Pattern[str]
+    first: Listed, second: Listed, remarks: Mapping[int, Sequence[str]], high: re.Pattern[str], low: re.Pattern[str]
 ) -> str:
     """The order in which two rows are the words of one number, by names or remarks; "" where they are not."""
-    for texts in ((first.name, second.name), (remarks.get(first.line, ""), remarks.get(second.line, ""))):
+    beside = zip(remarks.get(first.line, ()), remarks.get(second.line, ()), strict=False)
+    for texts in ((first.name, second.name), *beside):
         for order, kinds in (("ABCD", (high, low)), ("CDAB", (low, high))):
             rests = [kind.sub("", text.strip()) for kind, text in zip(kinds, texts, strict=True)]
             differ = all(rest != text.strip() for rest, text in zip(rests, texts, strict=True))

@@ -25,7 +25,7 @@ from gateway.commission.files.cells import (
     parse_decimal,
     read_sheet,
 )
-from gateway.commission.files.io_halves import Listed, part_halves, part_overlaps
+from gateway.commission.files.io_halves import Listed, other_name, part_halves, part_overlaps
 from gateway.commission.files.io_models import ModelError, read_model
 from gateway.commission.files.io_places import SIEMENS, AddressCell, ListedPlace, Numbering, parse_place
 from gateway.commission.files.io_polls import by_formula, is_iobroker, of_iobroker, read_polls
@@ -41,6 +41,9 @@ from gateway.commission.files.io_words import (
     TOLD_BY,
     WIDTHS,
     TypeCell,
+    parse_flag,
+    parse_sign,
+    parse_size,
     parse_tables,
     type_cell,
     widen_type,
@@ -71,7 +74,8 @@ class Reading:
     `table` of bare numbers, `order` of values wider than a register ("": ABCD, or what the list's layout has), `shift`
     added to every address, `registers` False for other drivers' addresses, which are left as they are. `gain` (one of
     GAINS), `numbers` (one of NUMBERS) and `plc` (one of PLC_MAKERS) settle what a list leaves open; "" where nothing
-    does. `unit` is the one that is meant of a list of several, `repeats` how often a group of a model is there.
+    does. `unit` is the one that is meant of a list of several, `repeats` how often a group of a model is there. `wide`:
+    the device has registers of 32 bits, each of which is one address.
     """
 
     table: str = "holding"
@@ -82,6 +86,7 @@ class Reading:
     numbers: str = ""
     plc: str = ""
     unit: int | None = None
+    wide: bool = False
     repeats: Mapping[str, int] = field(default_factory=dict)
     rename: Mapping[str, str] = field(default_factory=dict)
 
@@ -116,7 +121,7 @@ def read_io_list(path: Path, how: Reading, columns: Mapping[str, str] | None = N
         raise ListError(f"{path}: has no registers; give a list with one entry a tag")
     if not tags and not problems:
         raise ListError(f"{path}: has a header in line {sheet.header_line} and no row under it; give one row a tag")
-    tags, across = part_overlaps(sheet, tags) if how.registers else (tags, [])
+    tags, across = part_overlaps(sheet, tags) if how.registers and not how.wide else (tags, [])
     tags, torn, note = part_halves(sheet, tags)
     sheet = replace(sheet, notes=(*sheet.notes, note)) if note else sheet
     return IoList(sheet, tuple(tags), (*problems, *across, *torn))
@@ -170,6 +175,7 @@ def _power_word(header: str) -> str:
 
 
 _DECIMALS = re.compile(r"^(?:dec|dp|digits)$|komma|dezim|decim|precis|prazis")
+_MIN_LETTERS = 2
 _RAW = re.compile(
     r"\braw (?:\w+ )?(?:min|max|low|high|lo|hi|zero|full|span|range)\b|\b(?:min|max|low|high|range) (?:\w+ )?raw\b"
 )
@@ -180,12 +186,14 @@ _FACTORS = re.compile(
 )
 _SCALES = re.compile(
     rf"{_FACTORS.pattern}|{_DECIMALS.pattern}|{_RAW.pattern}|(?<!fi)scal(?!at)|skalier|resol|risol|echel|\bteilung"
-    r"|auflos|wertig|\blsb\b|quantum|increment|convert\b|pendenza|steigung|pente|divis|^weight$"
+    r"|auflos|wertig|\blsb\b|quantum|increment|convert\b|pendenza|steigung|pente|divis|^(?:weight|poids|peso)$"
+    r"|\b(?:pro|par|por) (?:digit|count|bit|punkt)\b"
 )
 _SUBTRACTS = re.compile(r"^sub$|^subtr")
 _ADDS = re.compile(rf"\bbias\b|intercept|^add$|^addend$|^additive$|{_SUBTRACTS.pattern}")
 _SAYS_A_NUMBER = re.compile(r"^\W*\d|(?:(?<![^\W\d_])x|[×*·/÷:=^+])\s*(?:[-+]\s*)?[.,]?\d", re.IGNORECASE)
 """A cell that is a number, or has an operation with one: `PT100 transmitter` has none."""
+_SIGNS = re.compile(r"^(?:un)?signed$|^sign$|vorzeichen|^vorz$|con segno|^segno$|^signo$|^signe$|^sinal$")
 _UNREAD = (
     (_SCALES, frozenset({"scale", "decimals", "raw_high", "formula"}), "scale", "how readings are scaled"),
     (_ADDS, frozenset({"offset"}), "offset", "what is added to readings"),
@@ -195,7 +203,7 @@ _UNREAD = (
         "order",
         "the order of words or bytes",
     ),
-    (re.compile(r"^signed$|^sign$|vorzeichen|con segno"), frozenset({"dtype"}), "dtype", "which numbers have a sign"),
+    (_SIGNS, frozenset({"dtype"}), "dtype", "which numbers have a sign"),
 )
 """Headers of columns that nobody reads, unless one of those columns is there; as which column, what they may say."""
 
@@ -217,6 +225,8 @@ def _of_units(sheet: ListSheet, how: Reading) -> ListSheet:
 
 def _check_unread(sheet: ListSheet) -> None:
     """Raises ListError for a column that nobody reads and whose cells may change readings."""
+    _check_lines(sheet)
+    _check_masks(sheet)
     for pattern, known, column, what in _UNREAD:
         first = next((sheet.columns[name] for name in sheet.columns if name in known), "")
         for at, header in enumerate(sheet.ignored):
@@ -237,6 +247,51 @@ def _check_unread(sheet: ListSheet) -> None:
                 raise ListError(
                     f"{sheet.path}: column {header!r} may say {what}, and is not understood: "
                     f"{_advise(column, header, key)}, or take it out"
+                )
+
+
+_LINES = ({"a": 1, "b": 0, "c": 0}, {"m": 1, "b": 0}, {"m": 1, "c": 0}, {"m": 1, "q": 0}, {"k": 1, "b": 0})
+"""Headers of one letter each by which lists write y = a x + b and its like, with what changes nothing."""
+
+
+def _check_lines(sheet: ListSheet) -> None:
+    """Raises ListError for columns such as `A` and `B`, or `m` and `b`, that make another number of what is read."""
+    letters = {header_key(header): at for at, header in enumerate(sheet.ignored)}
+    for neutral in _LINES:
+        places = {key: letters[key] for key in neutral if key in letters}
+        if next(iter(neutral)) not in places or len(places) < _MIN_LETTERS:
+            continue
+        for line in sheet.lines:
+            for key, at in places.items():
+                number = _factor_of(line.unread[at])
+                if number is not None and number != neutral[key]:
+                    named = " and ".join(repr(sheet.ignored[at]) for at in places.values())
+                    raise ListError(
+                        f"{sheet.path}: line {line.number}: columns {named} may say how readings are scaled "
+                        f"({sheet.ignored[at]} is {line.unread[at]}), and are not understood: write units per count in "
+                        "a column Scale and what is added in a column Offset, or take them out"
+                    )
+
+
+_MASKS = re.compile(r"\b(?:bit ?)?(?:mask|maske|maschera|masque|mascara)\b|^r?shift$|\b(?:bit|right) shift\b")
+_WHOLE_MASKS = frozenset({0, 0xFF, 0xFFFF, 0xFFFFFFFF})
+"""Masks that leave a number as it is, and 0 for a shift by nothing; 0xFF for a byte."""
+
+
+def _check_masks(sheet: ListSheet) -> None:
+    """Raises ListError for a mask or shift, by which only some bits of a register are the value."""
+    for at, header in enumerate(sheet.ignored):
+        if not _MASKS.search(header_key(header)):
+            continue
+        for line in sheet.lines:
+            with suppress(RowError):
+                number = _raw(line.unread[at], "bit")
+                byte = "8" in line.get("dtype")
+                if number is None or (number in _WHOLE_MASKS and (number != 0xFF or byte)):
+                    continue
+                raise ListError(
+                    f"{sheet.path}: line {line.number}: {header!r} ({line.unread[at]}) may say which bits are "
+                    "the value, and is not understood: give the bit in a column Bit, or take it out"
                 )
 
 
@@ -379,7 +434,9 @@ def _read_row(row: _ListedRow, before: Sequence[Listed]) -> Listed:
     line, how = row.line, row.how
     if refused := line.get("refused"):
         raise RowError("", f"{line.get('name')}: {refused}")
-    listed = line.get("name")
+    listed, named = line.get("name"), ""
+    if not listed:
+        listed, named = other_name(row.sheet, line)
     if not listed:
         raise RowError("name", "is empty; give the tag's name, or take the row out")
     name = how.rename.get(listed, listed)
@@ -388,6 +445,7 @@ def _read_row(row: _ListedRow, before: Sequence[Listed]) -> Listed:
     if header_key(line.get("access")) in _WRITE_ONLY:
         raise RowError("access", f"{line.get('access')!r} says that it cannot be read; take the row out")
     cell = _type_cell(line)
+    _check_sign(row.sheet, line, cell)
     address, place = _address(row, cell)
     dtype, length = _type(row, cell, place, address)
     numeric = dtype not in ("bool", "string")
@@ -411,10 +469,13 @@ def _read_row(row: _ListedRow, before: Sequence[Listed]) -> Listed:
         "scale_from": _factor_place(row, cell) if numeric else None,
         "period": _number(line, "period"),
     }
-    taken = "; ".join(note for note in (place.note, said, scaling.taken, line.get("said"), shared) if note)
+    taken = "; ".join(note for note in (named, place.note, said, scaling.taken, line.get("said"), shared) if note)
     unread = ""
     if numeric and scaling.scale is None and _SCALE_IN_WORDS.search(remark := line.get("remark")):
         unread = f"{row.sheet.where(line, 'remark')}: {remark!r} may say a scale, which is not read: give it a column"
+    if numeric and not keys["sentinel"] and _NO_VALUE_IN_WORDS.search(remark := line.get("remark")):
+        unread = f"{row.sheet.where(line, 'remark')}: {remark!r} may say a number that is no value, which is not read"
+        unread += ": give it a column Sentinel"
     return Listed(name, keys, line.number, taken, line.get("address"), unread)
 
 
@@ -432,11 +493,18 @@ def _check_bit(row: _ListedRow, cell: TypeCell, bit: int) -> None:
 
 
 _SCALE_IN_WORDS = re.compile(
-    r"(?:fakt|fact|fatt|scal|skal|escala|echelle|échelle|gain|mult|divi|teil|risol|resol|auflös|resoluc)\w*\W{0,3}\d"
-    r"|(?:^|\s)(?:[x×*/÷]\s?10*(?:[.,]0*1)?|0[.,]0*1)(?:$|\W)",
+    r"(?:fakt|fact|fatt|scal|skal|escala|echelle|échelle|gain|mult|divi|teil|risol|resol|auflös|resoluc)\w*"
+    r"(?: by| of| con| mit| par| por| per| durch)?\W{0,3}\d"
+    r"|(?:^|[\s(\[])(?:[x×*/÷]\s?10*(?:[.,]0*1)?|0[.,]0*1)(?:$|\W)",
     re.IGNORECASE,
 )
 """A scale in running text: `Faktor 0,1`, `x 0.1`, `/10`."""
+_ABSENT = r"(?:not avail|not impl|unavail|invalid|no data|no value|non disp|ungültig|nicht verf|indisp|no disp)"
+_NUMBER_OF_NOTHING = r"(?:0x[0-9a-f]{2,16}\b|-?\b(?:3276[78]|65535|2147483647|2147483648|4294967295)\b)"
+_NO_VALUE_IN_WORDS = re.compile(
+    rf"{_NUMBER_OF_NOTHING}.{{0,20}}{_ABSENT}|{_ABSENT}.{{0,20}}{_NUMBER_OF_NOTHING}", re.IGNORECASE
+)
+"""A sentinel in running text: `0xFFFF = not available`."""
 
 
 def _share_note(before: Sequence[Listed], row: _ListedRow, address: str, place: ListedPlace) -> str:
@@ -804,7 +872,10 @@ def _type_cell(line: ListRow) -> TypeCell:
 
 def _type(row: _ListedRow, cell: TypeCell, place: ListedPlace, address: str) -> tuple[str, int]:
     line, text = row.line, row.get("dtype")
-    count = _whole(line, "count") or place.count
+    bits = parse_size(header_key(line.get("length"))) or parse_size(header_key(line.get("count"))) or 0
+    said = "length" if parse_size(header_key(line.get("length"))) else "count"
+    count = -(-bits // 16) if bits and cell.dtype != "string" else 0 if bits else _whole(line, "count") or 0
+    count = count or place.count
     if place.count and count != place.count:
         raise RowError("address", f"{row.get('address')!r} has {place.count} registers, and the row says {count}")
     if not cell.dtype:
@@ -815,7 +886,9 @@ def _type(row: _ListedRow, cell: TypeCell, place: ListedPlace, address: str) -> 
         return "uint16", 0
     dtype, length = cell.dtype, cell.length
     if dtype == "string":
-        length = length or place.length or _text_length(row) or 2 * count
+        if bits % 8:
+            raise RowError(said, f"{line.get(said)!r} are no whole bytes; a text has 8 bits a byte")
+        length = length or place.length or bits // 8 or _text_length(row) or 2 * count
         if length <= 0:
             raise RowError("dtype", "a string needs its length in bytes: write STRING[16], or give a column Length")
         return dtype, length
@@ -837,7 +910,7 @@ def _type(row: _ListedRow, cell: TypeCell, place: ListedPlace, address: str) -> 
             own = WIDTHS[dtype]
             raise RowError("dtype", f"{text!r} has {own} register{'s' * (own > 1)}, and the row says {count}")
         return widened, length
-    size = _whole(line, "length")
+    size = None if bits else _whole(line, "length")
     if size is not None and size not in (WIDTHS[dtype], 2 * WIDTHS[dtype], 16 * WIDTHS[dtype], 1):
         raise RowError("length", f"is {size}, and {text!r} has {WIDTHS[dtype]} registers; correct one of them")
     if size is not None and not cell.wide and size not in (16, 32) and (size, dtype) != (4, "float32"):
@@ -884,6 +957,28 @@ def _order(row: _ListedRow, cell: TypeCell, dtype: str, place: ListedPlace) -> t
 # ---------------------------------------------------------------- addresses
 
 
+_SIGN_CELLS = {"±": True, "+/-": True, "-/+": True, "s": True, "y": True, "u": False, "+": False, "n": False}
+
+
+def _check_sign(sheet: ListSheet, line: ListRow, cell: TypeCell) -> None:
+    """Raises RowError for a type whose sign a column beside it contradicts (`INT16`, and `Sign` says unsigned)."""
+    dtype = cell.dtype or "uint16"
+    for header, text in zip(sheet.ignored, line.unread, strict=False):
+        if text in _EMPTY or not _SIGNS.search(key := header_key(header)):
+            continue
+        said = header_key(text)
+        signed = parse_sign(said)[0]
+        if signed is None:
+            signed = _SIGN_CELLS.get(text.lower(), parse_flag(said))
+            signed = not signed if signed is not None and key.startswith("unsigned") else signed
+        if signed is not None and dtype.startswith("uint" if signed else "int"):
+            raise RowError(
+                "dtype",
+                f"{line.get('dtype')!r} is taken as {dtype}, and {header!r} says {text!r}: write INT16, UINT16 or "
+                "another that says both",
+            )
+
+
 _NO_REGISTER = Register("", 0)
 
 
@@ -895,6 +990,8 @@ def _address(row: _ListedRow, cell: TypeCell) -> tuple[str, ListedPlace]:
     own = _bit(row)
     if not how.registers:
         return text, ListedPlace(register=_NO_REGISTER, bit=own)
+    if (end := row.get("end")) not in _EMPTY and end != text:
+        text = f"{text}-{end}"
     table = _table(row)
     place = parse_place(AddressCell(text, cell.dtype, row.numbering, how.plc, table or how.table, named=bool(table)))
     if own is not None and place.bit is None:

@@ -12,6 +12,7 @@ _BIT = re.compile(r"(.+?)(?:[.:/](?:bit|x)?|bit)(\d{1,2})")
 _SHORT = re.compile(r"([134])x0*(\d{1,5})")
 _NOUGHT = re.compile(r"0x([0-9a-f]{1,4})")
 _HEX = re.compile(r"(?:16#|&h|\$)([0-9a-f]{1,4})|([0-9a-f]{1,4})h")
+_X_HEX = re.compile(r"x([0-9a-f]{1,4})")
 _BARE_HEX = re.compile(r"[0-9a-f]{1,4}")
 _IEC = re.compile(r"%?(?P<area>[imq])(?P<size>[xbwdlf]?)(?P<number>\d{1,5})(?:\.(?P<bit>\d{1,2}))?")
 _GERMAN = re.compile(r"%?([ea])([xbwd]?\d{1,5}(?:\.\d)?)")
@@ -188,6 +189,13 @@ def _single(plain: str, cell: AddressCell) -> ListedPlace:
         raise RowError(
             "address", f"{text!r}: {match[1].upper()} counts from 1 or from 0 by its server; give 40101 or holding:100"
         )
+    if match := _X_HEX.fullmatch(plain):
+        if not how.hexadecimal:
+            raise RowError(
+                "address",
+                f"{text!r} may be hexadecimal, or a PLC's input X; give --numbers hex or holding:100",
+            )
+        plain = match[1]
     if how.hexadecimal and _BARE_HEX.fullmatch(plain):
         return ListedPlace(_check_range(Register(table, int(plain, 16) - how.first), text))
     if not how.hexadecimal and plain.isdecimal() and len(plain) <= 5:

@@ -13,12 +13,12 @@ COLUMNS: Mapping[str, tuple[str, ...]] = {
         *("signal", "simbolo", "symbol", "nome variabile", "nome segnale", "etichetta", "item", "punto", "point"),
         *("variablenname", "signalname", "messstelle", "datenpunkt", "kennzeichen", "nom", "nom de variable"),
         *("nom du signal", "repere", "mnemonique", "nombre", "nombre de variable", "senal", "simbolo", "bezeichnung"),
-        *("designation",),
+        *("designation", "naam", "nazwa"),
     ),
     "address": (
         *("indirizzo", "address", "indirizzo modbus", "modbus address", "registro", "register", "addr", "ind"),
         *("indirizzo plc", "plc address", "modbus register", "registro modbus", "offset modbus", "nodeid", "object"),
-        *("oggetto", "index", "indice"),
+        *("oggetto", "index", "indice", "reg no", "reg nr", "reg number", "modbus reg"),
         *(
             "adresse registre",
             "adresse du registre",
@@ -29,8 +29,14 @@ COLUMNS: Mapping[str, tuple[str, ...]] = {
             "adresse modbus",
             "registre",
         ),
-        *("direccion", "direccion modbus"),
+        *("direccion", "direccion modbus", "endereco", "endereco modbus", "adres", "adres modbus"),
         *("protocol offset", "protocol address", "pdu offset", "pdu address", "register offset", "address offset"),
+    ),
+    "end": (
+        *("end address", "address end", "addr end", "end addr", "end register", "register end", "last register"),
+        *("last address", "to address", "address to", "stop address", "endadresse", "adresse ende", "bis adresse"),
+        *("indirizzo finale", "fine indirizzo", "ultimo registro", "adresse fin", "adresse de fin", "dernier registre"),
+        *("direccion final", "ultimo registro"),
     ),
     "table": (
         *("area", "tabella", "table", "tipo registro", "register type", "tipo di registro", "memory area"),
@@ -42,7 +48,7 @@ COLUMNS: Mapping[str, tuple[str, ...]] = {
         *("tipo dato", "tipo di dato", "data type", "datatype", "tipo", "type", "formato", "format", "dtype"),
         *("tipo variabile", "variable type"),
         *("datentyp", "typ", "datenformat", "type de donnee", "type de donnees", "tipo de dato", "tipo de datos"),
-        *("formato de dato",),
+        *("formato de dato", "tipo de dado", "tipo de dados", "gegevenstype", "typ danych"),
     ),
     "order": (
         *("ordine", "order", "byte order", "word order", "ordine word", "ordine parole", "ordine byte", "endianness"),
@@ -71,7 +77,7 @@ COLUMNS: Mapping[str, tuple[str, ...]] = {
         *("multiplier", "gain", "guadagno", "risoluzione", "resolution", "k", "coefficiente", "ratio"),
         *("divisor", "divider", "divisore", "divide by", "teiler"),
         *("skalierung", "faktor", "skalierungsfaktor", "auflosung", "echelle", "facteur", "facteur d echelle"),
-        *("escala", "factor de escala", "diviseur", "resolucion"),
+        *("escala", "factor de escala", "diviseur", "resolucion", "fator", "fator de escala", "schaal", "mnoznik"),
     ),
     "decimals": (
         *("decimals", "decimal places", "decimali", "cifre decimali", "number of decimals", "decimal digits"),
@@ -90,7 +96,8 @@ COLUMNS: Mapping[str, tuple[str, ...]] = {
     "unit": (
         *("unita", "unita di misura", "unita misura", "um", "u m", "unit", "units", "ing unit", "eng unit"),
         *("engineering unit", "engineering units", "eu", "udm", "u d m", "misura"),
-        *("einheit", "physikalische einheit", "unite", "unidad", "unidad de medida"),
+        *("einheit", "physikalische einheit", "unite", "unidad", "unidad de medida", "unidades", "unites", "einheiten"),
+        *("unidade", "eenheid", "jednostka"),
     ),
     "formula": ("formula", "formel", "espressione", "expression"),
     "unit_id": (
@@ -142,16 +149,16 @@ LENGTHS_IN_BITS = frozenset({"bits", "bit length", "no of bits", "bitlange"})
 LENGTHS_OF_NO_UNIT = frozenset({"size", "data size", "grosse", "groesse", "dimensione", "taille", "tamano"})
 """A number's width shows which unit such a length has; a text's does not."""
 
-_STRING = re.compile(r"(?:w?string|stringa|char|testo|text)\s*[\[( ]?\s*(\d*)")
+_STRING = re.compile(r"(?:w?string|stringa|char|testo|text|ascii(?: string| text| code)?)\s*[\[( ]?\s*(\d*)")
 
 _TYPES: Mapping[str, str] = {
     **dict.fromkeys(
         ("bool", "boolean", "booleano", "bit", "digital", "digitale", "di", "do", "binario", "logico"), "bool"
     ),
     **dict.fromkeys(("int", "int16", "sint16", "short", "intero", "intero con segno", "signed", "s16", "i16"), "int16"),
-    **dict.fromkeys(("integer", "signed int", "signed int 16", "int 16", "signed 16"), "int16"),
+    **dict.fromkeys(("integer", "short16", "signed int", "signed int 16", "int 16", "signed 16"), "int16"),
     **dict.fromkeys(("uint", "uint16", "word", "unsigned", "intero senza segno", "u16", "ushort", "uint 16"), "uint16"),
-    **dict.fromkeys(("unsigned int", "unsigned 16", "unsigned int 16", "parola"), "uint16"),
+    **dict.fromkeys(("unsigned int", "ushort16", "unsigned 16", "unsigned int 16", "parola"), "uint16"),
     **dict.fromkeys(
         ("dint", "int32", "long", "intero lungo", "s32", "i32", "signed 32", "int 32", "doppio intero"), "int32"
     ),
@@ -215,8 +222,9 @@ TABLES: Mapping[str, str] = {
     **dict.fromkeys(("holding reg", "registro holding", "mw", "registri di mantenimento", "fc 3", "fc 03"), "holding"),
     **dict.fromkeys(("input", "input register", "input registers", "ir", "3x", "04", "fc4", "fc04"), "input"),
     **dict.fromkeys(("registro input", "registro di ingresso", "input reg", "fc 4", "fc 04"), "input"),
-    **{f"read {name}": name.split()[0] for name in ("holding registers", "input registers", "discrete inputs")},
-    "read coils": "coil",
+    **{f"read {name}{s}": name.split()[0] for name in ("holding register", "input register") for s in ("", "s")},
+    **dict.fromkeys(("read coil", "read coils", "read coil status"), "coil"),
+    **dict.fromkeys(("read discrete input", "read discrete inputs", "read input status"), "discrete"),
     **dict.fromkeys(("coil", "coils", "0x", "01", "1", "fc1", "fc01", "fc 1", "fc 01", "bobina", "bobine"), "coil"),
     **dict.fromkeys(("discrete", "discrete input", "discrete inputs", "1x", "02", "2", "fc2", "fc02"), "discrete"),
     **dict.fromkeys(("ingresso digitale", "ingressi digitali", "fc 2", "fc 02"), "discrete"),
@@ -298,10 +306,29 @@ class TypeCell:
 
 
 _FLOAT = frozenset({"float", "real", "reale", "floating", "point", "ieee", "754", "ieee754", "single", "precision"})
-_PLAIN = frozenset({"unsigned", "uint", "word", "senza", "segno"})
-_SIGNED = frozenset({"signed", "int", "integer", "intero", "con", "two", "twos", "s", "complement"})
+_BIT_FIELDS = frozenset({"flags", "bitfield", "bitmap", "bitmask"})
+_PLAIN = frozenset({"uint", "word", "wort", "parola", "mot", "palabra"}) | _BIT_FIELDS
+_SIGNED = frozenset({"int", "integer", "intero", "entero", "entier", "ganzzahl", "inteiro", "s"})
+_UNSIGNED_PHRASE = re.compile(
+    r"\b(?:unsigned|(?:senza|sin|sem|sans|non|no|ohne|without|not) (?:segno|signo|sinal|signe|signed|sign|vorzeichen)"
+    r"|vorzeichenlos|nicht vorzeichenbehaftet)\b"
+)
+_SIGNED_PHRASE = re.compile(
+    r"\b(?:signed|(?:con|com|avec|mit|with) (?:segno|signo|sinal|signe|sign|vorzeichen)|signe|vorzeichenbehaftet"
+    r"|(?:two|twos|two s|2 s|2s) complement|complemento a (?:2|due|dos))\b"
+)
+
+
+def parse_sign(key: str) -> tuple[bool | None, str]:
+    """(whether a text says that a number has a sign, None where it does not say; the rest of it)."""
+    for pattern, signed in ((_UNSIGNED_PHRASE, False), (_SIGNED_PHRASE, True)):
+        if pattern.search(key):
+            return signed, " ".join(pattern.sub(" ", key).split())
+    return None, key
+
+
 _FILLERS = frozenset({"bit", "bits", "value", "number", "format", "register", "registers", "reg", "regs", "numero"})
-_WIDTHLESS = frozenset({"integer", "signed", "unsigned", "intero", "unsigned integer", "signed integer"})
+_WIDTHLESS = _BIT_FIELDS | frozenset({"integer", "signed", "unsigned", "intero", "unsigned integer", "signed integer"})
 _COUNTED = re.compile(r"(\d) (?:registers?|words?|regs?|registri)")
 """`2 registers` in a type's cell."""
 
@@ -328,16 +355,26 @@ def type_cell(key: str) -> TypeCell:
     count = _COUNTED.search(rest)
     rest = " ".join(_COUNTED.sub(" ", rest).split())
     found = parse_type(rest)
+    signed: bool | None = None
+    if found is None:
+        signed, rest = parse_sign(rest)
+        found = parse_type(rest)
     wide = rest not in _WIDTHLESS
+    if found and signed is not None and found[0].startswith(("int", "uint")):
+        if signed and found[0].startswith("uint") and rest.startswith("u"):
+            return TypeCell(unknown="signed")
+        found = (("" if signed else "u") + found[0].removeprefix("u"), 0)
     if found is None:
         tokens = [token for token in re.sub(r"(\d)bit", r"\1 bit", rest).split() if token not in _FILLERS]
         widths = [token for token in tokens if token in ("8", "16", "32", "64")]
         kinds = [token for token in tokens if token not in widths]
         unknown = [token for token in kinds if token not in _FLOAT | _PLAIN | _SIGNED]
-        if unknown or not kinds or len(widths) > 1:
+        bare = signed is not None and bool(widths or count)
+        if unknown or len(widths) > 1 or not (kinds or bare):
             return TypeCell(unknown=(unknown or tokens or [key])[0])
         wide = bool(widths) or not set(kinds) <= _WIDTHLESS | _FLOAT
-        kind = "float" if set(kinds) & _FLOAT else "uint" if set(kinds) & _PLAIN else "int"
+        unsigned = bool(set(kinds) & _PLAIN) if signed is None else not signed
+        kind = "float" if set(kinds) & _FLOAT else "uint" if unsigned else "int"
         bits = widths[0] if widths else "32" if kind == "float" else "16"
         if kind == "float" and bits not in ("32", "64"):
             return TypeCell(unknown=bits)
@@ -375,6 +412,18 @@ def parse_type(key: str) -> tuple[str, int] | None:
         return "string", int(match[1] or 0)
     found = _TYPES.get(key) or _TYPES.get(key.replace(" ", ""))
     return (found, 0) if found else None
+
+
+_MEASURED = re.compile(
+    r"(\d+) ?(?:(bits?)|(bytes?|octets?|octeti?|chars?|characters?|zeichen|caratteri|caracteres)"
+    r"|(words?|worte?|parole|mots?|palabras?|regs?|registers?|registri|registres?|registros?))"
+)
+
+
+def parse_size(key: str) -> int | None:
+    """The bits of a size that says in what it counts (`2byte`, `4 registers`); None for any other."""
+    match = _MEASURED.fullmatch(key)
+    return int(match[1]) * (1 if match[2] else 8 if match[3] else 16) if match else None
 
 
 def parse_flag(key: str) -> bool | None:

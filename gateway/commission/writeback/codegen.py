@@ -5,42 +5,15 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-import click
-
 from drivers.named_files import name_write_errors
 from gateway.commission.writeback.structured_text import Program, generate
 from gateway.commission.writeback.targets import TARGETS
 from gateway.commission.writeback.vectors import plain
-from gateway.console import CommandResult, conclude, config_dir, json_option
+from gateway.console import CommandResult, conclude
 from gateway.entry import sentences
 from gateway.settings import load_device
 
 
-@click.command(short_help="Generate the PLC's side of the write-back as Structured Text.")
-@click.option(
-    "--device",
-    type=click.Path(path_type=Path),
-    default=lambda: config_dir() / "devices" / "decanter_plc.toml",
-    show_default="config/devices/decanter_plc.toml",
-    help="The device file (register map) with the [writeback] table.",
-)
-@click.option(
-    "--target",
-    type=click.Choice(list(TARGETS)),
-    default="plain",
-    show_default=True,
-    help="The tool that the text goes into: its names, its places of registers, its spelling.",
-)
-@click.option("--out", type=click.Path(path_type=Path), help="File of the Structured Text.  [default: the screen]")
-@click.option("--name", default="", help="Name of the function block.  [default: made from the device's name]")
-@click.option("--program/--no-program", default=True, show_default=True, help="Also an example program that calls it.")
-@click.option(
-    "--location", default="", help="Where registers lie in the PLC: %MW, %QW or %IW.  [default: the target's]"
-)
-@click.option("--permit-at", default="", metavar="LOCATION", help="The bit of the permit's switch, such as %IX0.0.")
-@click.option("--cycle", type=click.IntRange(1, 10_000), default=20, show_default=True, help="The task's cycle in ms.")
-@click.option("--suite", type=click.Path(path_type=Path), help="Also write the conformance suite here (JSON).")
-@json_option
 def codegen(
     device: Path,
     target: str,
@@ -53,11 +26,7 @@ def codegen(
     suite: Path | None,
     as_json: bool,
 ) -> None:
-    """Generate the function block that checks the gateway's blocks: plain IEC 61131-3, 2nd edition, from the map.
-
-    It checks layout version, sequence copy, CRC, session and heartbeat, keeps a timer, and falls back to the PLC's own
-    logic. What to paste where in OpenPLC, CODESYS and TIA Portal is in docs/plc_side.md.
-    """
+    """The work of `plc codegen`."""
     with sentences():
         device_map = load_device(device)
         tool = TARGETS[target]

@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from gateway.commission.options import SharedOptions, audit_option, link_options
+from gateway.commission.options import SharedOptions
 from gateway.commission.session import perform
 from gateway.commission.writeback.block_writer import (
     BlockWriter,
@@ -72,22 +72,8 @@ TESTS: dict[str, tuple[Test, View, tuple[str, ...]]] = {
 """What can be tested -> the test, what is seen of its result, and which of the command's options it takes."""
 
 
-@click.command(short_help="Test the PLC's side: alarm bits, heartbeats, the contract; needs an arming.")
-@click.argument("what", type=click.Choice(list(TESTS)))
-@click.option("--ask", is_flag=True, default=None, help="alarms, conformance: put each question to the person here.")
-@click.option("--watchdog/--no-watchdog", default=None, help="heartbeat: let the PLC's timer run out.  [default: yes]")
-@audit_option
-@link_options
 def test(given: SharedOptions, what: str, audit: Path | None, **options: bool | None) -> None:
-    """Test the PLC's side of the write-back. It writes, so it needs an arming (decanter arm).
-
-    alarms sets each alarm bit alone, then none: the PLC has to accept the block, and the HMI to show it (--ask).
-    heartbeat moves and checks both heartbeats; the PLC's timer runs out when the blocks cease. Blocks of both have
-    validity 0, but for one that starts the timer, with a probability of 0 and no other number in it.
-
-    conformance puts the PLC's side through the suite of the contract: whole, torn, wrong and late blocks, for about
-    five times the PLC's timer. With --ask a person gives and takes the permit when the suite wants it.
-    """
+    """The work of `plc check write`."""
     work, view, taken = TESTS[what]
     for name, value in options.items():
         if value is not None and name not in taken:

@@ -1,4 +1,4 @@
-"""The options of `model check` and `model judge proof` and their help; the work is loaded when it is asked for."""
+"""The options of `model check`, `judge proof` and `simulate`; the work is loaded when it is asked for."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -6,8 +6,8 @@ from typing import Any
 
 import click
 
-from gateway.console import finite, historian_machine_option, json_option, map_option
-from gateway.lab.options import policy_option
+from gateway.console import finite, historian_machine_option, json_option, map_option, seed_option
+from gateway.lab.options import picture_option, policy_option, start_option, trace_option
 
 
 def _share(_: click.Context, parameter: click.Parameter, number: float) -> float:
@@ -164,3 +164,30 @@ def prove(**given: Any) -> None:
     from gateway.lab.checking.prove import prove as work
 
     work(**given)
+
+
+@click.command(short_help="Let a model run along measured traces; say how far off it is.")
+@click.argument("directory")
+@trace_option
+@click.option("--word", help="Instead of traces: a timed word, as 'W_ON@0 A_2@30 @600', or a file with one.")
+@map_option
+@click.option(
+    "--runs", type=click.IntRange(2, 1_000_000), default=1000, show_default=True, help="Stochastic runs a trace."
+)
+@policy_option
+@start_option
+@seed_option
+@picture_option
+@json_option
+def simulate(**options: Any) -> None:
+    """Let a model run along measured traces (open loop) and say how far off it comes out.
+
+    Errors are given at all readings, at the events (the thesis's way) and for the last reading, apart; the band is
+    that of the stochastic runs, the sensor's noise included.
+
+    With --word the model runs without noise and without clamps along a timed word, such as a counterexample of
+    `decanter model judge proof`: each stay's m, inputs and temperature may stand behind its event (docs/checking.md).
+    """
+    from gateway.lab.checking.simulate import simulate as work
+
+    work(**options)

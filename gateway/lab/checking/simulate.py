@@ -7,12 +7,10 @@ from typing import Any
 import click
 import numpy as np
 
-from gateway.console import CommandResult, Part, Rows, conclude, json_option, map_option, progress, seed_option
+from gateway.console import CommandResult, Part, Rows, conclude, progress
 from gateway.entry import Exit, sentence, sentences
 from gateway.lab.checking.word import replay_word
-from gateway.lab.options import policy_option, start_option, trace_option
 from gateway.lab.traces.load import load
-from gateway.lab.traces.picture import picture_option
 from sim.engine import Policy, Start, errors, open_loop, open_loop_schedule, readings, start_law
 from sim.engine import simulate as sample_runs
 from sim.forecast import review_errors, standardise
@@ -111,19 +109,6 @@ def _simulate_one(
     }
 
 
-@click.command(short_help="Let a model run along measured traces; say how far off it is.")
-@click.argument("directory")
-@trace_option
-@click.option("--word", help="Instead of traces: a timed word, as 'W_ON@0 A_2@30 @600', or a file with one.")
-@map_option
-@click.option(
-    "--runs", type=click.IntRange(2, 1_000_000), default=1000, show_default=True, help="Stochastic runs a trace."
-)
-@policy_option
-@start_option
-@seed_option
-@picture_option
-@json_option
 def simulate(
     directory: str,
     paths: Sequence[str],
@@ -136,14 +121,7 @@ def simulate(
     picture: Path | None,
     as_json: bool,
 ) -> None:
-    """Let a model run along measured traces (open loop) and say how far off it comes out.
-
-    Errors are given at all readings, at the events (the thesis's way) and for the last reading, apart; the band is
-    that of the stochastic runs, the sensor's noise included.
-
-    With --word the model runs without noise and without clamps along a timed word, such as a counterexample of
-    `decanter model judge proof`: each stay's m, inputs and temperature may stand behind its event (docs/checking.md).
-    """
+    """The work of `model simulate`."""
     if bool(paths) == (word is not None):
         raise click.UsageError("give --trace or --word, one of the two")
     if word is not None:

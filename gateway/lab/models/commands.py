@@ -1,4 +1,4 @@
-"""The options of `model export` and its help; the work is loaded when it is asked for."""
+"""The options of `model show`, `version promote` and `export`; the work is loaded when it is asked for."""
 
 from pathlib import Path
 from typing import Any
@@ -39,3 +39,37 @@ def export(**given: Any) -> None:
     from gateway.lab.models.export import export as work
 
     work(**given)
+
+
+@click.command(short_help="Show a model and where it comes from.")
+@click.argument("name")
+@json_option
+def show(**options: Any) -> None:
+    """Show a model: locations, flows, laws of parameters and stays, where it comes from.
+
+    Of artefacts that cannot be run the structure is shown, and why they cannot.
+    """
+    from gateway.lab.models.show import show as work
+
+    work(**options)
+
+
+@click.command(short_help="Make a version of a store current, if its model verifies.")
+@click.argument("store", type=click.Path(path_type=Path, file_okay=False))
+@click.argument("version", required=False)
+@click.option("--add", "model", help="Save this model (a directory or JSON file) as a new version and promote that.")
+@click.option("--force", "reason", metavar="REASON", help="Promote one that is not deployable or unfit; recorded.")
+@click.option("--by", help="Who forces it; recorded.")
+@json_option
+def promote(**options: Any) -> None:
+    """Make VERSION of STORE the current one: what a gateway runs whose model.path is the store.
+
+    A model that does not verify (see `decanter model judge proof`), that was judged unfit where it was learned, or that
+    foresaw the same cycles worse than the one that runs is refused, in one sentence with the reasons. Its verdict is
+    shown beside that of the version that ran before; going back to one that ran is always free. --force with --by
+    promotes it all the same, if it can be run at all: name and reason are kept in the store, the gateway warns at each
+    start, does not run armed on one that does not verify, and has red confidence in one that is unfit.
+    """
+    from gateway.lab.models.promote import promote as work
+
+    work(**options)

@@ -7,9 +7,7 @@ from dataclasses import asdict
 from math import nan
 from typing import TYPE_CHECKING, Any
 
-import click
-
-from gateway.console import CommandResult, Line, Part, Rows, conclude, json_option
+from gateway.console import CommandResult, Line, Part, Rows, conclude
 from gateway.entry import sentences
 from sim.anomaly import MAX_LEVEL
 from sim.artefacts import NO_VERDICT_TEXT, ModelVerdict, model_hash
@@ -22,14 +20,8 @@ if TYPE_CHECKING:
     from sim.lab.learning import MachineSpread
 
 
-@click.command(short_help="Show a model and where it comes from.")
-@click.argument("name")
-@json_option
 def show(name: str, as_json: bool) -> None:
-    """Show a model: locations, flows, laws of parameters and stays, where it comes from.
-
-    Of artefacts that cannot be run the structure is shown, and why they cannot.
-    """
+    """The work of `model show`."""
     with sentences():
         found_model = find_model(name)
         if found_model.model is None or found_model.artefacts is not None:

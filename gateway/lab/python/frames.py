@@ -317,7 +317,7 @@ def _draft(path: Path, answers: Answers, *, guess: bool) -> tuple[str, list[str]
     taken: list[str] = []
     while True:
         try:
-            drafted = draft_map(path, answers)
+            drafted = draft_map(path, answers, now=now())
         except Undecided as question:
             if not (guess and question.guess):
                 raise

@@ -5,13 +5,11 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TextIO
 
-import click
-
 from drivers.csv_rows import write_rows
 from drivers.driver import open_recording
 from drivers.named_files import name_write_errors
 from drivers.tag import Sample
-from gateway.console import CommandResult, Part, Rows, conclude, json_option, make_folder, progress, shipped_file
+from gateway.console import CommandResult, Part, Rows, conclude, make_folder, progress, shipped_file
 from gateway.entry import sentences
 from gateway.settings import load_device
 
@@ -19,24 +17,10 @@ COLUMNS = ("time_s", "signal", "value", "quality")
 _MOST_IDENTIFIERS = 60
 
 
-@click.command("can", short_help="Decode a CAN log (candump, ASC, BLF, TRC, CSV, MF4) to a table and a CSV.")
-@click.argument("log", type=click.Path(path_type=Path))
-@click.option(
-    "--device", default="obd2", show_default=True, help="Device file with the tags, or a name in config/devices."
-)
-@click.option("--format", "format_", help="candump, asc, blf, trc, csv or mf4, where the suffix does not say it.")
-@click.option("--bus", help="Only this bus of the log, as the log names it (can0, 1 ...).")
-@click.option("--dbc", type=click.Path(path_type=Path), help="DBC file, instead of the device file's own.")
-@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="Write the readings to this CSV.")
-@json_option
 def can_log(
     log: Path, device: str, format_: str | None, bus: str | None, dbc: Path | None, out: Path | None, as_json: bool
 ) -> None:
-    """Decode a CAN log by the tags of a device file, and say what became of every frame.
-
-    The CSV has a row a reading: time_s (as logged), signal, value, quality; a reading that is not good has the value
-    nan. Column maps of the format "long" read it, for OBD-II config/traces/can_obd2.toml.
-    """
+    """The work of `trace can`."""
     options = {"format": format_, "bus": bus, "dbc": dbc and str(dbc)}
     with sentences(), progress(log.name) as report:
         device_map = load_device(shipped_file("devices", device))

@@ -3,12 +3,10 @@
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-import click
 import numpy as np
 
-from gateway.console import CommandResult, Part, conclude, json_option, map_option, shipped_file
+from gateway.console import CommandResult, Part, conclude, shipped_file
 from gateway.entry import sentences
-from gateway.lab.traces.picture import picture_option
 from gateway.lab.traces.summary import show_summaries, trace_summary
 from sim.lab.pictures import Curve, Picture, draw
 from sim.lab.recordings import load_map, load_traces
@@ -17,13 +15,8 @@ MOST_INPUTS = 3
 """Inputs that are drawn below the temperature."""
 
 
-@click.command(short_help="Load traces; say what was used, what was refused and why.")
-@click.argument("paths", nargs=-1, required=True)
-@map_option
-@picture_option
-@json_option
 def show(paths: Sequence[str], map_name: str, picture: Path | None, as_json: bool) -> None:
-    """Load traces (files, a folder or a glob) by a column map; say what was used, what was refused and why."""
+    """The work of `trace show`."""
     with sentences():
         column_map = load_map(shipped_file("traces", map_name))
         traces, report = load_traces(paths[0] if len(paths) == 1 else list(paths), column_map)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from gateway.console import CommandResult, conclude, json_option, make_folder, progress, seed_option
+from gateway.console import CommandResult, conclude, make_folder, progress
 from gateway.entry import sentences
 from gateway.lab.traces.summary import show_summaries, trace_summary
 from sim.lab.recordings import write_trace
@@ -14,15 +14,6 @@ from sim.plant import SCENARIOS, production, scenario
 from sim.sha import DECANTER, encode
 
 
-@click.command(short_help="Write SYNTHETIC traces as CSV.")
-@click.argument("names", nargs=-1)
-@click.option("--all", "everything", is_flag=True, help="All scenarios cd1..cd17.")
-@click.option("--days", type=click.IntRange(1, 400), help="Production over so many days instead of a scenario.")
-@click.option("--cycles", type=click.IntRange(1, 48), default=4, show_default=True, help="Runs a day, with --days.")
-@click.option("--period", type=click.FloatRange(0.1, 3600), default=10.0, show_default=True, help="s, with --days.")
-@seed_option
-@click.option("--out", type=click.Path(path_type=Path), default=Path("out/traces"), show_default=True)
-@json_option
 def synth(
     names: Sequence[str],
     everything: bool,
@@ -33,10 +24,7 @@ def synth(
     out: Path,
     as_json: bool,
 ) -> None:
-    """Write SYNTHETIC traces as CSV: scenarios (cd1 cd8 ...), all of them, or production over several days.
-
-    No plant produced them; every file says so in its first line.
-    """
+    """The work of `trace synth`."""
     wanted = list(SCENARIOS) if everything else list(names)
     if not wanted and days is None:
         raise click.UsageError("name scenarios (cd1 ... cd17), or give --all or --days N")

@@ -32,6 +32,9 @@ COVERAGE_AFTER = 5.0
 """So many independent forecasts must have matured before how often a band holds is said."""
 FRESH_PERIODS = 3.0
 """A forecast older than three of its periods (of scans, where these are rarer) is not used any more."""
+MAX_POSTPONED_PERIODS = 0.5
+"""So late a forecast begins at most while scans are skipped. One that may be used stays so until the next is made: that
+may take one and a half periods then, no less than where each begins when the one before it is done."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +50,8 @@ class Outlook:
 
     Runs are drawn from the clock and the configured seed, so that a replay of the same beliefs gives the same fans.
     `levels` are those of its fans, FAN_LEVELS among them; whoever scores them wants more. `turns` are taken with the
-    forecasts of other machines, so that few are made at once.
+    forecasts of other machines, so that few are made at once. Of `postponed` ones the scans were behind when they were
+    due.
     """
 
     def __init__(
@@ -66,11 +70,11 @@ class Outlook:
         self.predictor, self.section, self.limit = predictor, section, limit
         self.ensemble, self.levels = ensemble, levels
         self.latest: Forecast | None = None
-        self.made = 0
+        self.made = self.postponed = 0
         self.calibration: Calibration = bands(predictor.model, section, scan_period, member=ensemble is not None)
         self._task: asyncio.Task[Forecast | MixedForecast] | None = None
         self._usable_s = FRESH_PERIODS * max(section.period, scan_period)
-        self._due = -inf
+        self._due = self._postponed_from = -inf
         self._void = False
         self._measured: float | None = None
 
@@ -135,10 +139,17 @@ class Outlook:
         if self.ensemble is not None:
             self.ensemble.follow(scan, measured)
 
-    def begin(self, now: float, *, known: bool, measured: float | None) -> None:
-        """Start a forecast in a thread if one is due, none is running and the state of the plant is known."""
+    def begin(self, now: float, *, known: bool, measured: float | None, behind: bool = False) -> None:
+        """Start a forecast in a thread if one is due, none is running and the state of the plant is known.
+
+        Where the scans are `behind`, it waits: readings, alarms and blocks go first.
+        """
         belief = self.predictor.belief
         if self._task is not None or now < self._due or not known or belief is None or not belief.seen:
+            return
+        if behind and self.fresh(now) is not None and now < self._due + MAX_POSTPONED_PERIODS * self.section.period:
+            self.postponed += self._postponed_from != self._due
+            self._postponed_from = self._due
             return
         # Counted from its beginning, however long it takes: a slow machine makes fewer forecasts and never a queue.
         self._due, self._measured = now + self.section.period, measured

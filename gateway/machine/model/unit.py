@@ -27,7 +27,10 @@ from gateway.store import HistorianView, saved_state
 from sim.artefacts import (
     FORECAST_CRITERION,
     MODEL_FILE,
+    ModelVerdict,
+    compare_verdicts,
     is_store,
+    pair_horizons,
     read_finding,
     read_verdict,
     version_directory,
@@ -103,8 +106,13 @@ class ModelUnit:
             turns=self._turns,
         )
         alarms = config.alarms
+        verdict = self.loaded.verdict
         self.guards = Guards(
-            self.loaded.model, config.forecast.horizons, alarms.drift, drift_cycles=alarms.drift_cycles
+            self.loaded.model,
+            config.forecast.horizons,
+            alarms.drift,
+            drift_cycles=alarms.drift_cycles,
+            rare={} if verdict is None else {each.horizon: each.rare for each in verdict.foreseen},
         )
         section = config.virtual_sensor
         self.familiarity = CycleFamiliarity(self.loaded.familiarity, self.loaded.model, config.alarms.unfamiliar)
@@ -286,7 +294,9 @@ class ModelUnit:
             message = "a model of the ensemble failed and is left out for now"
             self._log.warning(message, member=name, reason=reason)
         if self.pickup.ready is None:  # a model that waits takes over between two forecasts
-            outlook.begin(scan.time, known=p.known and p.inputs_good, measured=p.measured)
+            # Ticks were skipped, and not because the device takes longer than a period to answer.
+            behind = scan.missed > 0 and scan.duration < self.config.scan.period
+            outlook.begin(scan.time, known=p.known and p.inputs_good, measured=p.measured, behind=behind)
         self.pickup.keep(scan)
         self.pickup.look(scan.time, [member.hash for member in self.members])
 
@@ -332,6 +342,7 @@ class ModelUnit:
             with suppress(ArtefactError, OSError):
                 if store is not None and (verdict := read_verdict(version_directory(store, name))) is not None:
                     foreseen = [each.sentence for each in verdict.criteria if each.criterion == FORECAST_CRITERION]
+                    foreseen += self._beside_present(name, verdict)
                     verdicts[name] = {"word": verdict.word, "sentence": verdict.sentence, "score": "; ".join(foreseen)}
         for name in known[-MOST_ORIGINS:]:
             with suppress(ArtefactError, OSError, ValueError, LookupError, TypeError):
@@ -359,6 +370,13 @@ class ModelUnit:
             "present": now.location if now is not None and now.known else None,
             "provenance": asdict(model.provenance),
         }
+
+    def _beside_present(self, name: str, verdict: ModelVerdict) -> list[str]:
+        """What is known of another version beside the one that runs; none where their verdicts do not tell."""
+        runs = self.loaded.verdict
+        if name == self.loaded.version or runs is None or not pair_horizons(verdict, runs):
+            return []
+        return [compare_verdicts(verdict, runs, self.loaded.model.unit, "").sentence]
 
     def guard_report(self) -> dict[str, Any]:
         """The model's guards and the ensemble's weights as plain values."""

@@ -209,6 +209,13 @@ METRICS: Sequence[MachineMetric] = (
         _chances,
     ),
     MachineMetric(
+        "decanter_forecasts_postponed_total",
+        "counter",
+        "Forecasts that waited since scans were skipped when they were due.",
+        ("temperature",),
+        lambda s: [((one.temperature,), one.forecast.postponed) for one in _temperatures(s) if one.forecast],
+    ),
+    MachineMetric(
         "decanter_alarm_active",
         "gauge",
         "Whether an alarm that is not normal stands.",

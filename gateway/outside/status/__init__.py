@@ -3,41 +3,48 @@
 It needs neither numpy nor a model, so that a command that only looks begins at once.
 """
 
-from gateway.outside.status.changes import (
-    SAID_BY_CHANGES,
-    ChangeLines,
-    arming_text,
-    clock_text,
-    date_text,
-    model_text,
-    opening_lines,
-)
-from gateway.outside.status.client import ControlError, GatewayLine, connect, short
-from gateway.outside.status.health import (
-    Health,
-    HealthFinding,
-    findings,
-    judge_health,
-    link_sentence,
-    records_sentence,
-    unfamiliar_sentence,
-    virtual_sentence,
-)
-from gateway.outside.status.picture import (
-    AlarmStatus,
-    FamiliarityStatus,
-    ForecastStatus,
-    GatewayStatus,
-    HistorianStatus,
-    LinkStatus,
-    ModelStatus,
-    PredictionStatus,
-    ScanStatus,
-    StatusError,
-    StrangeStatus,
-    TagStatus,
-    TemperatureStatus,
-    VirtualStatus,
-    read_status,
-)
-from gateway.outside.status.watch import GatewayWatch, Sighting
+from typing import TYPE_CHECKING
+
+from sim.doors import lazy_getattr
+
+if TYPE_CHECKING:
+    from gateway.outside.status.changes import (
+        SAID_BY_CHANGES,
+        ChangeLines,
+        arming_text,
+        clock_text,
+        date_text,
+        model_text,
+        opening_lines,
+    )
+    from gateway.outside.status.client import ControlError, GatewayLine, connect, short
+    from gateway.outside.status.health import (
+        HealthFinding,
+        findings,
+        judge_health,
+        link_sentence,
+        records_sentence,
+        unfamiliar_sentence,
+        virtual_sentence,
+    )
+    from gateway.outside.status.health_words import Health
+    from gateway.outside.status.picture import (
+        AlarmStatus,
+        FamiliarityStatus,
+        ForecastStatus,
+        GatewayStatus,
+        HistorianStatus,
+        LinkStatus,
+        ModelStatus,
+        PredictionStatus,
+        ScanStatus,
+        StatusError,
+        StrangeStatus,
+        TagStatus,
+        TemperatureStatus,
+        VirtualStatus,
+        read_status,
+    )
+    from gateway.outside.status.watch import GatewayWatch, Sighting
+else:
+    __getattr__ = lazy_getattr(__name__)

@@ -2,8 +2,8 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from enum import StrEnum
 
+from gateway.outside.status.health_words import Health
 from gateway.outside.status.picture import GatewayStatus, TagStatus, TemperatureStatus
 from sim.phrase import Phrase
 from sim.units import display_unit
@@ -12,16 +12,6 @@ UNFORESEEN = "no forecast"
 """The kind of the alarm that no usable forecast comes."""
 MOST_NAMED = 3
 """How many tags, alarms or parts one sentence names; the rest is counted."""
-
-
-class Health(StrEnum):
-    """The word for a gateway; `decanter top --once` has an exit code for each."""
-
-    WELL = "well"
-    ATTENTION = "attention"
-    NO_READINGS = "no readings"
-    ABSENT = "absent"
-    SILENT = "silent"
 
 
 @dataclass(frozen=True, slots=True)

@@ -128,6 +128,7 @@ class ForecastStatus:
     `usable`: it is fresh, and the state that it began from is still known. `block` are the fields of the write-back
     block that it fills, brought to the newest scan; of these, minutes without a value lie beyond the horizons.
     `coverage` is, by horizon, the share of recent 90 % bands that held what came; None before enough have matured.
+    `postponed` counts those that waited since scans were skipped when they were due.
     """
 
     time: float
@@ -140,6 +141,7 @@ class ForecastStatus:
     factors: Sequence[float | None]
     block: Mapping[str, float | None]
     coverage: Sequence[float | None] = ()
+    postponed: int = 0
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -27,6 +27,11 @@ class Words:
         """The text of a code such as a quality (`section.code`); the code itself where there is none."""
         return self.texts.get(key.replace(" ", "_"), key.partition(".")[2])
 
+    def by_whom(self, who: str) -> str:
+        """Who did something, a name and the address that it was done from."""
+        name, at, place = who.rpartition(" at ")
+        return self.say("word.by_at", name=name, place=place) if at else who
+
     def number(self, value: float, digits: int) -> str:
         """A number as this language writes it: the decimal sign is its own."""
         text = f"{value:.{digits}f}"

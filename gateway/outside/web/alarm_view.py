@@ -51,19 +51,26 @@ def _row(words: Words, labels: Mapping[str, str], status: GatewayStatus, alarm: 
         "of": of,
         "section": section,
         "holds": holds,
-        "title": _title(words, labels, alarm, holds=holds, of_temperature=of_temperature),
+        "title": _title(words, labels, alarm, holds=holds, known=known, of_temperature=of_temperature),
         "response": response,
         "sentence": response if holds else _current_state(words, status, alarm, known=known),
         "otherwise": _consequence(words, alarm) if holds else "",
     }
 
 
-def _title(words: Words, labels: Mapping[str, str], alarm: AlarmStatus, *, holds: bool, of_temperature: bool) -> str:
-    """What it tells, of what in the plant's words; its own name where nobody knows its kind."""
+def _title(
+    words: Words, labels: Mapping[str, str], alarm: AlarmStatus, *, holds: bool, known: bool, of_temperature: bool
+) -> str:
+    """What it tells, of what in the plant's words; its own name where nobody knows its kind.
+
+    What stands and may be so still is not said as what is over is.
+    """
     key = f"{'kind' if holds else 'past'}.{alarm.kind.replace(' ', '_')}"
     if key not in words.texts:
         return alarm.name
     title = words.say(key)
+    if alarm.standing and not known:
+        title = words.say("alarm.last_known", title=title)
     return f"{labels.get(alarm.tag, alarm.tag)}: {title}" if of_temperature else title
 
 

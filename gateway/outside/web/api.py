@@ -369,7 +369,10 @@ async def _mail_shift(call: Call) -> Any:
 
 async def _scorecard(call: Call) -> Any:
     g = call.given
-    return await call.page.reader.scorecard(g.machine, g.temperature, g.weeks)
+    reply = await call.page.calls.ask("model", machine=g.machine)
+    model = reply["temperatures"].get(g.temperature) or {"locations": []}
+    runs = {place["name"]: place["runs"] for place in model["locations"] if place["runs"] is not None}
+    return await call.page.reader.scorecard(g.machine, g.temperature, g.weeks, runs)
 
 
 async def _model(call: Call) -> Any:

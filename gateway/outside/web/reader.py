@@ -140,9 +140,10 @@ class HistorianReader:
         """See `gateway.outside.web.readings.rates_of_alarms`."""
         return await self._slow.ask("rates", days=days)
 
-    async def scorecard(self, machine: str, temperature: str, weeks: int) -> bytes:
+    async def scorecard(self, machine: str, temperature: str, weeks: int, runs: Mapping[str, bool]) -> bytes:
         """See `gateway.outside.web.readings.scores_by_week`."""
-        return await self._slow.ask("scorecard", machine=machine, temperature=temperature, weeks=weeks)
+        asked = {"machine": machine, "temperature": temperature, "weeks": weeks}
+        return await self._slow.ask("scorecard", **asked, runs=runs)
 
     async def notes(self, audit: Path, machine: str, start: float, end: float) -> bytes:
         """See `gateway.outside.web.readings.notes_between`."""

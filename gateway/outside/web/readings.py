@@ -189,9 +189,11 @@ def rates_of_alarms(path: Path, *, days: float) -> dict[str, Any]:
     return plain
 
 
-def scores_by_week(path: Path, *, machine: str, temperature: str, weeks: int) -> dict[str, Any]:
+def scores_by_week(
+    path: Path, *, machine: str, temperature: str, weeks: int, runs: Mapping[str, bool]
+) -> dict[str, Any]:
     """The scorecard of each of the last `weeks` in which there are scans, the newest first, which ends with the newest
-    scan; beside it what came of the warnings. Raises HistorianError.
+    scan; beside it what came of the warnings. `runs` as of `scorecard`. Raises HistorianError.
     """
     with reading(path) as connection:
         last = newest_scan(connection, machine=machine)
@@ -199,7 +201,7 @@ def scores_by_week(path: Path, *, machine: str, temperature: str, weeks: int) ->
     for number in range(weeks if last is not None else 0):
         end = (last or 0.0) - number * WEEK + (1.0 if number == 0 else 0.0)
         start = end - WEEK
-        card = scorecard(path, machine=machine, temperature=temperature, start=start, end=end)
+        card = scorecard(path, machine=machine, temperature=temperature, start=start, end=end, runs=runs)
         if card.one_step.count or number == 0:
             warnings = warning_score(path, machine=machine, temperature=temperature, start=start, end=end)
             rows.append({"start": start, "end": end, "card": card, "warnings": warnings})

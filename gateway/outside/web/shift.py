@@ -95,7 +95,7 @@ def read_people(audit: Path, *, start: float, end: float, machine: str | None = 
         if machine is None or row.detail.get("machine") == machine
     ]
     deeds = [
-        {"time": row.time, "kind": row.kind, "by": row.who, "reason": row.reason, "about": _about(row.detail)}
+        {"time": row.time, "kind": row.kind, "by": row.who, "reason": row.reason, **_about(row.detail)}
         for row in rows
         # Who only asks what a reload would change has had nothing done.
         if row.kind not in (NOTE, ON_SHIFT) and start <= row.time <= end and not row.detail.get("dry_run")
@@ -117,9 +117,12 @@ def _is_of_people(kind: str) -> bool:
     return kind in (ON_SHIFT, NOTE, *DEEDS) or kind.startswith("alarm ")
 
 
-def _about(detail: Mapping[str, Any]) -> str:
-    """Of what a deed was: the machine, and the alarm or the version of a model."""
-    return ", ".join(str(detail[key]) for key in ("machine", "alarm", "version") if detail.get(key))
+def _about(detail: Mapping[str, Any]) -> dict[str, Any]:
+    """Of what a deed was: the machine, and the alarm with its kind and tag or the version of a model; None for none."""
+    name = str(detail.get("alarm") or "")
+    kind = parse_kind(name)
+    alarm = {"alarm": name, "kind": kind, "tag": name.removeprefix(kind).strip()} if name else None
+    return {"machine": detail.get("machine"), "alarm": alarm, "version": detail.get("version")}
 
 
 def _of_machine(

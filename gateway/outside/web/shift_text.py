@@ -21,15 +21,12 @@ def shift_text(words: Words, labels: Mapping[str, str], units: Mapping[str, str]
     lines.append(
         words.say("shift.nobody")
         if there is None
-        else words.say("shift.there", names=there["names"], by=there["by"], since=_moment(there["time"]))
+        else words.say("shift.there", names=there["names"], by=words.by_whom(there["by"]), since=_moment(there["time"]))
     )
     for name, machine in report["machines"].items():
         lines += ["", labels.get(name, name), *(f"  {line}" for line in _machine(words, labels, units, machine))]
-    notes = [
-        f"{_moment(note['time'])}  {labels.get(note['machine'], note['machine'])}: {note['text']} ({note['by']})"
-        for note in report["notes"]
-    ]
-    deeds = [f"{_moment(deed['time'])}  {_deed(words, deed)}" for deed in report["deeds"]]
+    notes = [f"{_moment(note['time'])}  {_note(words, labels, note)}" for note in report["notes"]]
+    deeds = [f"{_moment(deed['time'])}  {_deed(words, labels, deed)}" for deed in report["deeds"]]
     for title, key, found in (("note.notes", "notes", notes), ("shift.deeds", "deeds", deeds)):
         before = report["left_out"][key]
         more = [words.say("shift.left_out", count=before)] if before else []
@@ -60,17 +57,21 @@ def _machine(
     yield f"{words.say('score.blocks')}: {blocks or words.say('word.none')}"
     yield f"{words.say('nav.alarms')}:" if machine["alarms"] else words.say("shift.no_alarms")
     for one in machine["alarms"]:
-        by = f"{one['by']}, {duration(words, one['acknowledged'] - one['raised'])}" if one["acknowledged"] else ""
-        seen = f"{words.say('alarm.acknowledged_by')} {by or words.say('shift.by_nobody')}"
-        yield f"  {_moment(one['raised'])}  {_title(words, labels, one)}: {_outcome(words, one)}; {seen}"
+        by = words.say("shift.by_nobody")
+        if one["acknowledged"]:
+            by = f"{words.by_whom(one['by'])}, {duration(words, one['acknowledged'] - one['raised'])}"
+        title = _title(words, labels, one, "kind" if one["ended"] is None else "past")
+        outcome = f"{_outcome(words, one)}; {words.say('alarm.acknowledged_by')} {by}"
+        yield f"  {_moment(one['raised'])}  {title}: {outcome}"
 
 
-def _title(words: Words, labels: Mapping[str, str], one: Mapping[str, Any]) -> str:
+def _title(words: Words, labels: Mapping[str, str], one: Mapping[str, Any], tense: str = "past") -> str:
     """What is or was, of what in the plant's words; its own name where nobody knows its kind."""
     if not one["kind"]:
         return str(one["alarm"])
-    said = words.of_code(f"{'kind' if one['ended'] is None else 'past'}.{one['kind']}")
-    return said if one["alarm"] == one["kind"] or one["of_plant"] else f"{labels.get(one['tag'], one['tag'])}: {said}"
+    said = words.of_code(f"{tense}.{one['kind']}")
+    alone = one["alarm"] == one["kind"] or one.get("of_plant")
+    return said if alone else f"{labels.get(one['tag'], one['tag'])}: {said}"
 
 
 def _outcome(words: Words, one: Mapping[str, Any]) -> str:
@@ -83,13 +84,20 @@ def _outcome(words: Words, one: Mapping[str, Any]) -> str:
     if not one["warning"]:
         return ended
     after = one["limit_after"]
-    passed = words.say("shift.not_passed") if after is None else words.say("shift.passed", age=duration(words, after))
+    open_key = "shift.not_passed_yet" if one["ended"] is None else "shift.not_passed"
+    passed = words.say(open_key) if after is None else words.say("shift.passed", age=duration(words, after))
     return f"{passed}; {ended}"
 
 
-def _deed(words: Words, deed: Mapping[str, Any]) -> str:
+def _note(words: Words, labels: Mapping[str, str], note: Mapping[str, Any]) -> str:
+    return f"{labels.get(note['machine'], note['machine'])}: {note['text']} ({words.by_whom(note['by'])})"
+
+
+def _deed(words: Words, labels: Mapping[str, str], deed: Mapping[str, Any]) -> str:
     what = words.of_code(f"deed.{deed['kind'].replace(':', '').replace('-', '_')}")
-    parts = [f"{deed['by']}: {what}", deed["about"], deed["reason"]]
+    alarm = deed["alarm"] and _title(words, labels, deed["alarm"])
+    machine = labels.get(deed["machine"], deed["machine"])
+    parts = [f"{words.by_whom(deed['by'])}: {what}", machine, alarm, deed["version"], deed["reason"]]
     return ", ".join(part for part in parts if part)
 
 

@@ -11,9 +11,10 @@ from math import isfinite
 
 import numpy as np
 
-from sim.artefacts import FORECAST_CRITERION, JudgedCriterion, ModelVerdict, rate_criteria
+from sim.artefacts import FORECAST_CRITERION, ForeseenHorizon, JudgedCriterion, ModelVerdict, rate_criteria
 from sim.lab.judge.rows import MIN_FORECASTS
 from sim.lab.learning import HORIZONS_S, MOST_WIDENING, Coverage, first_switch, level_signals
+from sim.lab.recordings import FAHRENHEIT_REST_RANGE
 from sim.proof import Verification, verify
 from sim.sha import DEFAULT_UNIT, RELAXING_FLOWS, Array, Mask, Model, Trace, display_unit, distributions
 
@@ -34,8 +35,8 @@ MAX_CODE_SHARE = 0.005
 REVERSED_LOAD_RATIO = 20.0
 """The load while "off" over that while "on" from which a switch is upside down: what runs draws something. A level that
 is merely lower while a machine runs, as a compressor's suction pressure is, says nothing."""
-FAHRENHEIT_REST_RANGE, KELVIN_REST_RANGE = (50.0, 110.0), (270.0, 310.0)
-"""Where a machine at rest settles if its degrees are Fahrenheit's (10 to 43 °C), or kelvin (-3 to 37 °C)."""
+KELVIN_REST_RANGE = (270.0, 310.0)
+"""Where a machine at rest settles if its degrees are kelvin (-3 to 37 °C)."""
 NOISE_ROW_S, MIN_NOISE_DEGC, MAX_NOISE_SHARE = 60.0, 1.0, 0.1
 """Heat takes minutes: from row to row within so many seconds no bearing jumps by as many degC, and by such a share of
 all that it moves (from its 5th to its 95th percentile; of noise alone that is 3.3 times its sigma)."""
@@ -84,7 +85,18 @@ def judge_learning(model: Model, traces: Sequence[Trace], coverage: Sequence[Cov
         criteria.append(
             JudgedCriterion(criterion=name, kept=kept, sentence=sentence, next_step="" if kept else next_step)
         )
-    return ModelVerdict(word=rate_criteria(criteria, told=bool(case.known_horizons())), criteria=tuple(criteria))
+    return ModelVerdict(
+        word=rate_criteria(criteria, told=bool(case.known_horizons())),
+        criteria=tuple(criteria),
+        foreseen=tuple(
+            ForeseenHorizon(
+                horizon=row.horizon,
+                units={unit: round(crps, 6) for unit, crps in row.units.items()},
+                rare=round(row.rare / model.calibration.get(row.horizon, 1.0), 3),
+            )
+            for row in coverage
+        ),
+    )
 
 
 def _judge_proof(case: LearnedCase) -> Said:

@@ -3,18 +3,21 @@
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import exp, inf, log, nan
+from typing import TypeVar
 
 import numpy as np
 
 from sim.anomaly import AnomalyRecord, ScorePeaks
 from sim.engine import Belief, Tracker, anomaly, compile_tracker, observe, on_event, start, with_inputs
-from sim.forecast import FAN_LEVELS, Z90, fans, member_weights, observe_leap
+from sim.forecast import FAN_LEVELS, RARE_SHARE, Z90, fans, member_weights, observe_leap
 from sim.lab.learning.anomaly_level import record_scores
 from sim.lab.learning.outcomes import clean_readings
 from sim.lab.learning.plain import PERSISTENCE
+from sim.lab.learning.runs import first_switch
 from sim.scores import crps_quantiles
-from sim.sha import UNKNOWN, Array, Event, Model, PlainMember, Trace, plain_model
+from sim.sha import UNKNOWN, Array, Event, Model, PlainMember, Trace, content_hash, plain_model
 
+DAY_S = 86_400.0
 HORIZONS_S = (60.0, 300.0, 900.0)
 FORECAST_COUNT = 100
 """Forecasts that are made in all, spread evenly over the time that may be used."""
@@ -35,6 +38,7 @@ UNSEEN_DRIFT = 0.5
 largest one of a shorter horizon."""
 LEAST_WIDENING, MOST_WIDENING = 0.5, 5.0
 """Bounds of a factor: what lies outside is a model that does not fit, which a band cannot mend."""
+Group = TypeVar("Group")
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +47,8 @@ class Coverage:
     `covered` by the 90 % band as the model gave it, the `factor` that comes of it, their mean CRPS (degC), and that of
     `persistence` at the same moments (NaN where none stood beside the model). `other_days` says whether whole traces or
     machines were held out; else it was later times of the same ones, and `widening` is for what they cannot tell.
+    `units` has the mean CRPS of each `Scored.unit`. Beyond `rare` standard deviations of the
+    band as the model gave it came RARE_SHARE of the errors, or none where they are too few to tell.
     """
 
     horizon: float
@@ -53,6 +59,8 @@ class Coverage:
     crps: float
     persistence: float = nan
     other_days: bool = True
+    units: Mapping[str, float] = field(default_factory=dict)
+    rare: float = 0.0
 
     @property
     def widening(self) -> float:
@@ -64,7 +72,9 @@ class Coverage:
 class Scored:
     """One forecast for one horizon: when it was due, its error in units of the band (1.645 is its edge), its CRPS.
 
-    It was made along the `trace` of that name, of a `machine` ("": nobody says of which).
+    It was made along the `trace` of that name, of a `machine` ("": nobody says of which), in a `unit` of it that errs
+    apart: the machine's cycle, or the day where no switch is read. It is called by the hash of the temperature's
+    readings and the moment of its beginning, so that another model's forecasts of the same are found.
     """
 
     horizon: float
@@ -73,6 +83,7 @@ class Scored:
     crps: float
     machine: str = ""
     trace: str = ""
+    unit: str = ""
 
 
 @dataclass(slots=True)
@@ -141,14 +152,27 @@ def score_forecasts(
             scores.traces.add((trace.machine, trace.name))
     judged = [each for each in seen if each[-1]]
     found = fans(tracker, [(belief, tuple(due)) for _, belief, due in judged], rng, runs=FORECAST_RUNS)
+    units = {id(trace): _name_units(trace, model) for trace in traces}
     return [
         score
         for (trace, belief, due), fan in zip(judged, found, strict=True)
-        for score in _scores(trace, belief.time, due, fan)
+        for score in _scores(trace, belief.time, due, fan, units[id(trace)](belief.time))
     ]
 
 
-def _scores(trace: Trace, time: float, due: Mapping[float, float], fan: Array) -> list[Scored]:
+def _name_units(trace: Trace, model: Model) -> Callable[[float], str]:
+    """The name of the cycle (or day) of a moment, which is the same whatever else was read beside the temperature."""
+    alone = replace(trace, signals={model.temperature: trace.signals[model.temperature]}, bad={}, held={}, units={})
+    begin, switch = float(trace.times[0]), first_switch(model.alphabet)
+    if switch is None:
+        starts = np.arange(begin, float(trace.times[-1]) + DAY_S, DAY_S)
+    else:
+        starts = np.array([begin, *(event.time for event in trace.events if event.symbol == switch.rising)])
+    recording = content_hash(alone)[:16]
+    return lambda time: f"{recording}/{starts[np.searchsorted(starts, time, side='right') - 1] - begin:.0f}"
+
+
+def _scores(trace: Trace, time: float, due: Mapping[float, float], fan: Array, unit: str) -> list[Scored]:
     """The `fan` (L, H) of a forecast made at `time` (s) along a trace against what came true, horizon -> degC."""
     low, median, high = (fan[FAN_LEVELS.index(level)] for level in (0.05, 0.5, 0.95))
     scored = []
@@ -158,7 +182,7 @@ def _scores(trace: Trace, time: float, due: Mapping[float, float], fan: Array) -
         edge = high[column] - median[column] if error >= 0 else median[column] - low[column]
         z = float(Z90 * abs(error) / max(edge, 1e-9))
         crps = float(crps_quantiles(FAN_LEVELS, fan[:, column], outcome))
-        scored.append(Scored(horizon, time + horizon, z, crps, trace.machine, trace.name))
+        scored.append(Scored(horizon, time + horizon, z, crps, trace.machine, trace.name, unit))
     return scored
 
 
@@ -199,7 +223,7 @@ class HeldOutForecasts:
     @property
     def coverage(self) -> tuple[Coverage, ...]:
         """The model's own coverage and factors, and its CRPS beside persistence's."""
-        beside = _mean_crps(self.of_plain.get(PERSISTENCE, []))
+        beside = _horizon_crps(self.of_plain.get(PERSISTENCE, []))
         return tuple(
             replace(row, persistence=beside.get(row.horizon, nan), other_days=self.other_days)
             for row in horizon_coverage(self.scored)
@@ -215,11 +239,11 @@ class HeldOutForecasts:
         """
         unseen = UNSEEN_ODDS / max(len(self.plain), 1)
         independent = {row.horizon: row.independent for row in self.coverage}
-        own = _mean_crps(self.scored)
+        own = _horizon_crps(self.scored)
         members = []
         for member in self.plain:
             scored = self.of_plain.get(member.name, [])
-            losses, odds = _mean_crps(scored), {} if self.other_days else dict.fromkeys(HORIZONS_S, unseen)
+            losses, odds = _horizon_crps(scored), {} if self.other_days else dict.fromkeys(HORIZONS_S, unseen)
             for horizon in own.keys() & losses.keys() if self.other_days else ():
                 pair = np.array([own[horizon], losses[horizon]])
                 weight = member_weights(
@@ -255,12 +279,17 @@ def _count_units(traces: Iterable[tuple[str, str]]) -> int:
     return len(machines) if len(machines) > 1 else len(found)
 
 
-def _mean_crps(scored: Sequence[Scored]) -> dict[float, float]:
+def _horizon_crps(scored: Sequence[Scored]) -> dict[float, float]:
     """horizon -> mean CRPS, degC."""
-    by_horizon: dict[float, list[float]] = {}
+    return _mean_crps(scored, lambda each: each.horizon)
+
+
+def _mean_crps(scored: Sequence[Scored], key: Callable[[Scored], Group]) -> dict[Group, float]:
+    """The mean CRPS (degC) of each group."""
+    found: dict[Group, list[float]] = {}
     for each in scored:
-        by_horizon.setdefault(each.horizon, []).append(each.crps)
-    return {horizon: float(np.mean(values)) for horizon, values in by_horizon.items()}
+        found.setdefault(key(each), []).append(each.crps)
+    return {name: float(np.mean(values)) for name, values in found.items()}
 
 
 def independent_forecasts(times: Array, horizon: float) -> float:
@@ -297,6 +326,8 @@ def horizon_coverage(scored: Sequence[Scored]) -> tuple[Coverage, ...]:
                 covered=covered,
                 factor=factor,
                 crps=crps,
+                units=_mean_crps(forecasts, lambda each: each.unit),
+                rare=float(np.quantile(z, min((1.0 - RARE_SHARE) * (1.0 + 1.0 / independent), 1.0))),
             )
         )
     return tuple(table)

@@ -18,7 +18,15 @@ if TYPE_CHECKING:
         rewrite_points,
     )
     from sim.lab.recordings.channel_use import channel_uses
-    from sim.lab.recordings.clock import join_days, longest_rising_rows, read_clock, to_utc, unroll_midnight
+    from sim.lab.recordings.clock import (
+        ELAPSED_MINUTES,
+        elapsed_seconds,
+        join_days,
+        longest_rising_rows,
+        read_clock,
+        to_utc,
+        unroll_midnight,
+    )
     from sim.lab.recordings.clock_counts import COUNTS, dated_format, since_1970
     from sim.lab.recordings.clock_words import plain_time, wall_zone
     from sim.lab.recordings.column_map import (
@@ -48,6 +56,6 @@ if TYPE_CHECKING:
     )
     from sim.lab.recordings.trace_file import write_trace
     from sim.lab.recordings.traces import csv_files, files_by_machine, load_traces, units
-    from sim.lab.recordings.unit_table import CONVERTED_UNITS, UNITS, conversion, known_unit
+    from sim.lab.recordings.unit_table import CONVERTED_UNITS, FAHRENHEIT_REST_RANGE, UNITS, conversion, known_unit
 else:
     __getattr__ = lazy_getattr(__name__)

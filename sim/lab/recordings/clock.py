@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from pandas import DatetimeIndex
 
 _OFFSET = re.compile(r":.*(?:[Zz]|[+-]\d\d(?::?\d\d)?)\s*$")
+_MAYBE_ZONED = re.compile(r"[+Zz]|:[^\n]*-")
 _DATE_CHARS = 10
 """Characters of a date with its marks."""
 _DAY_S = 86400.0
@@ -54,14 +55,58 @@ def read_clock(clock: ClockColumns, columns: Sequence[Sequence[str]], decimal: D
         if not left.size:
             break
         texts = [cells[index] for index in left] if left.size < len(cells) else cells
+        day, _, unit = format_.rpartition(" ")
         if (count := COUNTS.get(format_)) is not None:
             seconds[left] = count.seconds(_count(texts, decimal))
             local[left] = count.local
+        elif unit in COUNTS:
+            # Joined by a blank: a count since the midnight of a day.
+            parts = [text.rpartition(" ") for text in texts]
+            midnights, local[left] = _dates([part[0] for part in parts], day)
+            seconds[left] = midnights + COUNTS[unit].seconds(_count([part[2] for part in parts], decimal))
         else:
             seconds[left], local[left] = _dates(texts, format_)
     if clock.daily:
-        return np.mod(seconds, _DAY_S), np.zeros(seconds.shape, dtype=bool)
+        return _with_long_times(np.mod(seconds, _DAY_S), cells, clock.formats), np.zeros(seconds.shape, dtype=bool)
     return seconds, local
+
+
+def _with_long_times(seconds: Array, cells: Sequence[str], formats: Sequence[str]) -> Array:
+    """The times of day, among them what was counted on beyond a day: 25:10:00, 1.01:10:00, 1 day 01:10:00; 75:30."""
+    long = seconds.copy()
+    # No format reads them, or as a midnight.
+    for row in np.flatnonzero(np.isnan(seconds) | (seconds == 0)).tolist():
+        if (known := elapsed_seconds(cells[row], minutes=formats == (ELAPSED_MINUTES,))) is not None:
+            long[row] = known
+    # One that is far from what stands before and after it is a time of day that was damaged.
+    rows = np.flatnonzero(np.isfinite(long))
+    steps = np.abs(np.diff(long[rows]))
+    apart = np.concatenate(([np.inf], steps, [np.inf]))
+    usual = float(np.median(steps)) if steps.size else 0.0
+    lone = rows[np.minimum(apart[:-1], apart[1:]) > _NEAR_STEPS * usual + _NEAR_S]
+    long[lone] = seconds[lone]
+    return long
+
+
+_NEAR_STEPS, _NEAR_S = 5.0, 60.0
+"""Usual steps, and s beyond them, within which a time has another before or after it."""
+
+
+ELAPSED_MINUTES = "%M:%S"
+"""The format of times that have minutes and seconds only."""
+_LONG_TIME = re.compile(
+    r"(?:(\d{1,4})(?: ?d(?:ays?)?,? ?|[. ]))?(?:(\d{1,5}):)?(\d{1,5}):(\d\d(?:[.,]\d{1,9})?)", re.IGNORECASE
+)
+
+
+def elapsed_seconds(cell: str, *, minutes: bool = False) -> float | None:
+    """Seconds of an elapsed time of a day and more, or of one in `minutes` and seconds; None for any other cell."""
+    if (match := _LONG_TIME.fullmatch(cell)) is None or minutes == bool(match[2]) or (match[1] and not match[2]):
+        return None
+    days, hours, least, second = (float((part or "0").replace(",", ".")) for part in match.groups())
+    if second >= 60 or (least >= 60 and not minutes) or (match[1] and hours >= 24):
+        return None
+    return days * _DAY_S + hours * 3600.0 + least * 60.0 + second if minutes or match[1] or hours >= 24 else None
 
 
 def join_days(days: Sequence[str], times: Sequence[str]) -> list[str]:
@@ -104,9 +149,10 @@ def _dates(texts: list[str], format_: str) -> tuple[Array, Mask]:
         late = np.array([_MIDNIGHT.search(text) is not None for text in left], dtype=bool)
         seconds[unread] = _parse_times([_MIDNIGHT.sub("00", text) for text in left], format_) + _DAY_S * late
     if format_ == "ISO8601":
-        # What follows the date has a mark of its own wherever a zone is said.
-        zoned = any("-" in text[_DATE_CHARS:] or "+" in text or "Z" in text or "z" in text for text in texts)
-        return seconds, np.array([not zoned or _OFFSET.search(text) is None for text in texts], dtype=bool)
+        # A zone has a mark of its own behind the time's.
+        if _MAYBE_ZONED.search("\n".join(texts)) is None:
+            return seconds, np.ones(len(texts), dtype=bool)
+        return seconds, np.array([_OFFSET.search(text) is None for text in texts], dtype=bool)
     return seconds, np.full(len(texts), "%z" not in format_)
 
 
@@ -215,6 +261,8 @@ def unroll_midnight(seconds: Array) -> Array:
 
     A step forward of almost a day is the same midnight passed backwards, by a clock that stutters; a long stop is not.
     """
+    if np.nanmax(seconds, initial=0.0) > _DAY_S:
+        return seconds  # counted on beyond the day
     steps = np.diff(seconds)
     steps[np.isnan(steps)] = 0.0
     days = np.cumsum((steps < -_DAY_S / 2).astype(float) - (steps > _DAY_S - 600.0))

@@ -56,8 +56,8 @@ class ClockColumns(_MapPart):
     Formats, tried in order: a count of COUNTS, `ISO8601`, or a strptime pattern (months in any of the exporters'
     languages).
     Where the day stands in a column `date` of its own, its cell, a blank and that of `column` are what the formats
-    read. A time without an offset is read in `timezone`. A time of day becomes seconds since midnight of the first
-    row's day.
+    read, also a day and a count since its midnight: `%Y-%m-%d hours`. A time without an offset is read in `timezone`.
+    A time of day becomes seconds since midnight of the first row's day; one beyond a day, 25:10:00, is counted on.
     """
 
     column: Names = ()

@@ -38,6 +38,8 @@ _BASES = {
 
 CONVERTED_UNITS = {"degF": "degC", "K": "degC", "0.1 degC": "degC", "mA": "A", "kA": "A"}
 """Units that a drafted map converts, and to which: models count in degC and A."""
+FAHRENHEIT_REST_RANGE = (50.0, 110.0)
+"""Where a machine at rest settles if its degrees are Fahrenheit's (10 to 43 degC)."""
 
 
 def known_unit(text: str) -> str:

@@ -23,6 +23,7 @@ from click.testing import CliRunner
 
 from drivers.settings import ConfigError
 from gateway.cli.keep import configurations as config_commands
+from gateway.cli.keep.commands import rollback
 from gateway.cli.main import main
 from gateway.plant.configurations import KeptConfiguration, keep_configuration
 from gateway.replacement import journal_path, settle
@@ -340,7 +341,7 @@ def test_the_second_of_two_ways_back_at_once_is_refused_and_takes_nothing_from_t
 
     def go_back() -> None:
         words = ["1", "--reason", "x", "--by", "Ada", "--config", str(plant)]
-        config_commands.rollback.main(words, standalone_mode=False)
+        rollback.main(words, standalone_mode=False)
 
     def go_back_too() -> None:
         try:

@@ -74,6 +74,43 @@ def test_what_is_over_stands_apart_without_a_colour_and_says_what_is_now() -> No
     assert shown[1]["sentence"] == "now 59.0\u00a0°C"
 
 
+@pytest.mark.parametrize("language", LANGUAGES)
+def test_what_stands_while_nothing_is_known_of_it_is_not_said_as_what_is_over(language: str) -> None:
+    texts = WORDS[language]
+    past = texts.say("past.over_limit")
+    lost = {**picture()["link"], "alive": False}
+    broken = {"values__" + TEMPERATURE: tag(412.0, "SENSOR_FAILURE")}
+    unknown = f"gearbox bearing: {texts.say('alarm.last_known', title=past)}"
+    # A link that is lost, a sensor that breaks during the alarm, a restart with another limit before any reading.
+    for told, more in ((True, {"link": lost}), (None, broken), (None, {"scan__age": None})):
+        shown = view(language, alarm_summary=[of_kind("over limit", beyond=told)], **more)
+        (row,) = shown["alarms"]
+        assert (row["section"], row["title"]) == ("standing", unknown)
+        assert (row["sentence"], row["otherwise"]) == (texts.say("alarm.not_known_now"), "")
+        (temperature,) = shown["temperatures"]
+        assert (temperature["value"], temperature["when"][0], temperature["level"]) == (None, "–", "unknown")
+        assert temperature["action"] == texts.say("action.look")
+    back = of_kind("over limit", "returned unacknowledged", beyond=None)
+    (row,) = view(language, alarm_summary=[back], link=lost)["alarms"]
+    assert (row["section"], row["title"]) == ("over", f"gearbox bearing: {past}")
+
+
+def test_two_limits_at_once_are_two_rows_each_with_what_is_to_be_done_about_it() -> None:
+    both = [of_kind("over limit"), of_kind("over limit", on="Feed"), of_kind("rising", on="Feed")]
+    values = {TEMPERATURE: tag(83.0), "Feed": tag(91.0)}
+    shown = view(alarm_summary=both, values=values, watched={"Feed": 90.0}, limit=80.0)
+    assert {row["name"]: row["under"] for row in shown["alarms"]} == {
+        f"over limit {TEMPERATURE}": "",
+        "over limit Feed": "",
+        "rising Feed": "over limit Feed",
+    }
+    assert [(row["level"], row["when"]) for row in shown["temperatures"]] == [
+        ("alarm", ["0\u00a0min", "3.0 °C above it"]),
+        ("alarm", ["0\u00a0min", "1.0 °C above it"]),
+    ]
+    assert [row["action"].partition(" ")[0] for row in shown["temperatures"]] == ["gearbox", "Feed"]
+
+
 def test_one_cause_is_one_row_with_its_parts_below() -> None:
     here = [of_kind(kind, priority=2) for kind in HEAT[1:]] + [of_kind(HEAT[0])]
     more = [of_kind("sensor frozen"), of_kind("rising", on="Feed"), of_kind("anomaly", "returned unacknowledged")]

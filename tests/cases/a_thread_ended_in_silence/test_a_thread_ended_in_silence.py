@@ -20,7 +20,7 @@ from drivers.canopen.node import RemoteNode
 from drivers.errors import DriverError
 from drivers.link import Link
 from drivers.supervision import Supervisor
-from gateway.cli.plant.run import run as run_command
+from gateway.cli.plant.commands import run as run_command
 from gateway.machine.pipeline import Machine
 from gateway.machine.reading.device_stream import DeviceStream
 from gateway.machine.writing.witnessing import HeadWitnessing

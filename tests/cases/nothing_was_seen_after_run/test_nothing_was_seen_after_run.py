@@ -16,6 +16,7 @@ import pytest
 from click.testing import CliRunner
 from rich.console import Console
 
+import gateway.cli.plant.commands
 import gateway.cli.plant.top
 from gateway.cli.main import main
 from gateway.machine import Machine
@@ -351,7 +352,7 @@ def test_red_confidence_says_that_the_forecast_is_in_doubt_and_when_to_look_at_t
 
 def test_the_page_has_the_exit_codes_that_the_command_has() -> None:
     page = (ROOT / "docs/watching.md").read_text(encoding="utf-8")
-    for word, (code, when) in gateway.cli.plant.top.EXITS.items():
+    for word, (code, when) in gateway.cli.plant.commands.EXITS.items():
         assert f"| {code:d} | {word} | {when} |" in page
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from click.testing import CliRunner
 
-from gateway.cli.plant.run import run as run_command
+from gateway.cli.plant.commands import run as run_command
 from gateway.plant.app import run
 from gateway.settings.config import Config
 from gateway.store.historian import Historian

@@ -6,8 +6,6 @@ from sim.doors import lazy_getattr
 
 if TYPE_CHECKING:
     from gateway.outside.web.access.accounts import (
-        ROLES,
-        AccountRole,
         Accounts,
         AccountsError,
         PasswordChecks,
@@ -19,6 +17,7 @@ if TYPE_CHECKING:
         remove_account,
     )
     from gateway.outside.web.access.lockout import Lockout
+    from gateway.outside.web.access.roles import ROLES, AccountRole
     from gateway.outside.web.access.sessions import Session, Sessions
 else:
     __getattr__ = lazy_getattr(__name__)

@@ -11,7 +11,6 @@ import stat
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -23,6 +22,7 @@ from drivers.errors import OneLineError
 from drivers.named_files import contents
 from drivers.settings import Section, first_sentence
 from gateway.network import address_origin
+from gateway.outside.web.access.roles import AccountRole
 from gateway.store import write_durably
 
 LEAST_LENGTH, MOST_LENGTH = 12, 128
@@ -32,22 +32,6 @@ MOST_WAITING, WAITING_OF_ADDRESS = 8, 2
 """Passwords that wait to be looked at, in all and of one address; more are refused at once."""
 HASHER = PasswordHasher(time_cost=2, memory_cost=19 * 1024, parallelism=1, type=Type.ID)
 """OWASP's least parameters for Argon2id: a box of two cores and 1 GB that reads a PLC is to check a password beside."""
-
-
-class AccountRole(StrEnum):
-    """What an account may do; each may do what those before it may."""
-
-    OPERATOR = "operator"
-    ENGINEER = "engineer"
-    ADMINISTRATOR = "administrator"
-
-
-ROLES: Mapping[AccountRole, str] = {
-    AccountRole.OPERATOR: "acknowledges, resets and shelves alarms",
-    AccountRole.ENGINEER: "arms and disarms, takes alarms out of service, too",
-    AccountRole.ADMINISTRATOR: "has the plant file read anew, too",
-}
-"""The roles in their order, each with what it adds."""
 
 
 class AccountsError(OneLineError, ValueError):

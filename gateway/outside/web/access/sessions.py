@@ -6,7 +6,8 @@ from dataclasses import dataclass, field
 from hashlib import sha256
 from time import monotonic
 
-from gateway.outside.web.access.accounts import AccountRole, Accounts, PageAccount
+from gateway.outside.web.access.accounts import Accounts, PageAccount
+from gateway.outside.web.access.roles import AccountRole
 
 MAX_SESSION_S = 12 * 3600.0
 """However busy, a person logs in anew once a shift."""

@@ -28,6 +28,13 @@ export const fact = (label, ...what) => h("div", { class: "fact" }, h("dt", {}, 
 // The name of a figure, which says what it means to whoever opens it: by the mouse, a finger or the keyboard.
 export const explained = (name, help = name.split(".")[1]) => h("details", { class: "help" }, h("summary", {}, say(name)), h("p", {}, say(`help.${help}`)));
 
+// A table; on a phone each row of it is a list, with what a figure is beside it.
+const headText = (head) => (typeof head === "string" ? head : head.children[0].children[0]); // of one that explains itself, its name
+export const grid = (heads, rows) => h("div", { class: "scroll", tabindex: "0" }, h("table", { class: "stacks" },
+  h("thead", {}, h("tr", {}, heads.map((text) => h("th", { scope: "col" }, text)))),
+  h("tbody", {}, rows.map((cells) => h("tr", {}, cells.map((cell, place) =>
+    h(place ? "td" : "th", { scope: place ? null : "row", "data-head": headText(heads[place]) }, cell)))))));
+
 const isShape = (part) => part !== null && typeof part === "object" && !(part instanceof Node);
 // An attribute's text; null for one that is not there.
 const written = (value) => (value === true ? "" : value === false || value === null || value === undefined ? null : String(value));
@@ -115,10 +122,16 @@ export function shown(value) {
   return Number.isInteger(value) ? String(value) : number(value, Math.abs(value) < 10 ? 2 : 1);
 }
 export const unit = (text) => (text || "").replace("degC", "°C");
+// Who did something: a name, and the address that it was done from.
+export const byWhom = (who) => {
+  const found = /^(.*) at (\S+)$/.exec(who ?? "");
+  return found ? say("word.by_at", { name: found[1], place: found[2] }) : who;
+};
 // A figure and its unit, which no line's end parts.
 export const withUnit = (figure, of) => (of ? `${figure}\u00a0${of}` : figure);
 export function duration(seconds) {
-  if (seconds === null || seconds === undefined) return "–";
+  // What is to come, by a clock that was set back, has no age.
+  if (seconds === null || seconds === undefined || seconds < 0) return "–";
   if (seconds < 120) return withUnit(number(seconds, seconds < 10 ? 1 : 0), "s");
   if (seconds < 7200) return withUnit(number(seconds / 60, 0), "min");
   return seconds < 172800 ? withUnit(number(seconds / 3600, 1), "h") : withUnit(number(seconds / 86400, 1), "d");

@@ -140,11 +140,13 @@ const fans = new WeakMap();
 export function fanChart(place, machine, row, forecast) {
   const rows = recent(machine, row.tag), points = fan(forecast, row.value);
   // A newer reading is drawn once it lies a pixel beside the last one: what is new within it nobody sees.
-  const last = fans.get(place), first = rows.times[0], newest = rows.times.at(-1);
+  const last = fans.get(place), first = rows.times[0], read = rows.times.at(-1);
+  // Without a forecast the picture reaches until now: a line that ended at its edge would be read as a present one.
+  const newest = points.length ? read : Math.max(read ?? -Infinity, state.machines[machine].status.time);
   const pixel = last && ((points.at(-1)?.time ?? newest) - first) / last.made.width;
   const key = [rows.values.at(-1) === null, row.limit, points[0]?.time].join();
   if (last?.key === key && newest - last.newest < pixel && first >= last.first) return;
-  const ahead = points.slice(1);
+  const ahead = points.length ? points.slice(1) : newest > read ? [{ time: newest, q: LEVELS.map(() => null) }] : [];
   const times = [...rows.times, ...ahead.map((p) => p.time)];
   const line = [...rows.values, ...ahead.map(() => null)];
   const blank = rows.times.map(() => null);

@@ -1,14 +1,10 @@
 // What is inside: the model, the links, the computer.
-import { ask, bytes, clock, duration, explained, fact, h, moment, number, s, say, shown, withUnit } from "./dom.js";
+import { ask, bytes, clock, duration, explained, fact, grid, h, moment, number, s, say, shown, withUnit } from "./dom.js";
 import { isCut, state } from "./live.js";
 import { badge, linkWord } from "./plant.js";
 import { can } from "./records.js";
 import { strip } from "./draw.js";
 import { scoreOf } from "./scores.js";
-
-const grid = (heads, rows) => h("div", { class: "scroll", tabindex: "0" }, h("table", {},
-  h("thead", {}, h("tr", {}, heads.map((text) => h("th", { scope: "col" }, text)))),
-  h("tbody", {}, rows.map(([first, ...rest]) => h("tr", {}, h("th", { scope: "row" }, first), rest.map((cell) => h("td", {}, cell)))))));
 
 // ---------------------------------------------------------------- the model
 
@@ -24,7 +20,7 @@ export function modelView() {
     const known = models.get(name);
     return temperatures.map((row) => h("section", { class: "card", "data-key": `${name} ${row.tag}` }, h("h2", {}, `${label}: ${row.label}`),
       known.error ? h("p", { class: "error" }, known.error) : !known.temperatures ? h("p", { class: "quiet" }, say("word.loading"))
-        : [versionList(known.temperatures[row.tag], name, row.tag), modelCard(known.temperatures[row.tag], row.unit, row.predicted && scoreOf(name, row.tag).weeks?.[0]?.card.by_location, [status, ...status.further].find((one) => one.temperature === row.tag)?.prediction)]));
+        : [versionList(known.temperatures[row.tag], name, row.tag), modelCard(known.temperatures[row.tag], row.unit, row.predicted && scoreOf(name, row.tag).weeks?.[0]?.card, [status, ...status.further].find((one) => one.temperature === row.tag)?.prediction)]));
   }));
 }
 
@@ -57,7 +53,7 @@ function findingText(finding) {
       h("br"), h("small", {}, `${say("model.confirm")}: ${told(`experiment.${each.name}`, each.experiment)}`)))));
 }
 
-function modelCard(model, unit, errors, prediction) {
+function modelCard(model, unit, card, prediction) {
   if (!model) return h("p", { class: "quiet" }, say("model.none"));
   const from = model.provenance, present = prediction?.known ? prediction.location : null;
   return h("div", {},
@@ -70,7 +66,7 @@ function modelCard(model, unit, errors, prediction) {
       from.traces.length > 0 && fact(say("model.traces"), from.traces.slice(0, 6).join(", ") + (from.traces.length > 6 ? " …" : ""), from.synthetic && h("small", {}, say("model.synthetic")))),
     h("h3", {}, say("model.automaton")),
     h("p", { class: "quiet" }, say("model.locations", { locations: model.locations.length, edges: model.edges.length }), " · ", h("span", { class: "key present" }, present ?? say("word.unknown")), ` ${say("model.present")}`),
-    shareChoice(model), automaton(model, present), stateTable(model, unit, present, errors));
+    shareChoice(model), automaton(model, present), stateTable(model, unit, present, card?.by_location), startTable(card, unit));
 }
 
 // Of many moves those are drawn that are taken often; where the model does not know how often, all.
@@ -97,6 +93,16 @@ function stateTable(model, unit, present, errors) {
   return grid([say("word.state"), say("model.target"), say("model.time_constant"), say("model.stay"), explained("model.error"), say("model.next")], model.locations.map((place) => [
     place.name === present ? h("span", { class: "key present" }, place.name) : place.name,
     place.target === null ? "–" : withUnit(number(place.target), unit), duration(place.time_constant), duration(place.stay), off(place), next(place)]));
+}
+
+// How right the forecasts of the last week were by how long the machine had been running when they were made.
+function startTable(card, unit) {
+  if (!card?.by_start.length) return null;
+  const horizons = card.forecasts.map((one) => one.horizon), minutes = (seconds) => number(seconds / 60, 0);
+  const from = ({ begin, end }) => (begin === null ? say("model.resting") : end === null ? say("model.after_start", { from: minutes(begin) }) : say("model.between_start", { from: minutes(begin), to: minutes(end) }));
+  const cell = (one) => (one?.count ? [withUnit(number(one.mae, 2), unit), h("small", {}, say("model.of_forecasts", { percent: number(100 * one.coverage90, 0), count: one.count }))] : "–");
+  return [h("h3", {}, say("model.by_start")), h("p", { class: "quiet" }, say("help.by_start")), grid([say("model.since_start"), ...horizons.map((each) => say("word.in_minutes", { minutes: minutes(each) }))],
+    card.by_start.map((row) => [from(row), ...horizons.map((each) => cell(row.forecasts.find((one) => one.horizon === each)))]))];
 }
 
 // What a model was judged by where it was learned, in the judge's own words.
@@ -167,8 +173,9 @@ export function communicationView() {
     return h("section", { class: "card", "data-key": name }, h("h2", {}, label),
       h("div", { class: "linkline" }, h("span", {}, say("word.link_hour")), strip(status), linkWord(status, isCut(name))),
       link_reason && h("p", { class: "error" }, link_reason),
-      h("dl", { class: "facts" }, fact(say("link.scans"), status.scan.count), fact(say("link.missed"), status.scan.missed), fact(say("link.period"), `${number(status.scan.period, 1)} s`), fact(say("word.writeback"), badge(status.writeback))),
-      grid([say("word.link"), say("link.place"), say("link.active"), say("link.connected"), say("word.reason")], status.links.map((link) => [link.name, link.place, shown(link.active), shown(link.connected), link.reason || ""])),
+      h("dl", { class: "facts" }, fact(say("link.scans"), status.scan.count), fact(say("link.missed"), status.scan.missed), fact(say("link.period"), `${number(status.scan.period, 1)} s`)),
+      h("p", {}, `${say("word.writeback")}: `, badge(status.writeback)),
+      grid([say("word.link"), say("link.place"), say("link.active"), say("link.connected"), say("word.reason")], status.links.map((link) => [link.name, link.place, shown(link.active), shown(link.connected), link.reason ? h("span", { lang: "en" }, link.reason) : ""])),
       outages.length > 0 && [h("h3", {}, say("link.outages")), grid([say("link.begin"), say("link.end")], outages.map((each) => [clock(each.last_good), each.recovered_s === null ? say("link.lasts") : duration(each.recovered_s)]))],
       Object.keys(status.driver).length > 0 && [h("h3", {}, say("link.counters")), grid([say("word.name"), say("word.count")], Object.entries(status.driver).map(([key, count]) => [counterName(key), shown(count)]))],
       Object.keys(status.writeback).includes("written") && grid([say("word.writeback"), say("word.count")], ["written", "accepted", "refused", "failed"].filter((key) => key in status.writeback).map((key) => [counterName(key), shown(status.writeback[key])])));
@@ -177,7 +184,7 @@ export function communicationView() {
 
 // ---------------------------------------------------------------- the computer
 
-let box = { asked: 0, facts: null };
+let box = { asked: -Infinity, facts: null };
 export function boxView() {
   if (performance.now() - box.asked > 5000 && !isCut()) {
     box.asked = performance.now();

@@ -50,7 +50,8 @@ export const acts = {
   alarm(button, changed) {
     const { machine, of: alarm, change } = button.dataset;
     const minutes = change === "shelve" ? [["minutes", say("person.minutes"), { type: "number", min: 1, value: 60 }]] : [];
-    dialog(`${button.textContent}: ${alarm}`, [["reason", say("person.reason"), line], ...minutes], button.textContent, async (given) => {
+    const row = state.machines[machine]?.alarms.find((each) => each.name === alarm);
+    dialog(`${button.textContent}: ${row ? `${row.of}: ${row.title}` : alarm}`, [["reason", say("person.reason"), line], ...minutes], button.textContent, async (given) => {
       const more = given.minutes ? { minutes: Number(given.minutes) } : {};
       await ask("POST", "/api/alarm", { machine, alarm, change, reason: given.reason, ...more }).catch((error) => expired(error, changed));
     });
@@ -77,7 +78,7 @@ export const acts = {
     }, aboutArming(state.machines[machine]?.arming));
   },
   disarm(button, changed) {
-    dialog(say("person.disarm"), [["reason", say("person.reason"), line]], say("person.disarm"), async ({ reason }) => {
+    dialog(`${say("person.disarm")}: ${state.machines[button.dataset.machine]?.label ?? button.dataset.machine}`, [["reason", say("person.reason"), line]], say("person.disarm"), async ({ reason }) => {
       await ask("POST", "/api/disarm", { machine: button.dataset.machine, reason }).catch((error) => expired(error, changed));
     });
   },

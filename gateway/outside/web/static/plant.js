@@ -1,8 +1,8 @@
 // The plant (a row a temperature) and one machine.
-import { clock, duration, explained, fact, h, number, say, shown, unit, withUnit } from "./dom.js";
+import { byWhom, clock, duration, explained, fact, h, number, say, shown, unit, withUnit } from "./dom.js";
 import { age, isCut, state } from "./live.js";
 import { fanChart, sparkline, strip } from "./draw.js";
-import { alarmTable, can } from "./records.js";
+import { alarmTable, can, waits } from "./records.js";
 
 const SIGNS = { normal: "", over: "↩", attention: "!", unknown: "?", alarm: "!!" };
 
@@ -35,7 +35,7 @@ export function badge(writeback) {
   const mode = writeback.mode;
   const until = writeback.armed_until ? clock(writeback.armed_until) : "";
   const words = mode === "armed"
-    ? say("word.armed_by", { by: writeback.armed_by, until, reason: writeback.armed_reason || "" })
+    ? say("word.armed_by", { by: byWhom(writeback.armed_by), until, reason: writeback.armed_reason || "" })
     : say(`word.${mode}_means`);
   return h("span", { class: `badge ${mode}` }, h("b", {}, say(`word.${mode}`)), " ", h("span", {}, words));
 }
@@ -55,6 +55,8 @@ const temperatureRows = () => state.order.flatMap((name) => {
   });
 });
 
+const pictureOf = ({ name, machine, row }) => sparkline(name, row, forecastOf(machine, row.tag).forecast, machine.status.speed);
+
 // The three figures of a temperature: what it is, when it is at its limit, what is to be done about it.
 const figures = ({ name, row, cut }) => [
   h("span", { class: "figure now" }, h("small", {}, say("word.measured")), h("span", { class: "big" }, value(row, name)), h("small", {}, `${say("word.limit")} ${withUnit(number(row.limit), row.unit)}`)),
@@ -68,8 +70,8 @@ export function plantView() {
       sign(level),
       h("span", { class: "what" }, h("b", {}, machine.label), h("span", {}, row.label), modeBadge(machine.mode, isCut(name))),
       figures(each),
-      h("span", { class: "sentence" }, said, h("small", { class: "validity" }, worth), alarms.length > 0 && chip(alarms[0])),
-      h("span", { class: "picture" }, sparkline(name, row, forecastOf(machine, row.tag).forecast, machine.status.speed)));
+      h("span", { class: "sentence" }, said, h("small", { class: "validity" }, worth), alarms.length > 0 && chips(alarms)),
+      h("span", { class: "picture" }, pictureOf(each)));
   }));
 }
 
@@ -91,9 +93,10 @@ export function wallView() {
     const { name, machine, row, level, cut } = each;
     return h("section", { class: `tile ${level}`, "data-key": `${name} ${row.tag}` },
       h("h2", {}, sign(level), h("span", {}, machine.label), modeBadge(machine.mode, cut)),
-      h("div", { class: "pair" }, h("p", {}, h("small", {}, row.label), h("b", { class: "big" }, value(row, name))), h("p", { class: `when ${row.valid}` }, h("small", {}, say("when.title")), h("b", { class: "amount" }, cut ? "–" : row.when[0]))),
-      h("p", {}, `${say("action.title")}: `, h("b", {}, cut ? say("word.unknown") : row.action)));
-  }), rows.length > shown.length && h("p", { class: "turns" }, say("word.of", { shown: shown.length, count: rows.length }))));
+      h("div", { class: "pair" }, h("p", {}, h("small", {}, row.label), h("b", { class: "big" }, value(row, name))), h("p", { class: `when ${row.valid}` }, h("small", {}, say("when.to", { limit: withUnit(number(row.limit, Number.isInteger(row.limit) ? 0 : 1), row.unit) })), h("b", { class: "amount" }, cut ? "–" : row.when[0]), h("small", {}, cut ? say("word.unknown") : row.when[1]))),
+      h("p", {}, `${say("action.title")}: `, h("b", {}, cut ? say("word.unknown") : row.action)),
+      h("div", { class: "picture" }, pictureOf(each)));
+  })), rows.length > shown.length && h("p", { class: "turns" }, say("word.of", { shown: shown.length, count: rows.length })));
 }
 const rank = ({ level }) => Object.keys(SIGNS).indexOf(level);
 
@@ -106,6 +109,8 @@ function plantAlarms() {
     h("span", { class: "worst" }, own.map(chip)));
 }
 
+// The most urgent that stands and waits for somebody, else the most urgent; how many more there are.
+const chips = (alarms) => [chip(alarms.find((alarm) => alarm.section === "standing" && waits(alarm)) ?? alarms[0]), alarms.length > 1 && h("span", { class: "chip over" }, `+ ${alarms.length - 1}`)];
 const chip = (alarm) => h("span", { class: `chip ${alarm.level}` }, `${alarm.title} · ${say(`alarm.${stateKey(alarm.state)}`)}`);
 
 export const stateKey = (text) => text.replaceAll(/[ -]/g, "_");
@@ -170,7 +175,7 @@ function temperatureCard(name, machine, row) {
     h("dl", { class: "facts" },
       fact(explained("word.measured"), h("b", { class: "big" }, value(row, name)), h("small", {}, `${isCut(name) ? say("word.unknown") : qualityWord(row.quality)} · ${duration((row.age ?? 0) + (age(name) || 0))}`)),
       fact(explained("word.limit"), withUnit(number(row.limit), row.unit)),
-      p && fact(explained("word.predicted"), present ? withUnit(number(p.mean), row.unit) : "–", present && h("small", {}, `${say("word.band")} ${number(p.low)} – ${number(p.high)}`)),
+      p && fact(explained("word.predicted"), present ? withUnit(number(p.mean), row.unit) : "–", present && h("small", {}, `${say("word.band")} ${number(p.low)}\u00a0–\u00a0${number(p.high)}`)),
       p && fact(explained("word.state"), present && p.known ? p.location : say("word.unknown"), h("small", {}, main && present && p.known && stay(status) && `${say("word.for")} ${stay(status)}`)),
       p && fact(explained("word.confidence"), h("span", { class: `zone ${present ? row.confidence.zone : ""}` }, present ? row.confidence.word : "–")),
       row.familiarity && fact(explained("familiarity.title", "familiarity"), h("span", { class: `zone ${present ? row.familiarity.zone : ""}` }, present ? row.familiarity.word : "–"), present && h("small", {}, [row.familiarity.sentence, row.familiarity.detail].filter(Boolean).join(" · "))),
@@ -205,5 +210,5 @@ function inputs(status, labels, extra, cut) {
       tagHead(labels, name),
       valueCell(withUnit(shown(tag.value), unit(tag.unit)), cut),
       h("td", { class: "number" }, duration(tag.age / status.speed + extra)),
-      h("td", {}, cut ? say("word.unknown") : qualityWord(tag.quality)), h("td", {}, tag.reason))))));
+      h("td", {}, cut ? say("word.unknown") : qualityWord(tag.quality)), h("td", { lang: "en" }, tag.reason))))));
 }

@@ -1,5 +1,5 @@
 // Alarms and the scorecard.
-import { ask, duration, explained, fact, h, moment, number, person, say, shown, start, withUnit } from "./dom.js";
+import { ask, byWhom, duration, explained, fact, h, moment, number, person, say, shown, start, withUnit } from "./dom.js";
 import { state } from "./live.js";
 import { scoreOf } from "./scores.js";
 import { sign, stateKey, worstLevel } from "./plant.js";
@@ -63,8 +63,8 @@ const firstUp = (row) => row.first_up && row.section === "standing" && h("span",
 const told = (row) => [h("span", { class: "response" }, row.sentence), row.otherwise && h("span", { class: "otherwise" }, say("alarm.otherwise", { text: row.otherwise }))];
 
 const facts = (row) => h("small", {}, `${say("alarm.priority")} ${row.priority} · ${say(`alarm.${stateKey(row.state)}`)} · ${say(row.section === "over" ? "alarm.over_since" : "word.since")} ${moment(row.since)} (${duration((row.status.time - row.since) / row.status.speed)})`,
-  row.acknowledged_by && ` · ${say("alarm.acknowledged_by")} ${row.acknowledged_by}`,
-  row.until && ` · ${say("alarm.until", { until: moment(row.until), by: row.by, reason: row.reason })}`);
+  row.acknowledged_by && ` · ${say("alarm.acknowledged_by")} ${byWhom(row.acknowledged_by)}`,
+  row.until && ` · ${say("alarm.until", { until: moment(row.until), by: byWhom(row.by), reason: row.reason })}`);
 
 const changes = (row) => row.possible.filter((change) => change !== "acknowledge" && can(change.includes("service") ? "engineer" : "operator")).map((change) =>
   h("button", { "data-act": "alarm", "data-change": change, "data-machine": row.status.machine, "data-of": row.name }, say(`change.${stateKey(change)}`)));
@@ -96,7 +96,7 @@ export function alarmsView() {
       : h("div", { class: "scroll", tabindex: "0" }, h("table", {},
         h("thead", {}, h("tr", {}, [say("word.time"), say("word.machine"), say("alarm.alarm"), say("word.state"), say("word.value"), say("alarm.acknowledged_by")].map((text) => h("th", { scope: "col" }, text)))),
         h("tbody", {}, history.rows.map((row) => h("tr", {}, h("td", {}, moment(row.time)), h("td", {}, row.of_plant ? say("nav.plant") : state.machines[row.name]?.label ?? row.name), h("th", { scope: "row", title: row.condition }, pastTitle(row, state.machines[row.name]?.labels ?? {})),
-          h("td", {}, say(`alarm.${stateKey(row.state)}`)), h("td", { class: "number" }, shown(row.value)), h("td", {}, row.acknowledged_by)))))));
+          h("td", {}, say(`alarm.${stateKey(row.state)}`)), h("td", { class: "number" }, shown(row.value)), h("td", {}, byWhom(row.acknowledged_by))))))));
 }
 
 export function scorecardView() {

@@ -1,5 +1,5 @@
 // The report of a shift: what was told and what came of it, what was hottest, who did what. It is made to be printed.
-import { ask, clock, duration, fact, h, moment, number, say, withUnit } from "./dom.js";
+import { ask, byWhom, clock, duration, fact, grid, h, moment, number, say, withUnit } from "./dom.js";
 import { isCut, state } from "./live.js";
 import { can, pastTitle } from "./records.js";
 import { stateKey } from "./plant.js";
@@ -34,24 +34,24 @@ addEventListener("click", (event) => {
 // What has just been written is in the report at once.
 addEventListener("noted", () => (look.at = -Infinity));
 
-const grid = (heads, rows) => h("div", { class: "scroll", tabindex: "0" }, h("table", {},
-  h("thead", {}, h("tr", {}, heads.map((text) => h("th", { scope: "col" }, text)))),
-  h("tbody", {}, rows.map(([first, ...rest]) => h("tr", {}, h("th", { scope: "row" }, first), rest.map((cell) => h("td", {}, cell)))))));
-
 function reportOf({ start, end, machines, on_shift: there, notes, deeds, left_out: before }) {
   const label = (name) => state.machines[name]?.label ?? name ?? "";
   return [
     h("h2", {}, say("shift.title", { from: moment(start), to: moment(end) })),
-    h("p", {}, there ? say("shift.there", { names: there.names, by: there.by, since: moment(there.time) }) : say("shift.nobody")),
+    h("p", {}, there ? say("shift.there", { names: there.names, by: byWhom(there.by), since: moment(there.time) }) : say("shift.nobody")),
     Object.entries(machines).map(([name, machine]) => h("section", { class: "card", "data-key": name }, h("h3", {}, label(name)), machineOf(name, machine))),
     h("section", { class: "card" }, h("h3", {}, say("note.notes")), leftOut(before.notes), notes.length
-      ? grid([say("word.time"), say("word.machine"), say("note.note"), say("shift.who")], notes.map((note) => [moment(note.time), label(note.machine), note.text, note.by]))
+      ? grid([say("word.time"), say("word.machine"), say("note.note"), say("shift.who")], notes.map((note) => [moment(note.time), label(note.machine), note.text, byWhom(note.by)]))
       : h("p", { class: "quiet" }, say("word.none"))),
     h("section", { class: "card" }, h("h3", {}, say("shift.deeds")), leftOut(before.deeds), deeds.length
-      ? grid([say("word.time"), say("shift.what"), say("shift.about"), say("shift.who"), say("word.reason")], deeds.map((deed) => [moment(deed.time), say(`deed.${stateKey(deed.kind.replace(":", ""))}`), deed.about, deed.by, deed.reason]))
+      ? grid([say("word.time"), say("shift.what"), say("shift.about"), say("shift.who"), say("word.reason")], deeds.map((deed) => [moment(deed.time), say(`deed.${stateKey(deed.kind.replace(":", ""))}`), aboutDeed(deed, label), byWhom(deed.by), deed.reason]))
       : h("p", { class: "quiet" }, say("word.none"))),
   ];
 }
+
+// Of what a deed was: the machine, and the alarm in the plant's words or the version of a model.
+const aboutDeed = ({ machine, alarm, version }, label) => [machine && label(machine),
+  alarm && pastTitle({ ...alarm, condition: alarm.alarm }, state.machines[machine]?.labels ?? {}), version].filter(Boolean).join(", ");
 
 function machineOf(name, { alarms, temperatures, states, unwatched, writes }) {
   const shown = state.machines[name], labels = shown?.labels ?? {};
@@ -68,7 +68,7 @@ function machineOf(name, { alarms, temperatures, states, unwatched, writes }) {
       fact(say("shift.unwatched"), unwatched.count ? `${duration(unwatched.seconds)} (${unwatched.count} ×)` : say("word.none")),
       fact(say("score.blocks"), blocks.length ? blocks.map(([verdict, count]) => h("div", {}, `${say(`verdict.${stateKey(verdict)}`)}: ${count}`)) : say("word.none"))),
     h("h4", {}, say("nav.alarms")),
-    alarms.length ? grid([say("word.time"), say("alarm.alarm"), say("alarm.priority"), say("shift.came"), say("alarm.acknowledged_by")], alarms.map((one) => [moment(one.raised), pastTitle({ ...one, condition: one.alarm }, labels, one.ended === null ? "kind" : "past"), one.priority, came(one), one.acknowledged ? `${one.by}, ${duration(one.acknowledged - one.raised)}` : say("shift.by_nobody")]))
+    alarms.length ? grid([say("word.time"), say("alarm.alarm"), say("alarm.priority"), say("shift.came"), say("alarm.acknowledged_by")], alarms.map((one) => [moment(one.raised), pastTitle({ ...one, condition: one.alarm }, labels, one.ended === null ? "kind" : "past"), one.priority, came(one), one.acknowledged ? `${byWhom(one.by)}, ${duration(one.acknowledged - one.raised)}` : say("shift.by_nobody")]))
       : h("p", { class: "quiet" }, say("shift.no_alarms")),
     states.length > 0 && [h("h4", {}, say("shift.states")), grid([say("word.state"), say("shift.time"), say("shift.entries")], states.map((one) => [one.state, duration(one.seconds), one.entries]))],
   ];
@@ -80,5 +80,5 @@ const leftOut = (count) => count > 0 && h("p", {}, say("shift.left_out", { count
 function came(one) {
   const ended = one.ended === null ? say("shift.stands") : say("shift.over_after", { age: duration(one.ended - one.raised) });
   if (!one.warning) return ended;
-  return `${one.limit_after === null ? say("shift.not_passed") : say("shift.passed", { age: duration(one.limit_after) })}; ${ended}`;
+  return `${one.limit_after === null ? say(one.ended === null ? "shift.not_passed_yet" : "shift.not_passed") : say("shift.passed", { age: duration(one.limit_after) })}; ${ended}`;
 }

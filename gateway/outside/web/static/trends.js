@@ -1,7 +1,7 @@
 // Any tags over any time: what was measured, gaps as gaps, and beside it what had been said before.
-import { ask, duration, h, make, moment, number, say, unit } from "./dom.js";
+import { ask, byWhom, duration, h, make, moment, number, s, say, unit } from "./dom.js";
 import { state } from "./live.js";
-import { chart, COLOURS, FAN, faint, INK, LIMIT, measuredSeries, withLimit } from "./draw.js";
+import { chart, COLOURS, FAN, faint, GRID, INK, LIMIT, measuredSeries, withLimit } from "./draw.js";
 import { can } from "./records.js";
 
 const SPANS = [["90 d", 7776000], ["7 d", 604800], ["1 d", 86400], ["6 h", 21600], ["1 h", 3600], ["10 min", 600], ["1 min", 60]];
@@ -17,6 +17,8 @@ const again = () => dispatchEvent(new HashChangeEvent("hashchange"));
 // `past` those that were zoomed out of, `at` the moment in it that was pointed at.
 const look = { machine: null, tags: [], span: 3600, range: null, stretch: null, past: [], horizon: "", earlier: "", at: null, asked: "", data: null, error: "" };
 let drawn = null; // the chart that is there
+// Of one of the signals that are shown: a unit has a scale of its own.
+const scaleOf = (at) => `y${[...new Set(look.data.units)].indexOf(look.data.units[at])}`;
 
 export function trendsView([wanted]) {
   const machine = look.machine && state.machines[look.machine] ? look.machine : (look.machine = wanted && state.machines[wanted] ? wanted : state.order[0]);
@@ -39,7 +41,7 @@ export function trendsView([wanted]) {
       horizons.length > 0 && h("label", {}, h("span", {}, say("trend.forecasts")), h("select", { id: "trend-horizon" }, h("option", { value: "" }, "–"),
         h("option", { value: "made", selected: look.horizon === "made" }, say("trend.of_moment")),
         horizons.map((each) => h("option", { value: each, selected: String(each) === look.horizon }, say("trend.said_before", { minutes: number(each / 60, 0) }))))),
-      look.data && h("div", { class: "spans", role: "group", "aria-label": say("trend.file") }, h("button", { "data-act": "picture" }, say("trend.picture")),
+      look.data && h("div", { class: "spans", role: "group", "aria-label": say("trend.file") }, h("button", { "data-act": "picture" }, say("trend.picture")), h("button", { "data-act": "vector" }, say("trend.vector")),
         h("a", { class: "button", href: `/api/table.csv?${new URLSearchParams({ machine, tags: look.tags.join("\n"), start: look.data.start, end: look.data.end })}`, download: "trend.csv" }, say("trend.table")))),
     h("details", { class: "tags", open: innerWidth > 700 }, h("summary", {}, say("trend.signals")), h("div", { class: "several" }, names.map((name) =>
       h("label", {}, h("input", { type: "checkbox", value: name, "data-tag": name, checked: look.tags.includes(name) }),
@@ -57,7 +59,7 @@ function notesOf(machine) {
   return h("section", { class: "notes" },
     can("operator") && h("p", { class: "buttons" }, h("button", { "data-act": "note", "data-machine": machine, "data-at": look.at }, look.at === null ? say("note.write") : say("note.about", { time: moment(look.at) }))),
     look.data?.leftOut > 0 && h("p", { class: "quiet" }, say("shift.left_out", { count: look.data.leftOut })),
-    notes.length > 0 && h("ol", {}, notes.map((note, place) => h("li", {}, h("b", {}, `${place + 1}`), " ", h("time", {}, moment(note.time)), ` ${note.text} `, h("small", {}, note.by)))));
+    notes.length > 0 && h("ol", {}, notes.map((note, place) => h("li", {}, h("b", {}, `${place + 1}`), " ", h("time", {}, moment(note.time)), ` ${note.text} `, h("small", {}, byWhom(note.by))))));
 }
 addEventListener("noted", () => (look.asked = ""));
 
@@ -71,10 +73,11 @@ addEventListener("change", (event) => {
   again();
 });
 addEventListener("click", (event) => {
-  const button = event.target.closest("[data-act=span], [data-act=back], [data-act=move], [data-act=picture]");
+  const button = event.target.closest("[data-act=span], [data-act=back], [data-act=move], [data-act=picture], [data-act=vector]");
   if (!button) return;
   const { act, span, move } = button.dataset;
   if (act === "picture") savePicture();
+  else if (act === "vector") saveVector();
   else if (act === "move") changeStretch(move);
   else if (act === "back") look.range = look.past.pop() ?? null;
   else Object.assign(look, { span: Number(span), range: null, past: [] });
@@ -161,7 +164,7 @@ function draw(place) {
   const { trends, tags, units, limits, said, saidOf, notes, shift, earlier, start } = look.data;
   const tables = [], series = [], bands = [], steps = [0];
   // A unit has an axis of its own; on a narrow screen the first two alone, so that there is room for the lines.
-  const kinds = [...new Set(units)], scaleOf = (at) => `y${kinds.indexOf(units[at])}`;
+  const kinds = [...new Set(units)];
   const add = (seen, columns, at, ...lines) => {
     tables.push([seen.times, ...columns]);
     for (const line of lines) {
@@ -196,7 +199,7 @@ function draw(place) {
     axes: kinds.slice(0, place.clientWidth < 700 ? 2 : 4).map((kind, at) => ({ scale: `y${at}`, side: at ? 1 : 3, label: kind, labelSize: kind ? 18 : 0, labelFont: "12px system-ui", grid: { show: !at } })),
     scales: { ...scales, x: { time: true, range: () => [seen.start, seen.end] } },
     cursor: { drag: { x: true, y: false, setScale: false }, dataIdx: (u, line, at) => nearest(u.data, line, at, steps[line] / 2) },
-    hooks: { draw: [(u) => drawLimits(u, limits, scaleOf), (u) => drawNotes(u, notes)], ready: [pointOut, (u) => byTouch(u, seen)], setSelect: [(u) => {
+    hooks: { draw: [(u) => drawLimits(u, limits), (u) => drawNotes(u, notes)], ready: [pointOut, (u) => byTouch(u, seen)], setSelect: [(u) => {
       if (u.select.width < 8) return;
       show(u.posToVal(u.select.left, "x"), u.posToVal(u.select.left + u.select.width, "x"));
       u.setSelect({ width: 0, height: 0 }, false);
@@ -273,15 +276,46 @@ function savePicture() {
     ink.fillStyle = INK;
     ink.fillText(line.label, 4 * edge, top);
   });
-  sheet.toBlob((blob) => {
-    const address = URL.createObjectURL(blob);
-    make(h("a", { href: address, download: "trend.png" })).click();
-    setTimeout(() => URL.revokeObjectURL(address), 60000);
-  });
+  sheet.toBlob((blob) => saveFile(blob, "trend.png"));
+}
+
+function saveFile(blob, name) {
+  const address = URL.createObjectURL(blob);
+  make(h("a", { href: address, download: name })).click();
+  setTimeout(() => URL.revokeObjectURL(address), 60000);
+}
+
+// The same as lines and words that an editor can change, in the colours of the page.
+function saveVector() {
+  if (!drawn) return;
+  const dots = devicePixelRatio, row = 18, [left, top, width, height] = ["left", "top", "width", "height"].map((each) => drawn.bbox[each] / dots);
+  const [times, ...columns] = drawn.data, head = 2 * row, lines = drawn.series.slice(1), foot = head + drawn.height;
+  const x = (time) => (left + drawn.valToPos(time, "x")).toFixed(1), y = (value, scale) => (head + top + drawn.valToPos(value, scale)).toFixed(1);
+  const text = (at, high, said, more = {}) => s("text", { x: at, y: high, fill: INK, ...more }, said);
+  const points = (column) => times.map((time, place) => [time, columns[column][place]]).filter(([, value]) => value !== undefined);
+  const path = (column) => points(column).map(([time, value], place, all) => (value === null ? "" : `${place && all[place - 1][1] !== null ? "L" : "M"}${x(time)} ${y(value, lines[column].scale)}`)).join("");
+  const band = ({ series: [high, low], fill }) => {
+    const ends = [high - 1, low - 1].map((column) => points(column).filter(([, value]) => value !== null).map(([time, value]) => `${x(time)},${y(value, lines[column].scale)}`));
+    return s("polygon", { points: [...ends[0], ...ends[1].reverse()].join(" "), fill: fill.slice(0, 7), "fill-opacity": 0.18 });
+  };
+  const [, ...scales] = drawn.axes, named = lines.filter((line) => line.width);
+  const limits = look.data.limits.map((limit, at) => limit !== undefined && s("g", {}, s("line", { x1: left, x2: left + width, y1: y(limit, scaleOf(at)), y2: y(limit, scaleOf(at)), stroke: LIMIT, "stroke-dasharray": "3 3" }),
+    text(left + 4, y(limit, scaleOf(at)) - 3, `${say("word.limit")} ${number(limit)}`, { fill: LIMIT })));
+  const sheet = make(s("svg", { xmlns: "http://www.w3.org/2000/svg", width: drawn.width, height: foot + row * (named.length + 1), "font-family": "sans-serif", "font-size": 12 },
+    s("rect", { width: "100%", height: "100%", fill: getComputedStyle(document.getElementById("trend")).backgroundColor }), s("clipPath", { id: "plot" }, s("rect", { x: left, y: head + top, width, height })),
+    text(12, row, `${look.data.title}  ${moment(look.data.start)} – ${moment(look.data.end)}`),
+    drawn.axes[0]._splits.map((time, place) => [s("line", { x1: x(time), x2: x(time), y1: head + top, y2: head + top + height, stroke: GRID }), text(x(time), head + top + height + row, drawn.axes[0]._values[place], { "text-anchor": "middle" })]),
+    scales.map(({ _splits: splits, _values: values, scale, side, label }) => splits?.map((value, place) => text(side === 3 ? left - 6 : left + width + 6, Number(y(value, scale)) + 4, `${values[place]}${place === splits.length - 1 ? ` ${label ?? ""}` : ""}`, { "text-anchor": side === 3 ? "end" : "start" }))),
+    s("g", { "clip-path": "url(#plot)" }, drawn.bands.map(band), limits,
+      lines.map((line, column) => line.width > 0 && s("path", { d: path(column), fill: "none", stroke: line.stroke(), "stroke-width": line.width, "stroke-dasharray": line.dash?.join(" ") })),
+      look.data.notes.map((note, place) => s("g", {}, s("line", { x1: x(note.time), x2: x(note.time), y1: head + top, y2: head + top + height, stroke: INK }), text(Number(x(note.time)) + 3, head + top + 12, `${place + 1}`)))),
+    s("rect", { x: left, y: head + top, width, height, fill: "none", stroke: GRID }),
+    named.map((line, place) => [s("rect", { x: 12, y: foot + place * row + 5, width: 24, height: 2, fill: line.stroke() }), text(44, foot + place * row + 10, line.label)])));
+  saveFile(new Blob([new XMLSerializer().serializeToString(sheet)], { type: "image/svg+xml" }), "trend.svg");
 }
 
 // The limit of each temperature, where it lies in the picture.
-function drawLimits(u, limits, scaleOf) {
+function drawLimits(u, limits) {
   const { ctx, bbox } = u, dots = devicePixelRatio;
   ctx.save();
   Object.assign(ctx, { strokeStyle: LIMIT, fillStyle: LIMIT, lineWidth: dots, font: `${12 * dots}px system-ui`, textAlign: "left", textBaseline: "bottom" });

@@ -13,14 +13,18 @@ import numpy as np
 
 from sim.lab.recordings import (
     COUNTS,
+    ELAPSED_MINUTES,
     ClockColumns,
     dated_format,
+    elapsed_seconds,
     join_days,
+    numbers,
     plain_time,
     read_clock,
     since_1970,
     unroll_midnight,
 )
+from sim.lab.recordings.mapping.words import named_time
 from sim.sha import Array
 
 Order = Literal["year", "day", "month"]
@@ -220,6 +224,8 @@ def bare_times_clocks(place: int, cells: Sequence[str], date: tuple[int, Sequenc
 def pure_time(cell: str) -> tuple[str, ...]:
     """The formats of a time of day without a date that read a cell."""
     marked = ":" in cell or cell.count(".") == 2
+    if ":" in cell and elapsed_seconds(cell) is not None:
+        return ("%H:%M:%S",)
     return tuple(format_ for format_ in _TIMES if marked and _fits(cell, format_))
 
 
@@ -257,12 +263,72 @@ def find_clocks(place: int, cells: Sequence[str], date: tuple[int, Sequence[str]
     return clocks
 
 
-def daily_clock(place: int, cells: Sequence[str]) -> list[FoundClock]:
-    """A column of times of day of which no column says the day: they roll over at midnight."""
-    formats = pure_time(next(filter(None, cells), ""))[:1]
+_MINUTES_NAMED = re.compile(r"(?<![a-z:])m(?:in|m)?:ss?(?:ec)?(?![a-z:])", re.IGNORECASE)
+"""Two numbers with a colon that the header says are minutes and seconds."""
+
+
+def counts_minutes(header: str, cell: str) -> bool:
+    """Whether a cell is minutes and seconds, by what its header says."""
+    return _MINUTES_NAMED.search(header) is not None and elapsed_seconds(cell, minutes=True) is not None
+
+
+def daily_clock(place: int, cells: Sequence[str], header: str) -> list[FoundClock]:
+    """A column of times of day of which no column says the day: they roll over at midnight, or are counted on."""
+    first = next(filter(None, cells), "")
+    formats = (ELAPSED_MINUTES,) if counts_minutes(header, first) else pure_time(first)[:1]
     times, _ = read_clock(ClockColumns(column="t", formats=formats), [cells], "auto")
     enough = np.isfinite(times).sum() >= _ENOUGH * sum(map(bool, cells))
     return [FoundClock(place, formats, "year", unroll_midnight(times))] if enough else []
+
+
+_OF_DAY = {"hours": 24.0, "minutes": 1440.0, "seconds": 86400.0, "milliseconds": 86.4e6, "days": 1.0}
+"""Counts since midnight, and how many a day has of them."""
+_HOUR = re.compile(
+    r"\W*(?:dec(?:imal)?[ _-]?|dezimal[ _-]?)?(?:hours?|stunden?|or[ae]|heures?|horas?)(?:[ _]of[ _](?:the[ _])?day)?"
+    r"\W*h?\W*",
+    re.IGNORECASE,
+)
+
+
+_SURE_SHARE = 0.1
+"""Of a day, after which a count of a single day surely began at its midnight."""
+
+
+def counts_of_day(
+    place: int, cells: Sequence[str], header: str, date: tuple[int, Sequence[str]], decimal: Literal["auto", ".", ","]
+) -> list[FoundClock]:
+    """The ways to read counts since midnight, such as decimal hours, after a column of dates; none for other numbers.
+
+    A header without a unit says hours, or shows the part of the day that a spreadsheet has written as a number.
+    """
+    values = numbers(cells, decimal)[0]
+    finite = values[np.isfinite(values)]
+    called = _HOUR.fullmatch(header) is not None
+    if not (called or named_time(header)) or not finite.size or finite.min() < 0:
+        return []
+    units = {_COUNT_UNITS[word] for word in _WORDS.findall(header.casefold()) if word in _COUNT_UNITS}
+    if called:
+        units = {"hours"}
+    elif not units and finite.max() < 1.0:
+        units = {"days"}
+    if len(units) != 1 or (unit := units.pop()) not in _OF_DAY or finite.max() >= _OF_DAY[unit]:
+        return []
+    if unit in ("hours", "days") and not np.any(finite % 1):
+        return []  # the hour alone, whose minutes stand elsewhere or were not kept
+    # Of one day alone, what begins at 0 may as well be counted from the recording's beginning.
+    if len(set(date[1])) == 1 and not (called or unit == "days") and finite[0] < _SURE_SHARE * _OF_DAY[unit]:
+        return []
+    found: dict[Order, FoundClock] = {}
+    for order, day in whole_day(next(filter(None, date[1]), "")):
+        formats = (f"{day} {unit}",)
+        times, _ = read_clock(ClockColumns(column="t", date="d", formats=formats), [cells, date[1]], decimal)
+        known = times[np.isfinite(times)]
+        steps = np.diff(known)
+        # Seconds that stand beside a clock, and are 0 throughout, count no day.
+        moves = np.count_nonzero(steps) > 0.5 * steps.size
+        if known.size >= _ENOUGH * finite.size and moves and (np.all(steps >= 0) or np.all(steps <= 0)):
+            found.setdefault(order, FoundClock(place, formats, order, times, date[0], decimal))
+    return list(found.values())
 
 
 def looks_rounded_count(cell: str) -> bool:

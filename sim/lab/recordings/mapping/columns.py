@@ -133,9 +133,10 @@ def describe_column(
     if not filled:
         return FoundColumn(header, name, unit, "empty", np.full(len(cells), np.nan))
     distinct = Counter(filled)
-    as_switch, wrong = booleans(cells)
-    if len(distinct) <= 2 and not wrong.any() and not (unit and unit != "degC"):
-        return FoundColumn(header, name, "", "switch", as_switch, cells=tuple(cells))
+    if len(distinct) <= 2 and not (unit and unit != "degC"):
+        as_switch, wrong = booleans(cells)
+        if not wrong.any():
+            return FoundColumn(header, name, "", "switch", as_switch, cells=tuple(cells))
     values, _ = numbers(cells, decimal)
     said = Counter() if np.isfinite(values).sum() >= _MIN_NUMBER_SHARE * len(filled) else _units(filled, decimal)
     if said:

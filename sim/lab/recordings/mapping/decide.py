@@ -1,9 +1,9 @@
 """Which column plays which part: by name and unit, then by how its readings move; where two fit, a person is asked."""
 
 import re
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
 from itertools import combinations, pairwise
 
 import numpy as np
@@ -23,12 +23,15 @@ from sim.lab.recordings import (
     since_1970,
     unroll_midnight,
 )
-from sim.lab.recordings.mapping.answers import NO_COLUMN, Answers, Undecided
+from sim.lab.recordings.mapping.answer_words import NO_COLUMN
+from sim.lab.recordings.mapping.answers import Answers, Undecided
 from sim.lab.recordings.mapping.clocks import (
     FoundClock,
     bare_time,
     bare_times_clocks,
     counted_clock,
+    counts_minutes,
+    counts_of_day,
     daily_clock,
     find_clocks,
     is_time,
@@ -92,8 +95,11 @@ class Parts:
     """What loads the machine besides `current`, by a person's word."""
 
 
-def choose_clock(table: FoundTable, answers: Answers) -> FoundClock:
-    """The column of times. Raises Undecided where two fit or the day and month may be either, TraceError for none."""
+def choose_clock(table: FoundTable, answers: Answers, *, now: float) -> FoundClock:
+    """The column of times, none of which is after `now` (s since 1970) where others fit.
+
+    Raises Undecided where two fit or the day and month may be either, TraceError for none.
+    """
     by_place: dict[int, list[FoundClock]] = {}
     sure: dict[int, bool] = {}
     first = [next(filter(None, table.column(place)), "") for place in range(len(table.header))]
@@ -124,18 +130,23 @@ def choose_clock(table: FoundTable, answers: Answers) -> FoundClock:
         elif place in bare:
             day, sure[place] = _day_beside(table, place, days, bare[place])
             by_place[place] = bare_times_clocks(place, cells, (day, table.column(day)), bare[place])
-        elif place in spans and pure_time(filled[0]):
+        elif (place in spans and pure_time(filled[0])) or counts_minutes(header, filled[0]):
             # How long something took is no time of the day beside it.
             moves = any(len(set(table.column(at))) > 1 for at in days)
-            by_place[place] = [] if moves else daily_clock(place, cells)
+            by_place[place] = [] if moves else daily_clock(place, cells, header)
         elif pure_time(filled[0]) and place not in days:
             if days:
                 day, sure[place] = _day_beside(table, place, days, pure_time(filled[0])[0])
                 by_place[place] = find_clocks(place, cells, (day, table.column(day)))
             else:
-                by_place[place] = daily_clock(place, cells)
+                by_place[place] = daily_clock(place, cells, header)
         else:
             decimal = find_decimal([cells], table.separator)
+            if days and place not in (*days, *spans):
+                date = (days[0], table.column(days[0]))
+                if clocks := counts_of_day(place, cells, header, date, decimal):
+                    by_place[place] = clocks
+                    continue
             counted = counted_clock(
                 place, numbers(cells, decimal)[0], header, named=named_time(header) or bool(answers.time)
             )
@@ -172,7 +183,7 @@ def choose_clock(table: FoundTable, answers: Answers) -> FoundClock:
             f"{table.path}: the days of {table.header[chosen]!r} may stand in "
             f"{' or in '.join(repr(table.header[at]) for at in days)}: name that column 'Date', or export only that one"
         )
-    return _one_order(table, found[chosen], answers)
+    return _one_order(table, found[chosen], answers, now)
 
 
 def _has_days(table: FoundTable, place: int) -> bool:
@@ -181,9 +192,15 @@ def _has_days(table: FoundTable, place: int) -> bool:
     if not whole_day(filled[0]) or (filled[0].isdigit() and not named_time(table.header[place])):
         return False
     # A footer is no day; what may be a time of day as 10.11.12 may is one where others can be nothing else.
-    others = {cell for cell in set(filled) if not whole_day(cell)}
-    few = sum(cell in others for cell in filled) <= _FEW_OTHERS * len(filled)
-    return few and not any(map(pure_time, others))
+    others, most = set[str](), _FEW_OTHERS * len(filled)
+    count = 0
+    for cell, times in Counter(filled).items():
+        if not whole_day(cell):
+            others.add(cell)
+            count += times
+            if count > most:
+                return False
+    return not any(map(pure_time, others))
 
 
 _FEW_OTHERS = 0.2
@@ -308,10 +325,13 @@ def _no_clock(table: FoundTable, answers: Answers) -> str:
             f"{list_names(table.header)}; "
             f"{remedy or 'give --time COLUMN, or a file with times'}"
         )
-    shown = next(filter(None, table.column(table.header.index(wanted))), "")
+    cells = table.column(table.header.index(wanted))
+    shown, filled = next(filter(None, cells), ""), sum(map(bool, cells))
     why = (
         "it was rounded by a spreadsheet, and the seconds are lost; export it again as text"
         if looks_rounded_count(shown)
+        else f"it is a day that stands in {filled} of {len(cells)} rows; write it in each"
+        if pure_date(shown) and 2 * filled < len(cells)
         else "it is a day, and nothing says the time of day; export that too"
         if pure_date(shown)
         else "no form that is known reads it, or it does not rise; give --time COLUMN for another column"
@@ -331,7 +351,7 @@ def sample_seconds(table: FoundTable, clock: FoundClock) -> tuple[Array, Mask]:
     return (unroll_midnight(times) if columns.daily else times), local
 
 
-def _one_order(table: FoundTable, clocks: Sequence[FoundClock], answers: Answers) -> FoundClock:
+def _one_order(table: FoundTable, clocks: Sequence[FoundClock], answers: Answers, now: float) -> FoundClock:
     """Of readings year, day and month first the one that leaves a clock in order, else what the language says."""
     wanted = [clock for clock in clocks if clock.order == answers.dates]
     if wanted or len(clocks) == 1:
@@ -341,8 +361,7 @@ def _one_order(table: FoundTable, clocks: Sequence[FoundClock], answers: Answers
     read = {order: int(np.isfinite(times).sum()) for order, times in whole.items()}
     clocks = [clock for clock in clocks if read[clock.order] == max(read.values())]
     latest = {clock.order: float(np.nanmax(whole[clock.order])) for clock in clocks}
-    now = datetime.now(UTC).timestamp() + _ZONES_APART_S
-    clocks = [clock for clock in clocks if latest[clock.order] <= now] or clocks
+    clocks = [clock for clock in clocks if latest[clock.order] <= now + _ZONES_APART_S] or clocks
     if len(clocks) == 1:
         return clocks[0]
     steps = {clock.order: np.diff(whole[clock.order][np.isfinite(whole[clock.order])]) for clock in clocks}
@@ -352,8 +371,10 @@ def _one_order(table: FoundTable, clocks: Sequence[FoundClock], answers: Answers
     smooth = [c for c in clocks if longest[c.order] <= 0.1 * min(longest[o.order] for o in clocks if o is not c)]
     if len(in_order) == 1 or len(smooth) == 1:
         return (in_order if len(in_order) == 1 else smooth)[0]
-    # A year of two digits comes first with dashes, where nothing else is as good.
-    clocks = [clock for clock in clocks if not any("%y/" in format_ for format_ in clock.formats)] or clocks
+    later = latest.get("year", np.nan) - max(latest[clock.order] for clock in clocks if clock.order != "year")
+    # A year of two digits comes first with dashes, where nothing else is as good; or what came last would be long ago.
+    if not later > _LONG_AGO_S:
+        clocks = [clock for clock in clocks if not any("%y/" in format_ for format_ in clock.formats)] or clocks
     orders = {clock.order: clock for clock in clocks}
     if len(orders) == 1:
         return clocks[0]
@@ -362,7 +383,6 @@ def _one_order(table: FoundTable, clocks: Sequence[FoundClock], answers: Answers
         return orders["day"]
     if "month" in orders and any("%p" in format_ for format_ in orders["month"].formats):
         return orders["month"]
-    later = latest.get("year", np.nan) - max(latest[order] for order in orders if order != "year")
     if later < -_LONG_AGO_S and "day" in orders:
         return orders["day"]
     shown = table.column(clocks[0].date if clocks[0].date is not None else clocks[0].place)[0]

@@ -45,6 +45,7 @@ from sim.lab.recordings.mapping.decide import (
 )
 from sim.lab.recordings.mapping.folder import one_table
 from sim.lab.recordings.mapping.quality import FoundQuality, find_quality
+from sim.lab.recordings.mapping.rest import check_rest
 from sim.lab.recordings.mapping.rows import Rows, Stored, describe_rows, find_storage, separate_times
 from sim.lab.recordings.mapping.table import FoundTable, find_table, with_joined, with_rows
 from sim.lab.recordings.mapping.words import (
@@ -124,20 +125,20 @@ class _Found:
     derived: str
 
 
-def draft_map(path: Path, answers: Answers, names: Mapping[str, str] | None = None) -> DraftedMap:
+def draft_map(path: Path, answers: Answers, names: Mapping[str, str] | None = None, *, now: float) -> DraftedMap:
     """The column map that reads a file. Raises Undecided where a person must choose, TraceError where there is none.
 
     `names` are the signals' names by their headers, that of a derived switch by RUNNING_SIGNAL; others are made of the
-    header.
+    header. `now` is the time (s since 1970) by which dates of the future are told.
     """
     names = names or {}
     if answers.timezone and (problem := zone_problem(answers.timezone)):
         raise TraceError(f"--timezone: {problem}")
     if path.is_dir():
-        table, clock = one_table(path, csv_files(path.iterdir(), ""), answers)
+        table, clock = one_table(path, csv_files(path.iterdir(), ""), answers, now=now)
     else:
         table = find_table(path)
-        clock = choose_clock(table, answers)
+        clock = choose_clock(table, answers, now=now)
     times, local = sample_seconds(table, clock)
     # Rows without a time are refused when the map reads them: they decide nothing here either.
     timed = np.isfinite(times)
@@ -178,7 +179,9 @@ def draft_map(path: Path, answers: Answers, names: Mapping[str, str] | None = No
     traces, report = _load_draft(path, _text(found))
     coded = [_with_codes(column, traces, slow=column.name == parts.temperature.name) for column in columns]
     running = derived if parts.running is None else parts.running.name
-    check_scale(path, coded[columns.index(parts.temperature)], running, traces, answers)
+    of_bearing = coded[columns.index(parts.temperature)]
+    check_scale(path, of_bearing, running, traces, answers)
+    check_rest(path, of_bearing, running, coded, traces, answers)
     if any(now is not before for now, before in zip(coded, columns, strict=True)):
         found = replace(found, columns=coded)
         traces, report = _load_draft(path, _text(found))
@@ -390,12 +393,17 @@ def _long_form(table: FoundTable, clock: FoundClock) -> _LongForm | None:
     values = [place for place in others if named_value(table.header[place])]
     if not values and any(map(named_entity, table.header)):
         values = [place for place in others if table.header[place].casefold() == "state"]
+    # Value and vValue: one reading told twice.
+    told = [tuple(table.column(place)) for place in values]
+    values = [place for number, place in enumerate(values) if told[number] not in told[:number]]
     words = {place: Counter(table.column(place)) for place in others if place not in values}
     # Names come again and again; numbers, qualities and comments are none, but where nothing else names.
     named = [
         place
         for place, distinct in words.items()
-        if named_name(table.header[place]) and len(distinct) <= max(len(table.rows) / 2, 1)
+        if named_name(table.header[place])
+        and not named_unit(table.header[place])
+        and len(distinct) <= max(len(table.rows) / 2, 1)
     ]
     names = [p for p in named if sum(not _plain_number(word) for word in words[p]) > len(words[p]) / 2]
     names = names or [p for p in named if len(words[p]) > 1 and all(word.isdigit() for word in words[p])]

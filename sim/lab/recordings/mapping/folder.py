@@ -19,7 +19,7 @@ from sim.lab.recordings.mapping.table import FoundTable, find_table
 _DIGITS = re.compile(r"\d+")
 
 
-def one_table(folder: Path, files: Sequence[Path], answers: Answers) -> tuple[FoundTable, FoundClock]:
+def one_table(folder: Path, files: Sequence[Path], answers: Answers, *, now: float) -> tuple[FoundTable, FoundClock]:
     """The rows of all files in the order of their times, under the names of all of them, and their common clock.
 
     Raises TraceError where the clocks differ in name or form, or there is no file; as `find_table` and `choose_clock`
@@ -36,7 +36,7 @@ def one_table(folder: Path, files: Sequence[Path], answers: Answers) -> tuple[Fo
         )
     (ending,) = endings
     tables = [find_table(file) for file in files]
-    clocks = [choose_clock(table, answers) for table in tables]
+    clocks = [choose_clock(table, answers, now=now) for table in tables]
     first, clock = tables[0], clocks[0]
     for table, other in zip(tables[1:], clocks[1:], strict=True):
         same = fold_name(table.header[other.place]) == fold_name(first.header[clock.place])

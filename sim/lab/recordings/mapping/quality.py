@@ -6,7 +6,8 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 from sim.lab.recordings import UNNAMED_COLUMN, TraceError, list_names, named_after
-from sim.lab.recordings.mapping.answers import BLANK_IS_GOOD, NO_COLUMN, Answers, Undecided
+from sim.lab.recordings.mapping.answer_words import BLANK_IS_GOOD, NO_COLUMN
+from sim.lab.recordings.mapping.answers import Answers, Undecided
 from sim.lab.recordings.mapping.table import FoundTable, has_numbers
 from sim.lab.recordings.mapping.words import named_value
 
@@ -101,6 +102,11 @@ def find_quality(
         )
     if not places:
         return FoundQuality()
+    if value is not None and not answers.good:
+        # Of several that judge the same reading those speak whose words are known: Quality 0 beside OPCQuality 192.
+        telling = tuple(place for place in places if any(map(_GOOD.fullmatch, words[place])))
+        places = telling or places
+        every = sum((words[place] for place in places), Counter[str]())
     cells = sum((Counter(beside[place]) for place in places), Counter[str]())
     valid = {word for place in places if _SAYS_VALID.search(table.header[place]) for word in words[place]}
     known = {word for word in every if _GOOD.fullmatch(word) or (word in valid and _YES.fullmatch(word))}
@@ -132,8 +138,10 @@ def is_quality(table: FoundTable, place: int) -> bool:
         said_by.append(table.files[place])  # a column Value says what it is by its file's name
     if any(map(_NAMED.search, said_by)):
         return True
+    if _STATUS.search(table.header[place]) is None:
+        return False
     words = {cell.casefold() for cell in table.column(place) if cell}
-    return bool(words) and _STATUS.search(table.header[place]) is not None and all(map(_TOLD.fullmatch, words))
+    return bool(words) and all(map(_TOLD.fullmatch, words))
 
 
 def _of_other_files(table: FoundTable, named: Sequence[int], readings: Sequence[int]) -> list[int]:

@@ -131,10 +131,14 @@ def describe_rows(
 def separate_times(table: FoundTable, rows: Rows, times: Array) -> Array:
     """The times with those of each machine and session far from those of others: no step leads from one to another."""
     places = [place for place in (rows.machine, rows.session) if place is not None]
+    if not places:
+        return times
     return times + _OWNER_GAP_S * _codes([tuple(row[place] for place in places) for row in table.rows])
 
 
 def _codes(names: Sequence[object]) -> Array:
+    if len(set(names)) < 2:
+        return np.zeros(len(names))
     table: dict[object, int] = {}
     return np.array([table.setdefault(name, len(table)) for name in names], dtype=float)
 

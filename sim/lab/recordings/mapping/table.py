@@ -139,12 +139,17 @@ def find_table(path: Path) -> FoundTable:
     width = len(header)
     if not width or not any(header) or all(map(_numeric, filter(None, header))):
         raise TraceError(f"{path}: line {usable[first][0] + 1} holds data, and no line above it names its columns")
-    # Where the header only counts its columns, the names stand in one of the rows below it.
+    # Where the header only counts its columns, the names stand in one of the rows below it, or above, as recorders do.
+    counted = sum(map(str.isdigit, header)) > 1
+    higher = [row for row in reversed(rows[:header_at]) if counted and len(row) == width]
+    of_units = next((row for row in higher if _is_units(row)), None)
+    if of_units is not None and not any(units):
+        units = [UNITS.get(bare_unit(cell), "") for cell in of_units]
     titles = [
         next(
             (
                 cell
-                for row in rows[header_at:first]
+                for row in (*rows[header_at:first], *(row for row in higher if row is not of_units))
                 if (cell := drop_invisible("".join(row[at : at + 1]))) and not cell.isdigit()
             ),
             name,
@@ -214,29 +219,36 @@ def _no_data(path: Path, rows: Sequence[Sequence[str]]) -> str:
 def _tables(header: Sequence[str], rows: Sequence[Sequence[str]]) -> tuple[list[str], list[tuple[str, ...]]]:
     """All names of a file's tables, and its rows under them; a row of names begins a table, as it does for reading."""
     names, own = list(header), list(header)
-    places = list(range(len(own)))
+    places = straight = list(range(len(own)))
     sample: list[tuple[str, ...]] = []
     words = {fold_name(name) for name in own if not _numeric(name)}
-    begins = {name[:1] for name in words}
+    begins = _first_letters(words)
     for row in rows:
         # Most rows are numbers, whose first character begins no name.
-        if any(cell[:1].casefold() in begins for cell in row) and _is_header(row, words):
+        if not begins.isdisjoint([cell[:1] for cell in row]) and _is_header(row, words):
             own = number_equal_names([*row])
             while own and not own[-1]:
                 own.pop()
             known = list(map(fold_name, names))
             names += [name for name in own if fold_name(name) not in known]
             known = list(map(fold_name, names))
-            places = [known.index(fold_name(name)) for name in own]
+            places, straight = [known.index(fold_name(name)) for name in own], list(range(len(own)))
             words = {fold_name(name) for name in own if not _numeric(name)}
-            begins = {name[:1] for name in words}
+            begins = _first_letters(words)
         elif len(row) >= len(own) and not any(row[len(own) :]):
-            cells = [""] * len(names)
-            for place, cell in zip(places, row, strict=False):
-                cells[place] = cell
+            cells = row[: len(own)]
+            if places != straight:
+                cells = [""] * len(names)
+                for place, cell in zip(places, row, strict=False):
+                    cells[place] = cell
             sample.append(tuple(cells))
     width = len(names)
-    return names, [(*row, *[""] * (width - len(row))) for row in sample]
+    return names, [row if len(row) == width else (*row, *[""] * (width - len(row))) for row in sample]
+
+
+def _first_letters(names: Set[str]) -> frozenset[str]:
+    """The first letters of folded names as they may be written."""
+    return frozenset(letter for name in names for letter in (name[:1], name[:1].upper(), name[:1].title()))
 
 
 def _is_header(row: Sequence[str], words: Set[str]) -> bool:
@@ -264,8 +276,11 @@ def with_joined(table: FoundTable, places: Sequence[int]) -> FoundTable:
 
 
 def _cells(line: str, mark: str) -> list[str]:
-    lines = line.splitlines(keepends=True) if "\n" in line else [line]
-    return [cell.strip() for cell in strip_guards(next(csv.reader(lines, delimiter=mark, skipinitialspace=True), []))]
+    if line and '"' not in line:
+        row = line.split(mark)
+    else:
+        row = next(csv.reader(line.splitlines(keepends=True), delimiter=mark, skipinitialspace=True), [])
+    return [cell.strip() for cell in strip_guards(row)]
 
 
 def _is_data(row: Sequence[str]) -> bool:
@@ -343,7 +358,9 @@ def _is_units(row: Sequence[str]) -> bool:
     # min beside max and mean is no minute.
     parts = {"min"} if _STATISTICS.intersection(filled) else set()
     known = sum(cell in UNITS and cell not in parts for cell in filled)
-    return known > 1 or (known == 1 and all(len(cell) <= 6 for cell in filled))
+    # Date, Time, sec: the clock in columns of its own.
+    clocks = sum(named_time(cell) and cell not in UNITS for cell in filled)
+    return known > 1 or (known == 1 and clocks < 2 and all(len(cell) <= 6 for cell in filled))
 
 
 _STATISTICS = frozenset({"max", "mean", "avg", "average", "median", "std", "mittel", "mittelwert", "moy", "media"})

@@ -53,12 +53,12 @@ _FREQUENCY = re.compile(r"[\[({_ ][kMG]?Hz[\])}]?(?:_\d+)?\s*$", re.IGNORECASE)
 """The end of a header that says hertz: the clock of a processor is a frequency."""
 _NAME = re.compile(
     r"^(?:.*(?:name|tag|variable|field|point|signal|series|metric|parameter|channel|entity|alias|property|measurement|messstelle|nome|nom|nombre|bezeichn|"
-    r"punto|sensor|item|path|descri|beschreib|label|libell).*)$",
+    r"punto|sensor|item|path|topic|descri|beschreib|label|libell).*)$",
     re.IGNORECASE,
 )
 _KIND = "num|float|int|bool|dbl|double|real|str|string|text"
 _VALUE = re.compile(
-    rf"^_?(?:var|v|tag|process|raw|date|{_KIND})?_?(?:value|wert|valore|valeur|valor|val|reading|messwert)s?"
+    rf"^_?(?:var|v|tag|process|raw|date|{_KIND})?_?(?:value|wert|valore|valeur|valor|val|reading|messwert|payload)s?"
     rf"(?:{_KIND})?(?:[ _\[(].*)?$",
     re.IGNORECASE,
 )
@@ -70,6 +70,7 @@ _IN_NAME = re.compile(
     r"[Aa]mp(?:s|eres?)?|rpm|[kM]?W|m?bar|kPa|"
     r"[mk]?A|k?V|Nm|Hz|%|[CFK])$"
 )
+_DEGREE_MARKS = frozenset("°º℃℉")
 _TEMPERATURE_LETTER = re.compile(
     r"temp(?:erature?|eratura)?(?P<ending>(?:_?(?:deg|grad)|[_ ])?_?(?P<letter>[cf]))$",
     re.IGNORECASE,
@@ -142,7 +143,9 @@ _SURELY = re.compile(
 )
 """Of whom the rows are; the speed of a vehicle and the battery of a device are readings."""
 _OF_PART = re.compile(r"\bstep|[-_ ]cyc|\bcycle|\blap\b|schritt|zyklus", re.IGNORECASE)
-_UNIT_COLUMN = re.compile(r"^(?:unit|units|einheit|unit[àa]|unité|unidad|uom|eu|engunits?)$", re.IGNORECASE)
+_UNIT_COLUMN = re.compile(
+    r"^(?:.*\.)?(?:unit|units|unit_of_measurement|einheit|unit[àa]|unité|unidad|uom|eu|engunits?)$", re.IGNORECASE
+)
 
 
 def bare_unit(cell: str) -> str:
@@ -164,7 +167,12 @@ def split_unit(header: str, beside: Iterable[str] = ()) -> tuple[str, str]:
         # "[Bearing temperature][°C]": the name in brackets of its own.
         if bare.startswith("[") and bare.endswith("]"):
             bare = bare[1:-1].strip()
-        return (bare, unit) if bare and (unit or not match[1].strip()) else (header, "")
+        if bare and (unit or not match[1].strip()):
+            return bare, unit
+        # "Temp, °F (LGR S/N: 10012)": what stands in brackets behind the unit says whose it is.
+        before = _IN_NAME.search(bare)
+        unit = known_unit(before["unit"]) if before and before["unit"][:1] in _DEGREE_MARKS else ""
+        return (f"{bare[: before.start()]} {match[0].strip()}", unit) if before and unit else (header, "")
     if _is_lettered(header, beside):
         return header, ""
     match = _IN_NAME.search(header)
