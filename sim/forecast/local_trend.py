@@ -2,8 +2,9 @@
 
 A bank of damped-trend smoothers (Gardner & McKenzie 1985), one for each of a few smoothings, follows the readings on a
 grid of its own. How far each was off at each horizon is kept as a fading mean square. The forecast of a horizon is the
-one of the smoother that was off least there, and its band is as wide as that one was off. Nothing is learned
-beforehand: a fit to other days holds for how they moved.
+one of the smoother that was off least there, and its band is as wide as that one was off. Of a horizon that has not
+been seen through it says what it does of the longest one that has, in a band that widens as a walk's. Nothing is
+learned beforehand: a fit to other days holds for how they moved.
 """
 
 from collections.abc import Sequence
@@ -110,12 +111,14 @@ class LocalTrend:
         expected = self._level + part * self._damping * self._slope
         level = expected + self._level_gain * (self._reading - expected)
         mean, sigma = np.empty(self.horizons.size), np.empty(self.horizons.size)
-        known, known_ahead = self._squares[0] / self._errors[0], float(self._ahead[0])
+        known, known_ahead, reach = self._squares[0] / self._errors[0], float(self._ahead[0]), self._reach[0]
         for row, ahead in enumerate(self.horizons / self.step):
             if self._errors[row] >= self._ahead[row]:
                 known, known_ahead = self._squares[row] / self._errors[row], float(self._ahead[row])
+                reach = self._reach[row]
             best = int(known.argmin())
-            mean[row] = level[best] + self._reach[row, best] * self._slope[best]
+            # A slope that was good over minutes says nothing of a quarter of an hour: it holds as far as it was tried.
+            mean[row] = level[best] + reach[best] * self._slope[best]
             sigma[row] = max(float(np.sqrt(known[best] * max(ahead / known_ahead, 1.0))), MIN_SIGMA)
         return LocalOutlook(self._now, self._reading, self.horizons, mean, sigma)
 

@@ -39,6 +39,19 @@ def test_a_steady_rise_is_followed_and_a_walk_is_not() -> None:
     assert drift.sigma[1] == pytest.approx(drift.sigma[0] * np.sqrt(5.0), rel=0.6), "as a walk's"
 
 
+def test_a_slope_is_followed_no_further_than_it_was_seen_to_hold() -> None:
+    trend = LocalTrend((60.0, 900.0), 1.0)
+    for second in range(1900):
+        trend.take(float(second), 30.0 + 0.01 * second)
+        if second == 599:
+            early = trend.look_ahead()
+    late = trend.look_ahead()
+    assert early is not None and late is not None
+    assert early.mean[0] == pytest.approx(early.reading + 0.6, abs=0.1)
+    assert early.mean[1] == early.mean[0] and early.sigma[1] > 3.0 * early.sigma[0]
+    assert late.mean[1] > late.reading + 4.5, "by now it was seen to hold so long"
+
+
 def test_noise_about_a_level_is_averaged() -> None:
     noise = np.random.default_rng(4).normal(0.0, 1.0, 1800)
     assert abs(outlook_of(noise).mean[0]) < 1.0
