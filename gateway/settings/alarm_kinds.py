@@ -294,8 +294,7 @@ ALARM_KINDS: Mapping[str, AlarmKind] = {
         past=Phrase("the model needed a review", it="il modello era da rivedere", de="das Modell war zu prüfen"),
         applies=_has_model,
         limit=yes_or_no,
-        watches="how often readings lie outside 3 sigma of the model, or outside what came once in a hundred forecasts "
-        "by its own record, and whether it is unfit by its verdict",
+        watches="how often readings lie outside 3 sigma of the model, and whether it is unfit by its verdict",
         response=Phrase(
             "the model is unfit, or the readings lie beyond 3 sigma of it too often: look at its verdict and at the "
             "sensor, then learn or correct the model",

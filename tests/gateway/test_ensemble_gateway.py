@@ -23,10 +23,8 @@ from gateway.plant.log import open_log
 from gateway.settings.config import Config, load_config
 from gateway.store.historian import open_historian
 from gateway.store.score import scorecard
-from sim.artefacts import VERDICT_FILE, ForeseenHorizon, ModelVerdict
 from sim.artefacts.model_json import model_text
 from sim.engine.belief import advance
-from sim.lab.formats import write_model_directory
 from sim.sha.automaton import Distribution
 from sim.sha.model import Correction, Model, PlainMember
 from tests.gateway.support import (
@@ -298,17 +296,6 @@ async def test_readings_beyond_three_sigma_raise_the_review_alarm_and_its_bit(tm
     standing = [int(block["alarms"]) >> 5 & 1 for block in bench.written]
     assert standing[90] == 0 and standing[-2] == 1 and sum(a != b for a, b in pairwise(standing)) == 1
     assert scorecard(config.historian.path).guards["review"]
-
-
-async def test_what_is_beyond_for_a_forecast_is_said_by_the_record_of_the_model(tmp_path: Path) -> None:
-    record = tuple(
-        ForeseenHorizon(horizon=horizon, units={}, rare=rare) for horizon, rare in ((10.0, 2.0), (60.0, 4.5))
-    )
-    verdict = ModelVerdict(word="fit", criteria=(), foreseen=record)
-    write_model_directory(tmp_path / "judged", two_modes(), more={VERDICT_FILE: verdict.text()})
-    config = config_in(tmp_path, **{**FAST, "model__path": tmp_path / "judged"})
-    reviews = (await go(config, Bench(config, Patient()), 20))["guards"]["reviews"]
-    assert {name: review["sigmas"] for name, review in reviews.items()} == {"one step": 3.0, "10 s": 3.0, "60 s": 4.5}
 
 
 async def test_a_belief_beyond_the_models_range_is_counted_logged_and_stored(tmp_path: Path) -> None:

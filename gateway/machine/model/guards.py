@@ -5,19 +5,7 @@ from typing import Any
 
 from gateway.machine.model.drift import CycleDrift, follow_cycle, make_drift_rule
 from gateway.machine.model.predict import Predictor, ScanPrediction
-from sim.forecast import (
-    FORECASTS,
-    ONE_STEP,
-    REVIEW_SIGMAS,
-    Z90,
-    Calibration,
-    Forecast,
-    Review,
-    follow,
-    follow_forecasts,
-    review_limit,
-    share,
-)
+from sim.forecast import FORECASTS, ONE_STEP, Z90, Calibration, Forecast, Review, follow, follow_forecasts, share
 from sim.sha import Model
 from sim.strict_json import shallow_dict
 
@@ -28,25 +16,17 @@ class Guards:
     """Reviews by what is looked at: the one-step prediction, and the forecasts of each horizon ("60 s").
 
     `drift` follows the free run from cycle to cycle, against `limit` (degC) or the model's own band (None); the alarm
-    comes from `drift_cycles` beyond it on, which is said with it so that the records tell whether it stands. `rare` has
-    by horizon how many standard deviations were rare on data held out (`review_limit`).
+    comes from `drift_cycles` beyond it on, which is said with it so that the records tell whether it stands.
     """
 
     def __init__(
-        self,
-        model: Model,
-        horizons: tuple[float, ...],
-        limit: float | None = None,
-        *,
-        drift_cycles: int,
-        rare: Mapping[float, float] | None = None,
+        self, model: Model, horizons: tuple[float, ...], limit: float | None = None, *, drift_cycles: int
     ) -> None:
         self.model = model
         self._drift_cycles = drift_cycles
         self.drift = CycleDrift()
         self._rule = make_drift_rule(model, limit)
         self._horizons = {f"{horizon:g} s": horizon for horizon in horizons}
-        self._sigmas = {f"{horizon:g} s": review_limit((rare or {}).get(horizon, 0.0)) for horizon in horizons}
         self.reviews = {INNOVATIONS: Review()} | {name: Review() for name in self._horizons}
         self.forecast_clamps = 0
         self.forecasts_clamped = 0
@@ -64,9 +44,7 @@ class Guards:
             self.reviews[INNOVATIONS] = follow(ONE_STEP, self.reviews[INNOVATIONS], p.time, z)
         # A forecast that is due now is still pending in `calibration`; settling takes it out.
         for name, horizon in self._horizons.items():
-            self.reviews[name] = follow_forecasts(
-                self.reviews[name], calibration, horizon, p.time, p.measured, sigmas=self._sigmas[name]
-            )
+            self.reviews[name] = follow_forecasts(self.reviews[name], calibration, horizon, p.time, p.measured)
 
     def count_forecast(self, forecast: Forecast) -> None:
         """Count the clamps of a finished forecast's runs."""
@@ -86,7 +64,6 @@ class Guards:
             rule = ONE_STEP if name == INNOVATIONS else FORECASTS
             reviews[name] = {
                 "flagged": review.flagged,
-                "sigmas": self._sigmas.get(name, REVIEW_SIGMAS),
                 "since": review.since,
                 "share": share(rule, review),
                 "run": review.run,

@@ -106,13 +106,8 @@ class ModelUnit:
             turns=self._turns,
         )
         alarms = config.alarms
-        verdict = self.loaded.verdict
         self.guards = Guards(
-            self.loaded.model,
-            config.forecast.horizons,
-            alarms.drift,
-            drift_cycles=alarms.drift_cycles,
-            rare={} if verdict is None else {each.horizon: each.rare for each in verdict.foreseen},
+            self.loaded.model, config.forecast.horizons, alarms.drift, drift_cycles=alarms.drift_cycles
         )
         section = config.virtual_sensor
         self.familiarity = CycleFamiliarity(self.loaded.familiarity, self.loaded.model, config.alarms.unfamiliar)
