@@ -84,8 +84,11 @@ class ModbusSurvey:
     async def read(self, area: str, start: int, count: int, unit: int | None = None) -> ReadWords:
         """One request for `count` registers or bits. Raises DriverError by its kinds."""
         own = unit is None or unit == self._settings.unit
-        wide = own and any(wide.meets(Area(area), start, start + count) for wide in self._settings.wide_registers)
-        reply = await self._exchange(read_request(Area(area), start, count, self._unit(unit), wide=wide))
+        # Where a block reaches over a border its first register decides, and what is not so answered is a refusal.
+        wide = own and any(wide.meets(Area(area), start, start + 1) for wide in self._settings.wide_registers)
+        request = read_request(Area(area), start, count, self._unit(unit), wide=wide)
+        # Who names a unit asks which ones are there: a gateway's word that it is not is the answer.
+        reply = await self._exchange(request, LINE_PAUSES_S if unit is None else ())
         return ReadWords(reply.words, reply.received - reply.sent)
 
     async def identity(self, unit: int | None = None) -> Mapping[str, str]:
@@ -144,14 +147,15 @@ class ModbusSurvey:
     def _unit(self, unit: int | None) -> int:
         return self._settings.unit if unit is None else unit
 
-    async def _exchange(self, request: ModbusPDU) -> WireReply:
+    async def _exchange(self, request: ModbusPDU, line_pauses: Sequence[float] = LINE_PAUSES_S) -> WireReply:
         """One question. The first one is asked again with a growing deadline: the device may be slow, or answer nothing
-        for a while after a connection was made; a gateway's word that it is silent is believed when it is the third."""
+        for a while after a connection was made; a gateway's word that it is silent is not believed before it has been
+        asked again after these pauses."""
         if self._answered or self._tried:
             return await self._once(request, self._deadline, again=False)
         self._tried, began = True, _now()
         deadline, again = self._deadline, False
-        pauses = list(LINE_PAUSES_S)
+        pauses = list(line_pauses)
         while True:
             try:
                 return await self._once(request, deadline, again=again)

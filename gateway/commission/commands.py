@@ -390,7 +390,7 @@ def scan(**options: Any) -> None:
     """Look for what is there: units, nodes, frames, registers or models, within RANGE. Nothing is written.
 
     units: which Modbus units answer behind this connection (1-247, without RANGE until twenty in a row are silent);
-    each is asked for one register, twice at most.
+    each is asked for one register, twice at most, and the first one for 3 s if it is silent.
     nodes: which CANopen nodes are on this bus (1-127), by their heartbeats and by their answers to SDO requests.
     frames: which frames are on this CAN bus, how often, and what they may be; nothing is sent.
     registers: which of holding:0-999, or 40001-41000, can be read, and how many at once. Blocks are asked first,

@@ -801,3 +801,125 @@ def test_what_says_another_number_than_the_register_is_not_passed_over(header: s
 def test_a_scale_or_a_sentinel_in_a_remark_is_said(remark: str, may: str, tmp_path: Path) -> None:
     (tag,) = read(tmp_path, f"Name;Address;Type;Notes\nT;100;INT16;{remark}\n").tags
     assert (f"may say {may}" in tag.unread) if may else not tag.unread
+
+
+@pytest.mark.parametrize(
+    ("cell", "dtype"),
+    [
+        ("Signed value", "int16"), ("Unsigned value", "uint16"), ("Signed number", "int16"),
+        ("Unsigned number", "uint16"), ("signed format", "int16"), ("unsigned register", "uint16"),
+        ("Two's complement", "int16"), ("signed float", "float32"),
+        ("signed BCD", None), ("signed char", None), ("unsigned char", None), ("signed string", None),
+    ],
+)  # fmt: skip
+def test_a_sign_by_itself_is_of_16_bits_and_one_of_no_whole_number_is_none(
+    cell: str, dtype: str | None, tmp_path: Path
+) -> None:
+    found = row(tmp_path, "Address;Type", f"100;{cell}")
+    assert (isinstance(found, str) and "is no type" in found) if dtype is None else found["dtype"] == dtype  # type: ignore[index]
+
+
+@pytest.mark.parametrize(
+    ("what", "kind", "unit", "torn"),
+    [
+        ("Energy tariff", "UINT16", "kWh", 0), ("Energy alarm", "UINT16", "kWh", 0), ("Energy", "INT16", "kWh", 0),
+        ("Level", "UINT16", "m3", 0), ("Service", "UINT16", "h", 0), ("Energy", "UINT16", "kWh", 2),
+    ],
+)  # fmt: skip
+def test_two_limits_or_tariffs_are_no_words_of_one_number(
+    what: str, kind: str, unit: str, torn: int, tmp_path: Path
+) -> None:
+    pair = "".join(f"{what} {end};{at};{kind};{unit}\n" for at, end in ((1, "high"), (2, "low")))
+    temp = "Temp high;3;UINT16;degC\nTemp low;4;UINT16;degC\n"
+    found = read(tmp_path, f"Name;Address;Type;Unit\n{pair}{temp}")
+    assert (len(found.tags), len(found.problems)) == (4 - torn, torn)
+
+
+@pytest.mark.parametrize(
+    ("header", "rows", "refused"),
+    [
+        ("Bit;Mask", ("BOOL;0;0x01", "BOOL;1;0x02", "INT16;;"), ""), ("Bit;Bit mask", ("BOOL;3;8", "BOOL;4;16"), ""),
+        ("Bit;Mask", ("BOOL;0;0x02",), "the row itself says bit 0: correct one"),
+        ("Bit;Shift", ("BOOL;5;5",), ""), ("Alarm mask", ("INT16;1",), ""), ("Input mask", ("INT16;999.9",), ""),
+        ("Subnet mask", ("INT16;255.255.255.0",), ""), ("Mask", ("INT16;255.255.255.0",), ""),
+        ("Shift", ("INT16;A", "INT16;2"), ""), ("Shift", ("INT16;none", "INT16;8"), "give the bit"),
+        ("Shift", ("INT16;1", "INT16;2"), ""),
+        ("Right shift", ("INT16;2",), "give the bit"), ("Mask (hex)", ("INT16;0x0F",), "give the bit"),
+        ("Mask", ("INT16;255.0",), "give the bit"),
+    ],
+)  # fmt: skip
+def test_a_mask_that_says_the_rows_own_bit_or_is_none_is_passed_over(
+    header: str, rows: tuple[str, ...], refused: str, tmp_path: Path
+) -> None:
+    lines = "".join(f"T{at};{100 + at};{cells}\n" for at, cells in enumerate(rows))
+    text = f"Name;Address;Type;{header}\n{lines}"
+    if not refused:
+        assert len(read(tmp_path, text).tags) == len(rows)
+        return
+    with pytest.raises(ListError, match=refused):
+        read(tmp_path, text)
+
+
+def test_a_mask_may_say_the_bit_of_the_address(tmp_path: Path) -> None:
+    text = "Name;Address;Mask\nRun;40001.{};0x08\n"
+    assert len(read(tmp_path, text.format(3)).tags) == 1
+    with pytest.raises(ListError, match="the row itself says bit 4"):
+        read(tmp_path, text.format(4))
+
+
+@pytest.mark.parametrize(
+    ("header", "rows", "refused"),
+    [
+        ("K;B", ("0,1;-40",), "give --column offset='B'"), ("k;c", ("0,1;-40", "0,1;"), "give --column offset='c'"),
+        ("a1;a0", ("0,1;-40",), "may say how readings are scaled"), ("A;B;C", ("0,5;0;0",), "may say how readings"),
+        ("m;b", ("0,1;0", "0,2;0"), "may say how readings are scaled"),
+        ("A;B;C", ("1;0;0", "0;1;0"), ""), ("A;B;C", ("2;0;0",), ""), ("K;B", ("0,1;1", "0,1;0"), ""),
+        ("K;B", ("0,1;5", "0,1;east"), ""), ("K;Offset;B", ("0,1;-40;7",), ""), ("Scale;Q", ("0,1;7",), ""),
+    ],
+)  # fmt: skip
+def test_a_constant_beside_a_scale_headed_k_is_not_passed_over_and_phases_are(
+    header: str, rows: tuple[str, ...], refused: str, tmp_path: Path
+) -> None:
+    lines = "".join(f"T{at};{100 + at};INT16;{cells}\n" for at, cells in enumerate(rows))
+    text = f"Name;Address;Type;{header}\n{lines}"
+    if not refused:
+        assert len(read(tmp_path, text).tags) == len(rows)
+        return
+    with pytest.raises(ListError, match=refused):
+        read(tmp_path, text)
+
+
+@pytest.mark.parametrize(
+    ("cells", "says"),
+    [
+        ("40003;40003;FLOAT32", "has 2 registers, and the row says 1"), ("40003;40003;INT16", "int16"),
+        ("40003;0;FLOAT32", "float32"), ("40003;gateway;FLOAT32", "float32"), ("0;0;UINT16", "uint16"),
+        ("40003;0x0000;INT16", "int16"), ("10001;10001;BOOL", "bool"),
+    ],
+)  # fmt: skip
+def test_an_end_at_the_first_address_is_one_register_and_0_or_a_word_is_none(
+    cells: str, says: str, tmp_path: Path
+) -> None:
+    found = row(tmp_path, "Address;End address;Type", cells)
+    assert (says in found) if isinstance(found, str) else found["dtype"] == says
+
+
+def test_an_end_of_letters_is_a_number_in_a_hexadecimal_list(tmp_path: Path) -> None:
+    found = row(tmp_path, "Address (hex);End address (hex);Type", "FE;FF;REAL")
+    assert isinstance(found, dict) and found["address"] == "holding:254"
+    said = row(tmp_path, "Address (hex);End address (hex);Type", "FE;FF;INT16")
+    assert isinstance(said, str) and "the row says 2" in said
+
+
+def test_an_end_at_the_first_address_may_be_a_register_of_32_bits(tmp_path: Path) -> None:
+    found = row(tmp_path, "Address;End address;Type", "5001;5001;REAL", Reading(wide=True))
+    assert isinstance(found, dict) and found["dtype"] == "float32"
+
+
+@pytest.mark.parametrize("header", ["Device name", "Group name", "Machine name", "Section name"])
+def test_a_row_takes_no_name_of_its_group(header: str, tmp_path: Path) -> None:
+    found = read(tmp_path, f"Name;Address;Type;{header}\nT1;1;INT16;Pump\n;2;INT16;Pump\nT3;3;INT16;Fan\n")
+    assert [tag.name for tag in found.tags] == ["T1", "T3"]
+    assert "is empty; give the tag's name" in found.problems[0]
+    single = read(tmp_path, f"Name;Address;Type;{header}\n;2;INT16;Pump\n")
+    assert bool(single.tags) is (header == "Section name")

@@ -18,6 +18,7 @@ from drivers.modbus.driver import PinnedDriver, open_modbus
 from drivers.modbus.identity import pinned_marks, stranger, text_of_server_id
 from drivers.modbus.rtu import crc
 from drivers.modbus.settings import connection_place, read_settings
+from drivers.modbus.survey import open_survey
 from drivers.tag import DType, Order, Quality, Sample, Tag
 
 TAGS = [Tag(f"T{number}", f"holding:{number}", DType.INT16, writable=True) for number in range(8)]
@@ -346,6 +347,28 @@ async def test_registers_of_32_bits_are_one_address_each(attached: dict[str, Any
     assert (raws[1].place, raws[1].count, raws[1].raw) == ("holding:5003", 1, (0x4020, 0))
     asked = [(start, number) for _, start, number in device.asked]
     assert sorted(asked) == [(5000, 1), (5001, 11), (5100, 2), (7003, 1)], "no request has both widths"
+
+
+class FirstDecides(Device):
+    """A flow computer that answers a block in the width of its first register."""
+
+    def answer(self, pdu: bytes) -> bytes | None:
+        function, start, number = struct.unpack(">BHH", pdu[:5])
+        size = number * (4 if 5001 <= start < 5100 else 2)
+        return bytes((function, size)) + bytes(size)
+
+
+async def test_a_block_over_the_border_of_32_bits_is_asked_as_its_first_register_is() -> None:
+    plug = Socket(FirstDecides())
+    server = await asyncio.start_server(plug.serve, "127.0.0.1", 0)
+    settings = SOON | WIDE | {"host": "127.0.0.1", "port": server.sockets[0].getsockname()[1]}
+    try:
+        async with open_survey(settings, clock=lambda: 0.0) as survey:
+            for start, count in ((5000, 2), (5003, 1), (5098, 3)):
+                assert len((await survey.read("holding", start, count)).words) == count
+    finally:
+        server.close()
+        await plug.close()
 
 
 async def test_registers_of_32_bits_without_the_setting_are_refused_with_it() -> None:

@@ -116,6 +116,15 @@ async def test_a_gateways_word_is_believed_by_hand_when_it_is_the_third() -> Non
     assert len(habit.requests) == 5
 
 
+async def test_a_gateways_word_on_one_unit_among_several_is_the_answer() -> None:
+    habit = Habit(no_way=100)
+    async with served(habit) as settings, open_survey(settings, clock=lambda: 0.0) as survey:
+        for unit in (1, 2):
+            with pytest.raises(DeviceException, match="exception 11"):
+                await survey.read("holding", 0, 1, unit)
+            assert len(habit.requests) == unit
+
+
 class LateAtFirst(Habit):
     def answer(self, pdu: bytes) -> bytes | None:
         self.late = 0.0 if self.requests else 1.2

@@ -4,7 +4,7 @@ A row that names its word ("high word", "LSW") is believed; `Ppv H` above `Ppv L
 """
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass
 from typing import Any
 
@@ -68,20 +68,38 @@ def part_overlaps(sheet: ListSheet, tags: Sequence[Listed]) -> tuple[list[Listed
     return [tag for tag in tags if tag.line not in said], list(said.values())
 
 
-_NAMES = re.compile(r"\b(?:name|nome|nom|nombre)$")
+_NAMES = re.compile(
+    r"^(?!.*\b(?:group|gruppo|groupe|grupo|device|dispositivo|appareil|unit|unita|unite|unidad|plant|impianto|planta"
+    r"|machine|macchina|maquina)\b).*\b(?:name|nome|nom|nombre)$"
+)
+"""Headers of names; a group's or a machine's is no tag's."""
+_DISTINCT = 0.75
+"""Of the cells of a column so many parts at least are different ones, if it names the rows and not groups of them."""
 
 
-def other_name(sheet: ListSheet, line: ListRow) -> tuple[str, str]:
-    """A row's name in another column of names, as `Documented Name` beside an empty `Name`, with that said."""
-    for header, cell in zip(sheet.ignored, line.unread, strict=False):
-        if cell and _NAMES.search(header_key(header)):
-            return cell, f"named by {header!r}"
+def name_columns(sheet: ListSheet) -> tuple[int, ...]:
+    """The columns that nobody reads and that name the rows, by their places among such."""
+    found: list[int] = []
+    for at, header in enumerate(sheet.ignored):
+        if _NAMES.search(header_key(header)):
+            cells = [line.unread[at] for line in sheet.lines if line.unread[at]]
+            if cells and len(set(cells)) >= _DISTINCT * len(cells):
+                found.append(at)
+    return tuple(found)
+
+
+def other_name(sheet: ListSheet, line: ListRow, columns: Sequence[int]) -> tuple[str, str]:
+    """A row's name in one of `name_columns`, as `Documented Name` beside an empty `Name`, with that said."""
+    for at in columns:
+        if line.unread[at]:
+            return line.unread[at], f"named by {sheet.ignored[at]!r}"
     return "", ""
 
 
 def part_halves(sheet: ListSheet, tags: Sequence[Listed]) -> tuple[list[Listed], list[str], str]:
     """(the tags that stay, a sentence for each word that has a unit or a scale, a note on what may be words)."""
-    remarks = {line.number: (line.get("remark"), other_name(sheet, line)[0]) for line in sheet.lines}
+    columns = name_columns(sheet)
+    remarks = {line.number: (line.get("remark"), other_name(sheet, line, columns)[0]) for line in sheet.lines}
     torn: dict[int, str] = {}
     doubted: list[tuple[Listed, Listed]] = []
     for first, second in _neighbours(tags):
@@ -95,10 +113,10 @@ def part_halves(sheet: ListSheet, tags: Sequence[Listed]) -> tuple[list[Listed],
                 torn |= _said_torn(sheet, first, second, f", order {order}")
             break
     note = ""
-    # Who writes a counter as two rows writes all wide numbers so: no counter has limits.
-    if any(tag.keys.get("unit") in _COUNTERS for pair in doubted for tag in pair):
+    # Who writes a counter of energy as two rows writes power so too; of anything else they may be limits.
+    if any(_may_be_words(pair, _ENERGIES, remarks) for pair in doubted):
         for first, second in doubted:
-            if any(tag.keys.get(key) for tag in (first, second) for key in ("scale", "unit")):
+            if _may_be_words((first, second), _ENERGIES | _POWERS, remarks):
                 torn |= _said_torn(sheet, first, second, "")
         doubted = [pair for pair in doubted if pair[0].line not in torn]
     if doubted:
@@ -111,7 +129,22 @@ def part_halves(sheet: ListSheet, tags: Sequence[Listed]) -> tuple[list[Listed],
     return [tag for tag in tags if tag.line not in torn], list(torn.values()), note
 
 
-_COUNTERS = frozenset({"Wh", "kWh", "MWh", "varh", "kvarh", "Mvarh", "VAh", "kVAh", "m3", "m³", "h", "hours"})
+_POWERS = frozenset(f"{prefix}{unit}" for prefix in ("", "k", "M") for unit in ("W", "var", "VA"))
+_ENERGIES = frozenset(f"{unit}h" for unit in _POWERS)
+_OF_TWO = re.compile(
+    r"tarif|limit|alarm|warn|grenz|schwell|soglia|seuil|umbral|threshold|set ?point|sollwert", re.IGNORECASE
+)
+"""What has a high and a low one: both are numbers of their own."""
+
+
+def _may_be_words(pair: tuple[Listed, Listed], units: Set[str], remarks: Mapping[int, Sequence[str]]) -> bool:
+    """Whether both rows are of one of these units, without sign, and by their texts no two limits or tariffs."""
+    return all(
+        tag.keys.get("unit") in units
+        and tag.keys["dtype"] == "uint16"
+        and not any(_OF_TWO.search(text) for text in (tag.name, *remarks.get(tag.line, ())))
+        for tag in pair
+    )
 
 
 def _said_torn(sheet: ListSheet, first: Listed, second: Listed, order: str) -> dict[int, str]:

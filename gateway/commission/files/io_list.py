@@ -25,7 +25,7 @@ from gateway.commission.files.cells import (
     parse_decimal,
     read_sheet,
 )
-from gateway.commission.files.io_halves import Listed, other_name, part_halves, part_overlaps
+from gateway.commission.files.io_halves import Listed, name_columns, other_name, part_halves, part_overlaps
 from gateway.commission.files.io_models import ModelError, read_model
 from gateway.commission.files.io_places import SIEMENS, AddressCell, ListedPlace, Numbering, parse_place
 from gateway.commission.files.io_polls import by_formula, is_iobroker, of_iobroker, read_polls
@@ -112,9 +112,10 @@ def read_io_list(path: Path, how: Reading, columns: Mapping[str, str] | None = N
     tags: list[Listed] = []
     problems: list[str] = []
     shorts = any(header_key(line.get("dtype")) in _SHORTS for line in sheet.lines)
+    names = name_columns(sheet)
     for line in sheet.lines:
         try:
-            tags.append(_read_row(_ListedRow(sheet, line, how, numbering, shorts), tags))
+            tags.append(_read_row(_ListedRow(sheet, line, how, numbering, shorts, names), tags))
         except RowError as error:
             problems.append(f"{sheet.where(line, error.column)}: {error}")
     if not tags and not problems and not sheet.columns:
@@ -250,20 +251,33 @@ def _check_unread(sheet: ListSheet) -> None:
                 )
 
 
-_LINES = ({"a": 1, "b": 0, "c": 0}, {"m": 1, "b": 0}, {"m": 1, "c": 0}, {"m": 1, "q": 0}, {"k": 1, "b": 0})
-"""Headers of one letter each by which lists write y = a x + b and its like, with what changes nothing."""
+_LINES = (
+    *({"a": 1, "b": 0, "c": 0}, {"a1": 1, "a0": 0}),
+    *({"m": 1, "b": 0}, {"m": 1, "c": 0}, {"m": 1, "q": 0}, {"k": 1, "b": 0}),
+)
+"""Headers of a letter each by which lists write y = a x + b and its like, with what changes nothing."""
+_SLOPES = frozenset({"k", "m"})
+_CONSTANTS = frozenset({"b", "c", "q"})
 
 
 def _check_lines(sheet: ListSheet) -> None:
     """Raises ListError for columns such as `A` and `B`, or `m` and `b`, that make another number of what is read."""
     letters = {header_key(header): at for at, header in enumerate(sheet.ignored)}
+    numbers = {key: [_factor_of(line.unread[at]) for line in sheet.lines] for key, at in letters.items()}
+    # `A`, `B` and `C` may be phases, of which each row has some.
+    chosen = {key for key, cells in numbers.items() if set(cells) <= {0, 1, None}}
+    _check_constant(sheet, {key: letters[key] for key in _CONSTANTS & letters.keys() - chosen})
     for neutral in _LINES:
         places = {key: letters[key] for key in neutral if key in letters}
-        if next(iter(neutral)) not in places or len(places) < _MIN_LETTERS:
+        slope = next(iter(neutral))
+        if slope not in places or len(places) < _MIN_LETTERS:
             continue
-        for line in sheet.lines:
-            for key, at in places.items():
-                number = _factor_of(line.unread[at])
+        of_phases = "c" in places and slope == "a" and places.keys() - chosen <= {slope}
+        if of_phases and all(number is None or number.is_integer() for number in numbers[slope]):
+            continue
+        for row, line in enumerate(sheet.lines):
+            for key in places.keys() - chosen:
+                at, number = places[key], numbers[key][row]
                 if number is not None and number != neutral[key]:
                     named = " and ".join(repr(sheet.ignored[at]) for at in places.values())
                     raise ListError(
@@ -273,26 +287,72 @@ def _check_lines(sheet: ListSheet) -> None:
                     )
 
 
-_MASKS = re.compile(r"\b(?:bit ?)?(?:mask|maske|maschera|masque|mascara)\b|^r?shift$|\b(?:bit|right) shift\b")
+def _check_constant(sheet: ListSheet, constants: Mapping[str, int]) -> None:
+    """Raises ListError for the one of these columns that is the b of y = k x + b, as the scale's header says k."""
+    slope = sheet.columns.get("scale", "")
+    if header_key(slope) not in _SLOPES or "offset" in sheet.columns or len(constants) != 1:
+        return
+    (at,) = constants.values()
+    for line in sheet.lines:
+        cell = line.unread[at]
+        if cell not in _EMPTY and _factor_of(cell) is None:
+            return
+    raise ListError(
+        f"{sheet.path}: column {sheet.ignored[at]!r} may say what is added to readings beside {slope!r}, and is not "
+        f"understood: give --column offset={sheet.ignored[at]!r}, or take it out"
+    )
+
+
+_MASKS = re.compile(r"(?:bit ?)?(?:mask|maske|maschera|masque|mascara)(?: hex)?|r?shift|(?:bit|right) shift")
 _WHOLE_MASKS = frozenset({0, 0xFF, 0xFFFF, 0xFFFFFFFF})
 """Masks that leave a number as it is, and 0 for a shift by nothing; 0xFF for a byte."""
+_MOST_WORK_SHIFTS = 3
+"""A plant's shifts of a day, which a column `Shift` may have."""
 
 
 def _check_masks(sheet: ListSheet) -> None:
     """Raises ListError for a mask or shift, by which only some bits of a register are the value."""
     for at, header in enumerate(sheet.ignored):
-        if not _MASKS.search(header_key(header)):
+        key = header_key(header)
+        if not _MASKS.fullmatch(key) or (key == "shift" and _of_work([line.unread[at] for line in sheet.lines])):
             continue
         for line in sheet.lines:
-            with suppress(RowError):
-                number = _raw(line.unread[at], "bit")
-                byte = "8" in line.get("dtype")
-                if number is None or (number in _WHOLE_MASKS and (number != 0xFF or byte)):
-                    continue
-                raise ListError(
-                    f"{sheet.path}: line {line.number}: {header!r} ({line.unread[at]}) may say which bits are "
-                    "the value, and is not understood: give the bit in a column Bit, or take it out"
-                )
+            number = _mask_of(line.unread[at])
+            if number is None or (number in _WHOLE_MASKS and (number != 0xFF or "8" in line.get("dtype"))):
+                continue
+            bit = _own_bit(sheet, line)
+            if bit is not None and number == (bit if "shift" in key else 1 << bit):
+                continue
+            advice = "give the bit in a column Bit" if bit is None else f"the row itself says bit {bit}: correct one"
+            raise ListError(
+                f"{sheet.path}: line {line.number}: {header!r} ({line.unread[at]}) may say which bits are "
+                f"the value, and is not understood: {advice}, or take it out"
+            )
+
+
+def _mask_of(cell: str) -> int | None:
+    """A whole number, decimal or hexadecimal; None for what is none, as 255.255.255.0."""
+    plain = cell.lower().removesuffix(".0")
+    if match := _HEX_NUMBER.fullmatch(plain):
+        return int(match[1] or match[2], 16)
+    return int(plain) if plain.isdecimal() and len(plain) <= _MOST_DIGITS else None
+
+
+def _of_work(cells: Sequence[str]) -> bool:
+    """Whether the numbers of a column may be shifts of a day."""
+    return all((_mask_of(cell) or 0) <= _MOST_WORK_SHIFTS for cell in cells)
+
+
+def _own_bit(sheet: ListSheet, line: ListRow) -> int | None:
+    """The bit that the row says, in its bit's column or behind the address's point; None where it says none."""
+    with suppress(RowError):
+        if (bit := _bit(_ListedRow(sheet, line, Reading(), Numbering()))) is not None:
+            return bit
+    match = _BIT_OF_ADDRESS.search(line.get("address"))
+    return int(match[1]) if match else None
+
+
+_BIT_OF_ADDRESS = re.compile(r"\d\.(\d{1,2})$")
 
 
 def _is_second(column: str, key: str) -> bool:
@@ -402,13 +462,17 @@ def _beside(cells: Mapping[str, str], said: str) -> dict[str, str]:
 
 @dataclass(frozen=True, slots=True)
 class _ListedRow:
-    """A row with what is known of its list; `shorts`: it has types of C, whose INT is no PLC's."""
+    """A row with what is known of its list; `shorts`: it has types of C, whose INT is no PLC's.
+
+    `names` are its further columns of names (`name_columns`).
+    """
 
     sheet: ListSheet
     line: ListRow
     how: Reading
     numbering: Numbering
     shorts: bool = False
+    names: tuple[int, ...] = ()
 
     def get(self, column: str) -> str:
         return self.line.get(column)
@@ -436,7 +500,7 @@ def _read_row(row: _ListedRow, before: Sequence[Listed]) -> Listed:
         raise RowError("", f"{line.get('name')}: {refused}")
     listed, named = line.get("name"), ""
     if not listed:
-        listed, named = other_name(row.sheet, line)
+        listed, named = other_name(row.sheet, line, row.names)
     if not listed:
         raise RowError("name", "is empty; give the tag's name, or take the row out")
     name = how.rename.get(listed, listed)
@@ -877,7 +941,8 @@ def _type(row: _ListedRow, cell: TypeCell, place: ListedPlace, address: str) -> 
     count = -(-bits // 16) if bits and cell.dtype != "string" else 0 if bits else _whole(line, "count") or 0
     count = count or place.count
     if place.count and count != place.count:
-        raise RowError("address", f"{row.get('address')!r} has {place.count} registers, and the row says {count}")
+        has = _count(place.count, "register")
+        raise RowError("address", f"{row.get('address')!r} has {has}, and the row says {count}")
     if not cell.dtype:
         if place.bit is not None or address.partition(":")[0] in ("coil", "discrete"):
             return "bool", 0
@@ -990,10 +1055,13 @@ def _address(row: _ListedRow, cell: TypeCell) -> tuple[str, ListedPlace]:
     own = _bit(row)
     if not how.registers:
         return text, ListedPlace(register=_NO_REGISTER, bit=own)
-    if (end := row.get("end")) not in _EMPTY and end != text:
+    end = _end(row)
+    alone = end == text and not how.wide
+    if end not in ("", text):
         text = f"{text}-{end}"
     table = _table(row)
     place = parse_place(AddressCell(text, cell.dtype, row.numbering, how.plc, table or how.table, named=bool(table)))
+    place = replace(place, count=1) if alone and not place.count else place
     if own is not None and place.bit is None:
         place = replace(place, bit=own)
     if place.bit is not None and place.bit > 15:
@@ -1006,6 +1074,16 @@ def _address(row: _ListedRow, cell: TypeCell) -> tuple[str, ListedPlace]:
             raise RowError("dtype", f"{row.get('dtype')!r} does not lie in {register}, which is one bit; correct one")
         place = replace(place, bit=None)
     return str(register), place
+
+
+def _end(row: _ListedRow) -> str:
+    """The row's last address; "" where it has none: a word is none, and no last one is 0 behind another."""
+    end, first = row.get("end"), row.get("address")
+    if end == first:
+        return end
+    letters = row.numbering.hexadecimal and re.fullmatch(r"[a-f]{1,4}", end.lower())
+    is_number = letters or re.search(r"\d", end)
+    return end if is_number and not re.fullmatch(r"(?:0x)?0+", end.lower()) else ""
 
 
 def _bit(row: _ListedRow) -> int | None:

@@ -359,6 +359,9 @@ def type_cell(key: str) -> TypeCell:
     if found is None:
         signed, rest = parse_sign(rest)
         found = parse_type(rest)
+        # `signed BCD` has its sign in a nibble, and `signed char` is no text.
+        if found and signed is not None and not found[0].startswith(("int", "uint", "float")):
+            return TypeCell(unknown=rest)
     wide = rest not in _WIDTHLESS
     if found and signed is not None and found[0].startswith(("int", "uint")):
         if signed and found[0].startswith("uint") and rest.startswith("u"):
@@ -369,8 +372,7 @@ def type_cell(key: str) -> TypeCell:
         widths = [token for token in tokens if token in ("8", "16", "32", "64")]
         kinds = [token for token in tokens if token not in widths]
         unknown = [token for token in kinds if token not in _FLOAT | _PLAIN | _SIGNED]
-        bare = signed is not None and bool(widths or count)
-        if unknown or len(widths) > 1 or not (kinds or bare):
+        if unknown or len(widths) > 1 or not (kinds or signed is not None):
             return TypeCell(unknown=(unknown or tokens or [key])[0])
         wide = bool(widths) or not set(kinds) <= _WIDTHLESS | _FLOAT
         unsigned = bool(set(kinds) & _PLAIN) if signed is None else not signed
