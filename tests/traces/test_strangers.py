@@ -96,6 +96,77 @@ def test_json_has_a_row_for_each_object(name: str, tmp_path: Path) -> None:
     assert trace.times[0] == BEGIN and report.refused == 0
 
 
+def lists_of_readings(form: str) -> str:
+    keys = {"points": ("t", "v"), "series": ("x", "y")}.get(form, ("time", "value"))
+    own = {
+        name: [dict(zip(keys, (str(row[0]), row[place]), strict=True)) for row in ROWS]
+        for place, name in enumerate(NAMES, 1)
+    }
+    tables = {name: {"columns": list(keys), "values": [list(each.values()) for each in own[name]]} for name in NAMES}
+    return json.dumps(
+        {
+            "points": own,
+            "series": {"series": [{"name": name, "data": rows} for name, rows in own.items()]},
+            "tags": [{"tag": name, "values": rows} for name, rows in own.items()],
+            "tables": {"results": [{"id": 0, "series": [{"name": name, **each} for name, each in tables.items()]}]},
+            "tagged": {"results": [{"series": [{"name": "m", "tags": {"tag": name}, **tables[name]} for name in own]}]},
+            "machines": {"p1": own, "p2": own},
+            "nameless": [{"values": rows} for rows in own.values()],
+        }[form]
+    )
+
+
+@pytest.mark.parametrize("form", ["points", "series", "tags", "tables", "tagged"])
+def test_json_with_a_list_for_each_signal_has_their_names(form: str, tmp_path: Path) -> None:
+    export = tmp_path / "a.json"
+    export.write_text(lists_of_readings(form), encoding="utf-8")
+    (trace,), report, _ = mapped(export, tmp_path / "m.toml")
+    is_the_plant(trace, tmp_path / "m.toml")
+    assert trace.times[0] == BEGIN and report.refused == 0
+
+
+def test_lists_of_readings_of_several_machines_are_theirs_and_nameless_ones_are_refused(tmp_path: Path) -> None:
+    export = tmp_path / "a.json"
+    export.write_text(lists_of_readings("machines"), encoding="utf-8")
+    traces, _, _ = mapped(export, tmp_path / "m.toml")
+    assert len(traces) == 2
+    for trace in traces:
+        is_the_plant(trace, tmp_path / "m.toml")
+    export.write_text(lists_of_readings("nameless"), encoding="utf-8")
+    assert "no name tells them apart" in asked(export, tmp_path / "n.toml")
+    export.write_text(
+        json.dumps({name: [{"time": str(row[0]), "temperature": row[1]} for row in ROWS] for name in ("p1", "p2")}),
+        encoding="utf-8",
+    )
+    assert len(mapped(export, tmp_path / "o.toml")[0]) == 2
+
+
+def test_a_csv_is_one_below_a_line_of_json_and_under_the_name_of_json(tmp_path: Path) -> None:
+    plain = wide(tmp_path / "a.csv").read_text(encoding="utf-8")
+    for name, head in (("b.csv", '{"device": "X1", "serial": 12}\n'), ("c.json", "")):
+        (tmp_path / name).write_text(head + plain, encoding="utf-8")
+        (trace,), _, _ = mapped(tmp_path / name, tmp_path / f"{name}.toml")
+        is_the_plant(trace, tmp_path / f"{name}.toml")
+
+
+def test_json_beside_other_recordings_is_none_of_them(tmp_path: Path) -> None:
+    folder = tmp_path / "days"
+    (folder / "below").mkdir(parents=True)
+    wide(folder / "day1.csv")
+    for name in ("events.jsonl", "about.json"):
+        (folder / name).write_text('{"time": "2024-03-13 10:00:00", "event": "greased"}\n' * 3, encoding="utf-8")
+    (trace,), _, _ = mapped(folder, tmp_path / "m.toml")
+    is_the_plant(trace, tmp_path / "m.toml")
+    (folder / "day1.csv").rename(folder / "below" / "day1.csv")
+    (trace,), report = load_traces(folder, load_map(tmp_path / "m.toml"))
+    assert [each.path.name for each in report.files] == ["day1.csv"]
+    alone = tmp_path / "alone"
+    alone.mkdir()
+    (alone / "day1.json").write_text(document(), encoding="utf-8")
+    (trace,), _, _ = mapped(alone, tmp_path / "n.toml")
+    is_the_plant(trace, tmp_path / "n.toml")
+
+
 def test_a_line_that_is_cut_off_costs_its_row_and_json_without_rows_is_refused(tmp_path: Path) -> None:
     export = tmp_path / "a.jsonl"
     export.write_text('{"export": 2, "by": "me"}\n' + lines_of_rows()[:-20], encoding="utf-8")
@@ -200,25 +271,70 @@ def test_seconds_since_the_beginning_stay_what_they_are_beside_a_constant_date(t
     assert trace.times[0] == 0.5
 
 
+@pytest.mark.parametrize(
+    ("header", "count", "format_"),
+    [("Time (s)", 1.0, "seconds"), ("Timestamp (ms)", 0.001, "milliseconds"), ("Time (h)", 3600.0, "hours")],
+)
+@pytest.mark.parametrize("kind", ["over midnight", "sessions"])
+def test_a_count_from_the_beginning_is_none_since_the_midnight_that_it_passes(
+    header: str, count: float, format_: str, kind: str, tmp_path: Path
+) -> None:
+    rows = []
+    for place, (_, heat, load, on) in enumerate(ROWS):
+        seconds = 10 * (place % 120 if kind == "sessions" else place)
+        rows.append(f"2024-03-{13 + (place >= 120)},{seconds / count:.6g},{heat},{load},{on}")
+    export = written(tmp_path / "a.csv", f"Date,{header},Bearing temperature,Motor current,Running", rows)
+    traces, _, _ = mapped(export, tmp_path / "m.toml")
+    assert load_map(tmp_path / "m.toml").clock.formats == (format_,)
+    assert [trace.times[0] for trace in traces] == ([0.0, 0.0] if kind == "sessions" else [0.0])
+
+
 def fahrenheit(value: float) -> str:
     return f"{value * 1.8 + 32:.1f}"
 
 
+def of_hours(rest: float, *, begin: float = 60.0, rise: float = 40.0, slow: float = 0.0) -> Recording:
+    """A machine that rests 2 h, runs 2 h and rests 3 h; of its rise `slow` degrees go into its housing."""
+    seconds = np.arange(420) * 60.0
+    running = ((seconds >= 7200) & (seconds < 14400)).astype(int)
+    after = np.maximum(seconds - 14400.0, 0.0)
+    cooling = (rise - slow) * np.exp(-after / 600.0) + slow * np.exp(-after / 20_000.0)
+    settling = begin * np.exp(-seconds / 600.0)
+    heat = np.where(running > 0, rest + rise, rest + np.where(seconds < 7200, settling, cooling)).round(2)
+    return Recording(seconds, heat, np.where(running > 0, 120.0, 0.4), running)
+
+
 def test_a_bearing_in_fahrenheit_that_no_one_calls_so_is_asked_for(tmp_path: Path) -> None:
-    export = wide(tmp_path / "a.csv", cells=(fahrenheit, str, str))
+    plant = of_hours(21.5)
+    export = wide(tmp_path / "a.csv", cells=(fahrenheit, str, str), of=plant)
     said = asked(export, tmp_path / "m.toml")
-    assert "comes to 7" in said and "--unit 'Bearing temperature=F'" in said and "most likely" in said
-    (trace,), _, _ = mapped(export, tmp_path / "m.toml", "--yes")
-    is_the_plant(trace, tmp_path / "m.toml", within=0.06)
+    assert "comes to 71" in said and "--unit 'Bearing temperature=F'" in said
+    (trace,), _, _ = mapped(export, tmp_path / "m.toml", "--unit", "Bearing temperature=F")
+    assert np.allclose(trace.signals[load_map(tmp_path / "m.toml").temperature], plant.heat, atol=0.06)
+    # Nobody's word converts nothing.
+    (trace,), _, _ = mapped(export, tmp_path / "m2.toml", "--yes")
+    assert np.allclose(trace.signals[load_map(tmp_path / "m2.toml").temperature], plant.heat * 1.8 + 32, atol=0.06)
     # Without rests a bearing that stays at 150 has no such degC either.
     hot = recording()
     busy = Recording(hot.seconds, hot.heat * 0 + 66 + np.sin(hot.seconds / 200), hot.current * 0 + 120, hot.running)
     export = wide(tmp_path / "b.csv", cells=(fahrenheit, str, lambda _: "1"), of=busy)
-    assert "stays at 15" in asked(export, tmp_path / "m2.toml")
+    assert "stays at 15" in asked(export, tmp_path / "m3.toml")
 
 
 @pytest.mark.parametrize(
-    "kind", ["hot and rests at 21", "short rests", "stops of a minute", "a room beside it", "an oven", "says degC"]
+    "kind",
+    [
+        "hot and rests at 21",
+        "short rests",
+        "stops of a minute",
+        "a room beside it",
+        "an oven",
+        "says degC",
+        "begins warm",
+        "warm housing",
+        "hot place",
+        "runs at 115",
+    ],
 )
 def test_a_hot_machine_in_degc_is_not_asked_whether_it_is_fahrenheit(kind: str, tmp_path: Path) -> None:
     header, of, more = "Time,Bearing temperature,Motor current,Running", PLANT, ""
@@ -233,8 +349,19 @@ def test_a_hot_machine_in_degc_is_not_asked_whether_it_is_fahrenheit(kind: str, 
         cooling = 21.5 + 80.0 * np.exp(-np.arange(30) / 60.0)
         heat = np.where(PLANT.running > 0, 103.0, np.concatenate([cooling] * 8)).round(2)
         of = Recording(PLANT.seconds, heat, PLANT.current, PLANT.running)
+    elif kind == "begins warm":
+        running = (np.arange(PLANT.seconds.size) >= 12).astype(int)
+        heat = np.where(running > 0, 80.0, 70.0 - np.arange(PLANT.seconds.size) / 10.0)
+        of = Recording(PLANT.seconds, heat, np.where(running > 0, 120.0, 0.4), running)
+    elif kind == "warm housing":
+        of = of_hours(25.0, slow=25.0)
+        of = Recording(of.seconds[120:], of.heat[120:] + 20.0, of.current[120:], of.running[120:])
+    elif kind == "hot place":
+        of = of_hours(58.0, rise=35.0)
+    elif kind == "runs at 115":
+        of = Recording(PLANT.seconds, PLANT.heat * 0 + 115.0 + PLANT.running, PLANT.current, PLANT.running)
     else:
-        of = Recording(PLANT.seconds, PLANT.heat + 45.0, PLANT.current, PLANT.running)
+        of = of_hours(70.0)
         if kind == "a room beside it":
             header, more = f"{header},Ambient temperature", ",21.5"
         else:
@@ -292,3 +419,20 @@ def test_one_reading_told_twice_is_one_and_the_quality_whose_words_are_known_jud
     mapped(export, tmp_path / "m.toml")
     (trace,), report = load_traces(export, load_map(tmp_path / "m.toml"))
     assert report.files[0].bad_cells == 3 and np.flatnonzero(np.isnan(trace.signals["BearingTemp"])).tolist() == [7]
+
+
+@pytest.mark.parametrize(
+    ("column", "usual", "word", "good"),
+    [("OPCQuality", "", "Bad", "192"), ("OPCQuality", "Bad", "Bad", "192"), ("OPCQuality", "0", "133", "192"),
+     ("Status", "0", "133", "OK"), ("Status", "0", "0", "OK")],
+)  # fmt: skip
+def test_a_quality_beside_one_whose_words_are_known_is_heard_where_it_says_more(
+    column: str, usual: str, word: str, good: str, tmp_path: Path
+) -> None:
+    rows = [
+        f"{row[0]:%Y-%m-%d %H:%M:%S},{name},{value},{word if place == 7 else usual},{good}"
+        for place, row in enumerate(ROWS)
+        for name, value in zip(("BearingTemp", "MotorCurrent", "MotorRun"), row[1:], strict=True)
+    ]
+    export = written(tmp_path / "a.csv", f"DateTime,TagName,Value,Quality,{column}", rows)
+    assert "BearingTemp" in asked(export, tmp_path / "m.toml", "--yes")

@@ -23,6 +23,7 @@ from sim.lab.recordings.load_report import TraceError
 UNPACK_ERRORS = (EOFError, zlib.error, zipfile.BadZipFile)
 """What a packed file raises that is cut off, while it is read."""
 _PACKED_SUFFIXES = (".gz", ".zip", ".zst")
+_JSON_SUFFIXES = (".json", ".jsonl", ".ndjson")
 _TEXT_SUFFIXES = (".csv", ".txt", ".tsv", ".dat", ".log")
 
 
@@ -39,7 +40,8 @@ def open_source(path: Path) -> BinaryIO:
     kind = _KINDS.get(path.suffix.lower())
     if kind is None:
         stream = regular(path).open("rb")
-        if not _OBJECT.match(stream.peek(_SHOWN_BYTES)[:_SHOWN_BYTES]):
+        if not _holds_json(path, stream):
+            stream.seek(0)
             return stream
         stream.close()
         kind = _json
@@ -77,6 +79,11 @@ def is_recording(path: Path) -> bool:
     names = [suffix.lower() for suffix in path.suffixes]
     packed = names[-2:-1] == [".csv"] and names[-1] in _PACKED_SUFFIXES
     return names[-1:] in ([".csv"], [".xlsx"], [".parquet"], [".jsonl"], [".ndjson"]) or packed
+
+
+def is_json(path: Path) -> bool:
+    """Whether a file is JSON by its name: beside other recordings it tells of them, and is none."""
+    return path.suffix.lower() in _JSON_SUFFIXES
 
 
 def _zip(path: Path) -> BinaryIO:
@@ -133,6 +140,31 @@ _MAX_DOCUMENT_BYTES = 64 << 20
 """Bytes of JSON that is one document, which is in memory as a whole and takes ten times as many there."""
 _OBJECT = re.compile(rb'(?:\xef\xbb\xbf)?\s*(?:\[\s*)*\{\s*"[^"]*"\s*:')
 """How JSON begins that holds objects, whatever the name of its file."""
+_BEGINS = re.compile(rb"(?:\xef\xbb\xbf)?\s*[\[{]")
+
+
+def _holds_json(path: Path, stream: BinaryIO) -> bool:
+    """Whether a file is JSON by what stands in it: one line of it may be what a CSV begins with."""
+    head = stream.read(_SHOWN_BYTES)
+    named = is_json(path)
+    if b"\0" in head or not (_BEGINS if named else _OBJECT).match(head):
+        return named and b"\0" in head
+    stream.seek(0)
+    filled = filter(None, map(bytes.strip, stream))
+    first, second = next(filled, b""), next(filled, b"{")
+    if second[:1] in (b"{", b"[", b"]"):
+        return True
+    try:
+        # The columns of a CSV begin after what is whole by itself.
+        json.loads(first)
+    except ValueError:
+        stream.seek(0)
+        try:
+            json.loads(stream.read(_MAX_DOCUMENT_BYTES + 1))
+        except ValueError:
+            return named
+        return True
+    return False
 
 
 def _json(path: Path) -> BinaryIO:
@@ -180,7 +212,10 @@ def _objects(path: Path) -> Iterator[Mapping[str, str] | str]:
                 document = _parse(lines.read())
             except ValueError as error:
                 raise TraceError(f"{path}: its JSON breaks off or is none ({error}); give the whole file") from None
-            yield from map(_flatten, _collect_rows(document))
+            try:
+                yield from map(_flatten, _collect_rows(document))
+            except _NamelessLists as error:
+                raise TraceError(f"{path}: {error}; give each its name, or a CSV") from None
             return
         for line in filter(str.strip, lines):
             try:
@@ -195,25 +230,96 @@ def _parse(text: str) -> Any:
     return json.loads(text, parse_float=str, parse_int=str)
 
 
+class _NamelessLists(Exception):
+    """Lists of readings that nothing tells apart."""
+
+
 def _collect_rows(document: Any) -> list[dict[str, Any]]:
-    """The objects of a document: of its lists, each with the `name` of its own if there are several; of its columns."""
+    """The objects of a document: of its lists, each with what names it if there are several; of its columns."""
     if isinstance(document, list):
-        return [one for each in document for one in (_collect_rows(each) if _holds_rows(each) else [each])]
+        holders = [each for each in document if _holds_rows(each)]
+        own = [_collect_rows(each) for each in holders]
+        names = _names_apart(holders)
+        if len(holders) > 1 and not all(names):
+            keys = {key for rows in own for row in rows if isinstance(row, dict) for key in row}
+            if (len(keys) == 2 and "value" in keys) or _as_readings(own) != own:
+                raise _NamelessLists("its JSON has lists of one reading a time, and no name tells them apart")
+        elif len(holders) > 1:
+            own = [[{**name, **one} for one in rows] for name, rows in zip(names, _as_readings(own), strict=True)]
+        found = iter(own)
+        return [one for each in document for one in (next(found) if _holds_rows(each) else [each])]
     if not isinstance(document, dict):
         return []
     if _is_table(document):
         rows = document["data"] if "data" in document else document["values"]
         return [dict(zip(map(str, document["columns"]), row, strict=False)) for row in rows]
     columns = [list(each.values()) if isinstance(each, dict) else each for each in document.values()]
-    plain = len(columns) > 1 and all(isinstance(each, list) and not _is_objects(each) for each in columns)
+    plain = len(columns) > 1 and all(
+        isinstance(each, list) and not _is_objects(each) and not any(map(_is_objects, each[:1])) for each in columns
+    )
     if plain and len(set(map(len, columns))) == 1:
         return [dict(zip(document, row, strict=True)) for row in zip(*columns, strict=True)]
     lists = {name: each for name, each in document.items() if _is_objects(each)}
-    if not lists:
-        return [one for each in document.values() if isinstance(each, dict) for one in _collect_rows(each)]
     if len(lists) == 1:
         return _collect_rows(next(iter(lists.values())))
-    return [{"name": name, **one} for name, each in lists.items() for one in each]
+    within = lists or {name: each for name, each in document.items() if isinstance(each, dict)}
+    parts = {name: rows for name, each in within.items() if (rows := _collect_rows(each))}
+    if len(parts) == 1:
+        return next(iter(parts.values()))
+    return [
+        {"machine" if "name" in one else "name": name, **one}
+        for name, rows in zip(parts, _as_readings(list(parts.values())), strict=True)
+        for one in rows
+    ]
+
+
+def _names_apart(holders: list[Any]) -> list[dict[str, Any]]:
+    """What objects that hold rows say of them in words, and not all the same: a name, tags; {} where one says none."""
+    said = [
+        {name: text for name, text in _flatten(_without_lists(each)).items() if text and not _NUMBER.fullmatch(text)}
+        for each in holders
+    ]
+    same = set(said[0].items()).intersection(*(each.items() for each in said)) if said else set()
+    return [dict(each.items() - same) for each in said]
+
+
+def _without_lists(value: Any) -> dict[str, Any]:
+    if not isinstance(value, dict):
+        return {}
+    return {
+        name: _without_lists(each) if isinstance(each, dict) else each
+        for name, each in value.items()
+        if not isinstance(each, list)
+    }
+
+
+_NUMBER = re.compile(r"[-+.\deE]+|true|false")
+
+
+def _as_readings(lists: list[list[dict[str, Any]]]) -> list[list[dict[str, Any]]]:
+    """Several lists under names: of `time` and `value` if each row is of one time with one reading, else as they are.
+
+    A list of temperatures stays what it is: that is of a machine of its own.
+    """
+    names = {name for rows in lists for row in rows if isinstance(row, dict) for name in row}
+    first = next((row for rows in lists for row in rows if isinstance(row, dict) and len(row) > 1), {})
+    times = [name for name in first if name.casefold() in _TIME_NAMES or _TIME.match(str(first[name]))]
+    values = [name for name in names if name.casefold() in _VALUE_NAMES] if len(names) > 2 else names - set(times)
+    if len(times) != 1 or len(values) != 1 or "value" in names:
+        return lists
+    (time,), (value,) = times, values
+    if "temp" in value.casefold() or isinstance(first.get(value), dict | list):
+        return lists
+    new = {value: "value", **({time: "time"} if time.casefold() in ("t", "x") else {})}
+    return [
+        [{new.get(name, name): each for name, each in row.items()} if isinstance(row, dict) else row for row in rows]
+        for rows in lists
+    ]
+
+
+_TIME_NAMES = frozenset(("t", "ts", "time", "timestamp", "date", "datetime"))
+_VALUE_NAMES = frozenset(("v", "val"))
+_TIME = re.compile(r"(?:19|20)\d\d-\d\d|\d\d?:\d\d|1\d{9}(?:\d{3})?(?:\.|$)")
 
 
 def _holds_rows(value: Any) -> bool:
@@ -264,7 +370,6 @@ _KINDS: dict[str, Callable[[Path], BinaryIO]] = {
     ".zst": _zst,
     ".xlsx": _xlsx,
     ".parquet": _parquet,
-    ".json": _json,
     ".jsonl": _json,
     ".ndjson": _json,
 }

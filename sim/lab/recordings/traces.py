@@ -23,7 +23,7 @@ from sim.lab.recordings.readings import (
     refuse_rows,
     select,
 )
-from sim.lab.recordings.sources import UNPACK_ERRORS, is_recording, recording_name
+from sim.lab.recordings.sources import UNPACK_ERRORS, is_json, is_recording, recording_name
 from sim.sha import Alphabet, Array, Mask, Trace, encode, holds_roughly
 
 Source = str | Path | Iterable[str | Path]
@@ -99,9 +99,14 @@ def _files(source: Source, column_map: ColumnMap, *, below: bool = False) -> lis
     for path in (Path(each).expanduser() for each in ([source] if isinstance(source, str | Path) else source)):
         if path.is_dir():
             own = csv_files(path.iterdir(), column_map.parts)
-            files += own
-            if below or not own:
-                files += csv_files((each for each in path.rglob("*") if each.parent != path), column_map.parts)
+            # Of what stands below .json may be anything, and beside a folder of recordings JSON tells of them.
+            deeper = (each for each in path.rglob("*") if each.parent != path and each.suffix.lower() != ".json")
+            deep = csv_files(deeper, column_map.parts) if below or all(map(is_json, own)) else []
+            if not all(map(is_json, deep)):
+                own = [each for each in own if not is_json(each)]
+            elif own and not below:
+                deep = []
+            files += own + deep
         elif not path.exists() and is_pattern(path):
             # A file may have such a mark in its name: only what is not there is a pattern.
             anchor = Path(path.anchor)
@@ -121,7 +126,10 @@ def is_pattern(path: Path) -> bool:
 
 def csv_files(paths: Iterable[Path], parts: str) -> list[Path]:
     """The CSV files among paths, in the order of their names; only those of the pattern `parts`, if any is."""
-    files = [path for path in paths if is_recording(path) and path.is_file() and path.name[:1] != "."]
+    files = [path for path in paths if is_recording(path) or is_json(path)]
+    files = [path for path in files if path.is_file() and path.name[:1] != "."]
+    # JSON beside another recording tells of it; an object in .json beside those in lines does as well.
+    files = [path for path in files if not is_json(path)] or [path for path in files if is_recording(path)] or files
     # What stands packed, or as the sheet that it was exported from, beside a CSV of its name is no second recording.
     plain = {(path.parent, recording_name(path)) for path in files if path.suffix.lower() == ".csv"}
     files = [

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from functools import lru_cache
-from itertools import islice
+from itertools import islice, pairwise
 from typing import Literal
 
 import numpy as np
@@ -326,9 +326,34 @@ def counts_of_day(
         steps = np.diff(known)
         # Seconds that stand beside a clock, and are 0 throughout, count no day.
         moves = np.count_nonzero(steps) > 0.5 * steps.size
-        if known.size >= _ENOUGH * finite.size and moves and (np.all(steps >= 0) or np.all(steps <= 0)):
+        if (
+            known.size >= _ENOUGH * finite.size
+            and moves
+            and (np.all(steps >= 0) or np.all(steps <= 0))
+            and _begins_daily(values, times, date[1], _OF_DAY[unit], sessions=not (called or unit == "days"))
+        ):
             found.setdefault(order, FoundClock(place, formats, order, times, date[0], decimal))
     return list(found.values())
+
+
+def _begins_daily(values: Array, times: Array, dates: Sequence[str], of_day: float, *, sessions: bool) -> bool:
+    """Whether a count falls wherever the day changes; one that may be of `sessions` also says that it is of the day.
+
+    It does so where it goes on over midnight, or begins long after it.
+    """
+    known = np.isfinite(values) & np.isfinite(times)
+    counts, times = values[known], times[known]
+    days = [day for day, is_known in zip(dates, known.tolist(), strict=True) if is_known and day]
+    if len(days) != counts.size:
+        return sessions is False or counts[0] >= _SURE_SHARE * of_day
+    changes = np.array([day != before for day, before in pairwise(days)], dtype=bool)
+    if times[-1] < times[0]:
+        counts, changes = counts[::-1], changes[::-1]
+    before, after = counts[:-1][changes], counts[1:][changes]
+    if np.any(after >= before):
+        return False
+    over_midnight = before >= (1.0 - _SURE_SHARE) * of_day
+    return not sessions or bool(np.all(over_midnight | (after >= _SURE_SHARE * of_day)))
 
 
 def looks_rounded_count(cell: str) -> bool:

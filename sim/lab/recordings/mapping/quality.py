@@ -2,7 +2,7 @@
 
 import re
 from collections import Counter
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 from sim.lab.recordings import UNNAMED_COLUMN, TraceError, list_names, named_after
@@ -30,6 +30,7 @@ _BAD = re.compile(
     re.IGNORECASE,
 )
 """Words that are never taken for good ones unless a person says so."""
+_OPC_GOOD, _ZERO = re.compile(r"(?:0x0*)?c0|192(?:\.0+)?", re.IGNORECASE), re.compile(r"0+(?:\.0+)?")
 _STATUS = re.compile(r"status(?:.?code)?(?:_\d+)?$", re.IGNORECASE)
 _TOLD = re.compile(
     r"\{?(?:good|ok|bad|uncertain|gut|schlecht|unsicher|valid|invalid|stale)\b.*|0x[048][0-9a-f]{7}", re.IGNORECASE
@@ -103,9 +104,7 @@ def find_quality(
     if not places:
         return FoundQuality()
     if value is not None and not answers.good:
-        # Of several that judge the same reading those speak whose words are known: Quality 0 beside OPCQuality 192.
-        telling = tuple(place for place in places if any(map(_GOOD.fullmatch, words[place])))
-        places = telling or places
+        places = _telling(table, places, words)
         every = sum((words[place] for place in places), Counter[str]())
     cells = sum((Counter(beside[place]) for place in places), Counter[str]())
     valid = {word for place in places if _SAYS_VALID.search(table.header[place]) for word in words[place]}
@@ -142,6 +141,22 @@ def is_quality(table: FoundTable, place: int) -> bool:
         return False
     words = {cell.casefold() for cell in table.column(place) if cell}
     return bool(words) and all(map(_TOLD.fullmatch, words))
+
+
+def _telling(table: FoundTable, places: tuple[int, ...], words: Mapping[int, Counter[str]]) -> tuple[int, ...]:
+    """Of several columns that judge the same reading those whose words are known, where the others say nothing more.
+
+    Those say one word, which is no bad one, of all readings that are good by the known ones; 0 is none beside OPC's
+    192: Quality 0 beside OPCQuality 192.
+    """
+    telling = tuple(place for place in places if any(map(_GOOD.fullmatch, words[place])))
+    good = [row for row in table.rows if all(_GOOD.fullmatch(row[place]) for place in telling)]
+    of_opc = all(_OPC_GOOD.fullmatch(word) for place in telling for word in words[place] if _GOOD.fullmatch(word))
+    for place in set(places) - set(telling):
+        said = {row[place] for row in good}
+        if len(said) != 1 or any(_BAD.fullmatch(word) and not (of_opc and _ZERO.fullmatch(word)) for word in said):
+            return places
+    return telling or places
 
 
 def _of_other_files(table: FoundTable, named: Sequence[int], readings: Sequence[int]) -> list[int]:
