@@ -35,6 +35,7 @@ if TYPE_CHECKING:
         NO_VERDICT_TEXT,
         VERDICT_FILE,
         ForeseenHorizon,
+        ForeseenUnit,
         JudgedCriterion,
         ModelVerdict,
         Word,

@@ -34,15 +34,19 @@ class JudgedCriterion:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ForeseenHorizon:
-    """What was held out at a `horizon` (s): the mean CRPS (in the model's unit) by cycle, or day, of each recording.
+class ForeseenUnit:
+    """The mean CRPS (in the model's unit) of a cycle or day; `moments` names the forecasts that it is the mean of."""
 
-    Errors beyond `rare` standard deviations of the band that the model promises are rare there (`sim.forecast.review`).
-    """
+    crps: float
+    moments: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ForeseenHorizon:
+    """What was held out at a `horizon` (s), by cycle, or day, of each recording."""
 
     horizon: float
-    units: Mapping[str, float]
-    rare: float
+    units: Mapping[str, ForeseenUnit]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -133,8 +137,11 @@ def _criterion(plain: Mapping[str, Any]) -> JudgedCriterion:
 
 
 def _foreseen_horizon(plain: Mapping[str, Any]) -> ForeseenHorizon:
-    units = {str(unit): float(crps) for unit, crps in plain["units"].items()}
-    horizon, rare = float(plain["horizon"]), float(plain["rare"])
-    if not all(isfinite(value) and value >= 0 for value in (horizon, rare, *units.values())):
+    units = {
+        str(name): ForeseenUnit(crps=float(unit["crps"]), moments=str(unit["moments"]))
+        for name, unit in plain["units"].items()
+    }
+    horizon = float(plain["horizon"])
+    if not all(isfinite(value) and value >= 0 for value in (horizon, *(unit.crps for unit in units.values()))):
         raise ValueError("a figure of what it foresaw is no number of at least 0")
-    return ForeseenHorizon(horizon=horizon, units=units, rare=rare)
+    return ForeseenHorizon(horizon=horizon, units=units)

@@ -28,16 +28,4 @@ from sim.forecast.ensemble import (
 from sim.forecast.fan import FAN_LEVELS, Forecast, fans, forecast
 from sim.forecast.leaps import observe_leap
 from sim.forecast.local_trend import LocalOutlook, LocalTrend, walk_outlook
-from sim.forecast.review import (
-    FORECASTS,
-    ONE_STEP,
-    RARE_SHARE,
-    REVIEW_SIGMAS,
-    Review,
-    follow,
-    follow_forecasts,
-    review_errors,
-    review_limit,
-    share,
-    standardise,
-)
+from sim.forecast.review import FORECASTS, ONE_STEP, Review, follow, follow_forecasts, review_errors, share, standardise

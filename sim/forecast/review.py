@@ -14,10 +14,7 @@ from sim.engine import Prediction, readings
 from sim.forecast.calibration import Calibration, deviation, due_forecasts
 from sim.sha import Array, Model, Trace
 
-REVIEW_SIGMAS, MOST_REVIEW_SIGMAS = 3.0, 8.0
-"""Of a forecast the model's own record may say more, up to the second: beyond that no record makes a band right."""
-RARE_SHARE = 0.01
-"""The share of its held-out forecasts that came out farther than what a model's record says."""
+REVIEW_SIGMAS = 3.0
 RAISE, CLEAR = 0.05, 0.01
 """Shares of readings beyond 3 sigma at which a flag is raised and cleared; 0.0027 of a Gaussian's are."""
 
@@ -67,27 +64,16 @@ def share(rule: ReviewRule, review: Review) -> float:
     return review.outside / max(review.counted, rule.least)
 
 
-def review_limit(rare: float) -> float:
-    """From how many standard deviations on a forecast counts as beyond: 3, or what was `rare` on data held out.
-
-    The law of a learned model's errors has longer tails than a Gaussian's: what came once in a hundred forecasts while
-    nothing was wrong is no reason to look at the model.
-    """
-    return min(max(REVIEW_SIGMAS, rare), MOST_REVIEW_SIGMAS)
-
-
-def follow(
-    rule: ReviewRule, review: Review, time: float, z: float, worth: float = 1.0, *, sigmas: float = REVIEW_SIGMAS
-) -> Review:
-    """The review after a reading `z` standard deviations from its prediction, at `time` (s); beyond is over `sigmas`.
+def follow(rule: ReviewRule, review: Review, time: float, z: float, worth: float = 1.0) -> Review:
+    """The review after a reading `z` standard deviations from its prediction, at `time` (s).
 
     `worth` (0 to 1) is the part of an independent reading that it is. A z that is no number changes nothing. The flag
     is raised when the share passes 5 % or a run the rule's length, and cleared when the share is below 1 % and the
-    newest reading within: what lies in between changes nothing, so that it does not chatter.
+    newest reading within 3 sigma: what lies in between changes nothing, so that it does not chatter.
     """
     if z != z:
         return review
-    out, fade = abs(z) > sigmas, exp(-worth / rule.memory)
+    out, fade = abs(z) > REVIEW_SIGMAS, exp(-worth / rule.memory)
     run = review.run + worth if out else 0.0
     after = Review(
         counted=review.counted * fade + worth,
@@ -107,15 +93,7 @@ def follow(
     return after
 
 
-def follow_forecasts(
-    review: Review,
-    state: Calibration,
-    horizon: float,
-    time: float,
-    temperature: float,
-    *,
-    sigmas: float = REVIEW_SIGMAS,
-) -> Review:
+def follow_forecasts(review: Review, state: Calibration, horizon: float, time: float, temperature: float) -> Review:
     """The review of one horizon after a reading, from the forecasts of `state` that it settles (before they are).
 
     Measured in the bands that the model itself promises, its learned factor included: a band that was widened online
@@ -128,8 +106,7 @@ def follow_forecasts(
     for waiting in due_forecasts(learned, time, state.tolerance):
         worth = min(max(waiting.due - last, 0.0) / horizon, 1.0)
         last = max(last, waiting.due)
-        z = deviation(waiting, temperature) / learned.prior
-        review = follow(FORECASTS, review, waiting.due, z, worth, sigmas=sigmas)
+        review = follow(FORECASTS, review, waiting.due, deviation(waiting, temperature) / learned.prior, worth)
     return review
 
 

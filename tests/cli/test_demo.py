@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -122,9 +123,10 @@ def test_one_wrong_value_in_what_was_held_for_good_is_found(shown: tuple[Path, d
 
 def test_the_outage_is_in_the_historian_as_bad_quality(shown: tuple[Path, dict[str, Any]]) -> None:
     stored = [sample for sample in samples(shown[0] / "historian.sqlite") if sample.tag == "TCuscinettiRiduttore"]
-    bad = [sample for sample in stored if not sample.quality.is_good]
-    assert bad and all(sample.value is None or not sample.quality.is_good for sample in bad)
-    assert stored[-1].quality.is_good and stored[-1].time > bad[-1].time
+    stretches = [list(some) for _, some in groupby(stored, key=lambda sample: sample.quality.is_good)]
+    outage = max((some for some in stretches if not some[0].quality.is_good), key=len)
+    # A busy machine may lose a scan elsewhere, and the last one; the outage is the longest, and good readings follow.
+    assert stretches[-1] is not outage and len(outage) > 1
 
 
 def test_the_hubs_socket_has_a_path_that_a_socket_can_have(tmp_path: Path) -> None:

@@ -6,8 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from sim.lab.discrepancy.fitting import catalogue
 from sim.lab.discrepancy.layout import build_layout
-from sim.lab.discrepancy.mute_switch import MuteSwitch, find_mute_switch
+from sim.lab.discrepancy.mute_switch import ChatteringSwitch, MuteSwitch, find_chatter, find_mute_switch
 from sim.lab.discrepancy.rules import RULES
 from sim.lab.discrepancy.workflow import diagnose
 from sim.sha import Array, Trace
@@ -68,3 +69,53 @@ def test_a_machine_that_runs_on_or_idles_or_is_read_a_little_late_has_no_mute_sw
         with_column(trace, SWITCH, np.r_[np.zeros(3), trace.signals[SWITCH][:-3]]),
     ):
         assert found(one) is None
+
+
+def chattering(trace: Trace) -> ChatteringSwitch | None:
+    return find_chatter(build_layout(model(), [trace], [], ROLES, RULES))
+
+
+def with_turns(trace: Trace, share: float) -> Trace:
+    """The trace with so many of its rows, each by itself and with rows of one load beside it, turned."""
+    rows = np.random.default_rng(1).random(trace.times.size) < share
+    on = trace.signals[SWITCH]
+    rows[1:] &= ~rows[:-1]
+    rows[[0, -1]] = False
+    rows[1:-1] &= (on[1:-1] == on[:-2]) & (on[1:-1] == on[2:])
+    return with_column(trace, SWITCH, np.where(rows, 1.0 - on, on))
+
+
+def test_single_rows_of_a_switch_are_what_the_load_says() -> None:
+    trace = plant(4, days=2, pump=1e-4, runs_on=True, period=ROW_S)
+    turned = with_turns(trace, 0.02)
+    count = int((turned.signals[SWITCH] != trace.signals[SWITCH]).sum())
+    chatter = chattering(turned)
+    assert count > 5 and chatter is not None and chatter.rows == count
+    np.testing.assert_array_equal(chatter.settle(turned).signals[SWITCH], trace.signals[SWITCH])
+    assert chatter.settle(trace) is trace
+
+
+def test_a_switch_that_chatters_brings_no_name() -> None:
+    """Each turn had the model enter its lower bin until the load moved again, and what explained that hid the pump."""
+    trace = plant(4, days=2, pump=1e-4, runs_on=True, period=ROW_S)
+    others = {entry.name for entry in catalogue()} - {"pump-cooling", "current-heating"}
+    turned = with_turns(trace, 0.02)
+    said = diagnose(model(), [turned], seed=0, roles=ROLES, most=1, without=others).diagnosis
+    assert [effect.name for effect in said.effects] == ["pump-cooling"]
+    assert "single rows while Assorbimento did not: look at that signal" in said.sentence
+
+
+def test_starts_and_stops_that_the_load_shows_or_lags_behind_are_no_chatter() -> None:
+    trace = plant(7, days=3, period=ROW_S)
+    on, load = trace.signals[SWITCH], trace.signals[LOAD]
+    middle = int(np.flatnonzero((on[1:-1] > 0) & (on[:-2] > 0) & (on[2:] > 0))[20]) + 1
+    stopped = np.where(np.arange(on.size) == middle, 0.0, 1.0)
+    brief = with_column(trace, SWITCH, on * stopped)
+    for one in (
+        trace,
+        with_column(trace, SWITCH, np.r_[np.zeros(3), on[:-3]]),
+        with_column(brief, LOAD, load * stopped),
+        with_column(brief, LOAD, load * np.r_[1.0, stopped[:-1]]),
+        with_column(trace, LOAD, np.full(on.size, np.nan)),
+    ):
+        assert chattering(one) is None

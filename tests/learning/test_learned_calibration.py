@@ -55,13 +55,22 @@ def test_a_cycle_of_a_recording_has_the_same_name_whatever_else_was_read_and_whi
     signals = {RUNNING: on, CURRENT: 150.0 * on, TEMPERATURE: 20.0 + 20.0 * on}
     more = {**signals, "Feed": on}
 
-    def units(own: Model, columns: Mapping[str, Array]) -> list[set[str]]:
+    def units(
+        own: Model, columns: Mapping[str, Array], origins: int = 48, most_rows: int = 10_000
+    ) -> list[dict[str, str]]:
         trace = encode_trace(Trace("export", times, columns), own.alphabet)
-        found = score_forecasts(own, [trace], [float(times[0])], np.random.default_rng(0), origins=48)
-        return [set(row.units) for row in horizon_coverage(found)]
+        found = score_forecasts(
+            own, [trace], [float(times[0])], np.random.default_rng(0), origins=origins, most_rows=most_rows
+        )
+        return [{name: unit.moments for name, unit in row.units.items()} for row in horizon_coverage(found)]
 
     every, other = units(model, signals), units(replace(model, sensor_sigma=1.0), more)
     assert every == other and len(every) == 3 and all(len(names) > 6 for names in every)
+    # From other moments, or of a belief that has read fewer rows, it is the same cycle and another sample of it.
+    for apart in (units(model, signals, origins=24), units(model, signals, most_rows=1_000)):
+        for one, of_it in zip(every, apart, strict=True):
+            shared = one.keys() & of_it.keys()
+            assert shared and all(one[name] != of_it[name] for name in shared)
     assert every != units(model, {**signals, TEMPERATURE: 20.5 + 20.0 * on})
 
 

@@ -19,7 +19,7 @@ from gateway.network.certificates import make_all
 from gateway.outside.web.access import AccountRole, change_password, remove_account
 from gateway.outside.web.backing_up import BackupMaker, BackupRefused
 from gateway.store import open_historian, read_manifest
-from sim.artefacts import VERDICT_FILE, ForeseenHorizon, JudgedCriterion, ModelVerdict, promote
+from sim.artefacts import VERDICT_FILE, ForeseenHorizon, ForeseenUnit, JudgedCriterion, ModelVerdict, promote
 from sim.lab.formats import save
 from sim.sha import Distribution, Flow
 from tests.discrepancy_report.made_diagnoses import of
@@ -215,9 +215,12 @@ def test_a_version_of_the_models_store_is_proven_and_runs_once_a_person_says_so(
     *others, on = model.sha.locations
     endless = replace(on, flow=Flow("linear", {"noise": 0.0}), distribution=slope, entry="parameter")
     growing = replace(model, sha=replace(model.sha, locations=(*others, endless)))
-    figures = [{f"recording/{number}": crps for number in range(8)} for crps in (0.5, 0.8)]
+    figures = [
+        {f"recording/{number}": ForeseenUnit(crps=crps, moments="the same") for number in range(8)}
+        for crps in (0.5, 0.8)
+    ]
     fit, unlike = (
-        ModelVerdict(word="fit", criteria=(), foreseen=(ForeseenHorizon(horizon=300.0, units=units, rare=2.0),))
+        ModelVerdict(word="fit", criteria=(), foreseen=(ForeseenHorizon(horizon=300.0, units=units),))
         for units in figures
     )
     first = save(store, model, created=1.0, more={VERDICT_FILE: fit.text()})

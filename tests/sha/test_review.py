@@ -9,17 +9,7 @@ from sim.engine.belief import advance, filter_trace, observe, start
 from sim.engine.open_loop_run import open_loop
 from sim.forecast.calibration import calibrate, issue, settle
 from sim.forecast.fan import forecast
-from sim.forecast.review import (
-    FORECASTS,
-    ONE_STEP,
-    Review,
-    follow,
-    follow_forecasts,
-    review_errors,
-    review_limit,
-    share,
-    standardise,
-)
+from sim.forecast.review import FORECASTS, ONE_STEP, Review, follow, follow_forecasts, review_errors, share, standardise
 from sim.sha.automaton import Distribution
 from sim.sha.trace import Trace
 from tests.sha.plants import exponential_stays, relaxing, simulate_two, single, two_states
@@ -76,24 +66,6 @@ def test_overlapping_forecasts_are_one_surprise_and_lasting_ones_raise_the_flag(
     first = flagged.index(True) * 5.0
     assert 60.0 + 55.0 <= first <= 60.0 + 65.0, "two horizons' worth: the first forecast and 60 s more"
     assert share(FORECASTS, review) == pytest.approx(review.outside / 60.0)
-
-
-def test_what_was_rare_on_data_held_out_is_no_reason_for_a_review_and_what_no_record_makes_right_is() -> None:
-    assert [review_limit(rare) for rare in (0.0, 2.0, 4.5, 50.0)] == [3.0, 3.0, 4.5, 8.0]
-    rng = np.random.default_rng(5)
-    # A law of longer tails than a Gaussian's: 5 % of the forecasts beyond 3 sigma, and 1 % beyond 4.5.
-    z = np.where(rng.random(3_000) < 0.05, 3.0 + rng.exponential(1.5 / np.log(5.0), 3_000), 0.0)
-
-    def raised(sigmas: float, errors: np.ndarray) -> int:
-        review, count = Review(), 0
-        for minute, one in enumerate(errors):
-            after = follow(FORECASTS, review, 60.0 * minute, float(one), sigmas=sigmas)
-            count += after.flagged and not review.flagged
-            review = after
-        return count
-
-    assert raised(3.0, z) == 1 and raised(review_limit(4.5), z) == 0
-    assert raised(review_limit(4.5), z + 6.0) == 1, "two in a row beyond"
 
 
 def test_an_open_loop_of_the_wrong_model_is_to_be_reviewed_and_of_the_right_one_is_not() -> None:

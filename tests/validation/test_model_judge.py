@@ -30,6 +30,7 @@ from sim.files import ArtefactError
 from sim.lab.formats import save, write_model_directory
 from sim.lab.judge import judge_learning
 from sim.lab.learning import Coverage
+from sim.lab.learning.calibrate import Scored, UnitScore, horizon_coverage, score_forecasts
 from sim.sha import SHA, Alphabet, Edge, Flow, Location, Model, Switch, Trace, encode_trace
 from tests.gateway.status_picture import picture
 from tests.gateway.support import CURRENT, RUNNING, TEMPERATURE, Bench, plant_file, two_modes
@@ -268,11 +269,16 @@ def test_a_verdict_is_kept_and_read_back_and_a_damaged_one_is_refused(tmp_path: 
             read_verdict(tmp_path)
 
 
-def with_units(crps: Sequence[float], first: int = 0) -> list[Coverage]:
+def with_units(crps: Sequence[float], first: int = 0, moments: str = "each minute") -> list[Coverage]:
     """So much at 60 s in each cycle from the first one on, and the same at the other horizons whatever is given."""
-    names = [f"recording/{first + at}" for at in range(len(crps))]
     return [
-        replace(row, units=dict(zip(names, crps if row.horizon == 60.0 else [1.0] * len(crps), strict=True)))
+        replace(
+            row,
+            units={
+                f"recording/{first + at}": UnitScore(each if row.horizon == 60.0 else 1.0, moments)
+                for at, each in enumerate(crps)
+            },
+        )
         for row in foreseen()
     ]
 
@@ -293,7 +299,12 @@ BESIDE = {
     "worse in six cycles": (
         with_units([1.3 * each for each in RUNS[:6]]),
         None,
-        f"{ALIKE}0.628 against 0.483 °C at 60 s over 6 cycles or days (p 0.094)",
+        "not compared with the version that runs: 6 cycles or days were foreseen by both from the same moments, and 7",
+    ),
+    "worse at other moments": (
+        with_units([1.3 * each for each in RUNS], moments="each hour"),
+        None,
+        "not compared with the version that runs: they foresaw the same recordings from other moments",
     ),
     "worse by a trifle": (with_units([1.02 * each for each in RUNS]), None, ALIKE),
     "the same": (with_units(RUNS), None, "at 60 s over 8 cycles or days (p 1)"),
@@ -311,7 +322,13 @@ def test_a_version_is_held_against_the_one_that_runs_by_the_cycles_that_both_for
 
 def test_better_at_one_horizon_and_worse_at_another_is_a_persons_choice() -> None:
     own = [
-        replace(row, units={name: crps * (0.5 if row.horizon == 900.0 else 1.5) for name, crps in row.units.items()})
+        replace(
+            row,
+            units={
+                name: replace(unit, crps=unit.crps * (0.5 if row.horizon == 900.0 else 1.5))
+                for name, unit in row.units.items()
+            },
+        )
         for row in with_units(RUNS)
     ]
     found = compare_verdicts(judged(coverage=own), judged(coverage=with_units(RUNS)), "degC", "")
@@ -321,17 +338,77 @@ def test_better_at_one_horizon_and_worse_at_another_is_a_persons_choice() -> Non
     )
 
 
+def test_a_mean_against_its_cycles_is_neither_worse_nor_better() -> None:
+    # Better in 13 of 14 cycles, which no chance does, and by its mean worse for the one that is left.
+    runs = [0.5] * 14
+    own = with_units([*([0.45] * 13), 5.0])
+    found = compare_verdicts(judged(coverage=own), judged(coverage=with_units(runs)), "degC", "")
+    assert found.kept is None and "0.775 against 0.5 °C at 60 s over 14 cycles or days (p 0.0055)" in found.sentence
+
+
+def warming_days(count: int) -> list[Trace]:
+    """Days of a machine that runs and rests by turns of an hour, the first ones the same whatever the count."""
+    days = []
+    for day in range(count):
+        rng = np.random.default_rng(day)
+        times = np.arange(0.0, DAY_S, ROW_S)
+        on = (times // 3600.0) % 2 == 1
+        heat = np.where(on, 50.0 + 3.0 * rng.standard_normal(), 20.0)
+        values, now = np.empty(times.size), 20.0
+        for row, goal in enumerate(heat):
+            now += (goal - now) * 0.06
+            values[row] = now
+        values += 0.2 * rng.standard_normal(times.size)
+        signals = {RUNNING: on.astype(float), CURRENT: np.where(on, 150.0, 0.0), TEMPERATURE: values}
+        whole = Trace(f"day {day}", times + 1.7e9 + day * DAY_S, signals, units={TEMPERATURE: "degC"})
+        days.append(encode_trace(whole, MODEL.alphabet))
+    return days
+
+
+def judged_on(days: Sequence[Trace], seed: int) -> ModelVerdict:
+    begins = [float(day.times[0]) for day in days]
+    scored = score_forecasts(MODEL, days, begins, np.random.default_rng(seed))
+    return judged(coverage=horizon_coverage(scored))
+
+
+def test_one_and_the_same_model_is_never_worse_than_itself_however_much_it_was_judged_on() -> None:
+    days = warming_days(20)
+    two, twenty = judged_on(days[:2], 0), judged_on(days, 1)
+    for own, runs in ((two, twenty), (twenty, two)):
+        found = compare_verdicts(own, runs, "degC", "rank both")
+        assert (found.kept, found.next_step) == (None, "rank both") and "from other moments" in found.sentence
+    again = compare_verdicts(judged_on(days[:2], 2), two, "degC", "rank both")
+    assert again.kept is None and "not told apart from the version that runs" in again.sentence
+
+
+def test_many_moments_of_a_cycle_are_not_held_against_few_of_it() -> None:
+    """CRPS are skewed, so that the mean of eight is above one of them in more than half of the cycles."""
+    rng = np.random.default_rng(3)
+
+    def verdict(moments: int) -> ModelVerdict:
+        scored = [
+            Scored(horizon, 7200.0 * cycle + horizon + 7200.0 * at / moments, 1.0, float(crps), unit=f"day/{cycle}")
+            for horizon in (60.0, 300.0, 900.0)
+            for cycle in range(40)
+            for at, crps in enumerate(rng.lognormal(0.0, 1.5, moments))
+        ]
+        return judged(coverage=[replace(row, persistence=9.0) for row in horizon_coverage(scored)])
+
+    words = [compare_verdicts(verdict(8), verdict(1), "degC", "").kept for _ in range(12)]
+    assert words == [None] * 12
+
+
 def test_figures_are_kept_and_a_verdict_of_a_former_release_has_none(tmp_path: Path) -> None:
     verdict = judged(coverage=with_units(RUNS))
     (tmp_path / VERDICT_FILE).write_text(verdict.text(), encoding="utf-8")
-    assert read_verdict(tmp_path) == verdict and verdict.foreseen[0].units["recording/2"] == 0.6
+    assert read_verdict(tmp_path) == verdict and verdict.foreseen[0].units["recording/2"].crps == 0.6
     former = json.loads(verdict.text())
     del former["foreseen"]
     (tmp_path / VERDICT_FILE).write_text(json.dumps(former), encoding="utf-8")
     old = read_verdict(tmp_path)
     assert old is not None and old == replace(verdict, foreseen=())
     assert "one of them keeps no figures" in compare_verdicts(verdict, old, "degC", "").sentence
-    for wrong in ([{"horizon": 60.0}], [{"horizon": 60.0, "units": {"a": -1}, "rare": 3.0}], 3):
+    for wrong in ([{"horizon": 60.0}], [{"horizon": 60.0, "units": {"a": {"crps": -1, "moments": ""}}}], 3):
         (tmp_path / VERDICT_FILE).write_text(json.dumps(former | {"foreseen": wrong}), encoding="utf-8")
         with pytest.raises(ArtefactError, match="cannot be used as a verdict"):
             read_verdict(tmp_path)

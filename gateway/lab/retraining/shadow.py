@@ -154,6 +154,7 @@ def side_by_side(
         sentence = f"{judged} and {stood} are not told apart"
     if promoted:
         # A person may force what was judged unfit where it was learned; a timer may not.
+        # How both verdicts compare (`version promote` asks that) is older than these live cycles, which decide.
         _, reason = objection(store, promoted)
         if reason:
             sentence += f"; {promoted} is not promoted, as {reason}"

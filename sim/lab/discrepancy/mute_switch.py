@@ -2,6 +2,7 @@
 
 The model goes by its switch. Where that never moves, stays where it was, chatters or says the opposite, the refit makes
 up for every start and stop, and what comes and goes with the machine, its current first, explains most of the gap.
+Where it only turns for single rows now and then, the load tells what it would have said in them.
 """
 
 from collections.abc import Sequence
@@ -11,7 +12,7 @@ import numpy as np
 
 from sim.lab.discrepancy.fitting import build_frame, build_record, model_effects, patiently, run_frame
 from sim.lab.discrepancy.layout import DataLayout, required_signals
-from sim.lab.learning import LearningError, first_switch
+from sim.lab.learning import Indices, LearningError, first_switch
 from sim.sha import Array, Bins, Mask, Trace
 
 STOPPED_SHARE = 0.02
@@ -53,9 +54,7 @@ def find_mute_switch(layout: DataLayout) -> MuteSwitch | None:
     switch = first_switch(model.alphabet)
     if switch is None:
         return None
-    loads = [channel.signal for channel in model.alphabet.channels if isinstance(channel, Bins)]
-    loads += [layout.present[role] for role in ("current",) if role in layout.present]
-    for load in dict.fromkeys(loads):
+    for load in _loads(layout):
         turns = [_turns_by_load(trace, load) for trace in layout.traces]
         if not _contradicts(layout.traces, turns, switch.signal):
             continue
@@ -75,6 +74,63 @@ def find_mute_switch(layout: DataLayout) -> MuteSwitch | None:
             value = float(known[0]) if np.ptp(known) == 0.0 else None
             return MuteSwitch(switch.signal, value, load, error, by_load)
     return None
+
+
+@dataclass(frozen=True, slots=True)
+class ChatteringSwitch:
+    """The model's `switch` turned in so many single `rows` in which its `load` did not."""
+
+    switch: str
+    load: str
+    rows: int
+
+    def sentence(self) -> str:
+        """It as a sentence."""
+        times = "a single row" if self.rows == 1 else f"{self.rows} single rows"
+        return (
+            f"{self.switch} turned for {times} while {self.load} did not: look at that signal; there the machine "
+            f"counts as {self.load} says."
+        )
+
+    def settle(self, trace: Trace) -> Trace:
+        """The trace with the switch as the load says in these rows; as it is where there are none."""
+        rows = _contradicted_rows(trace, self.switch, self.load)
+        if not rows.size:
+            return trace
+        column = trace.signals[self.switch].astype(float)
+        column[rows] = _turns_by_load(trace, self.load)[rows]
+        return replace(trace, signals={**trace.signals, self.switch: column}, events=())
+
+
+def find_chatter(layout: DataLayout) -> ChatteringSwitch | None:
+    """The model's switch where it turned for single rows in which a load goes on: each would be a stop and a start, and
+    a model that enters its bins as the load moves would have lost its place until it moves again."""
+    switch = first_switch(layout.model.alphabet)
+    if switch is None:
+        return None
+    for load in _loads(layout):
+        rows = sum(_contradicted_rows(trace, switch.signal, load).size for trace in layout.traces)
+        if rows:
+            return ChatteringSwitch(switch.signal, load, rows)
+    return None
+
+
+def _loads(layout: DataLayout) -> Sequence[str]:
+    """The signals of what loads the machine, each once."""
+    loads = [channel.signal for channel in layout.model.alphabet.channels if isinstance(channel, Bins)]
+    loads += [layout.present[role] for role in ("current",) if role in layout.present]
+    return tuple(dict.fromkeys(loads))
+
+
+def _contradicted_rows(trace: Trace, switch: str, load: str) -> Indices:
+    """The single rows in which the switch says something else than the load, which says in them what both say in the
+    rows on either side."""
+    if switch not in trace.signals or load not in trace.signals or trace.times.size < 3:
+        return np.empty(0, dtype=np.intp)
+    turns = _turns_by_load(trace, load)
+    apart = turns != (_hold_values(trace.signals[switch]) > 0.5)
+    alone = apart[1:-1] & ~apart[:-2] & ~apart[2:]
+    return np.flatnonzero(alone & (turns[1:-1] == turns[:-2]) & (turns[1:-1] == turns[2:])) + 1
 
 
 def _turns_by_load(trace: Trace, load: str) -> Mask:

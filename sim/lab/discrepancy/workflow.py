@@ -32,7 +32,7 @@ from sim.lab.discrepancy.layout import DataLayout, SplitCycles, build_layout, me
 from sim.lab.discrepancy.locate import places
 from sim.lab.discrepancy.missing_heat import missing_heat
 from sim.lab.discrepancy.moved import shifts
-from sim.lab.discrepancy.mute_switch import find_mute_switch
+from sim.lab.discrepancy.mute_switch import find_chatter, find_mute_switch
 from sim.lab.discrepancy.path import name
 from sim.lab.discrepancy.posterior import NamesEvidence, posterior, remaining_shares, step_gains
 from sim.lab.discrepancy.proving import NamesSearched, ProvenFindings, prove, with_agreed_floor, with_laws
@@ -81,11 +81,16 @@ def diagnose(
     """
     report = progress or (lambda _stage, _share: None)
     report("laying out the traces", 0.0)
-    layout = build_layout(model, traces, experiments, {**roles, **own_roles(lines)}, rules)
+    roles = {**roles, **own_roles(lines)}
+    layout = build_layout(model, traces, experiments, roles, rules)
     count = int(layout.cycles.size)
     if (mute := find_mute_switch(layout)) is not None:
         said = mute.sentence(display_unit(layout.model.unit))
         return DiagnosisOutcome(_too_little(layout.model, count, mute.reason(), said), (), None, None)
+    if (chatter := find_chatter(layout)) is not None:
+        traces, experiments = ([chatter.settle(trace) for trace in those] for those in (traces, experiments))
+        layout = build_layout(model, traces, experiments, roles, rules)
+        count = int(layout.cycles.size)
     if count < rules.least_cycles:
         few = f"{count} cycle{'' if count == 1 else 's'} in all; at least {rules.least_cycles} are needed, better ten"
         return DiagnosisOutcome(_too_little(layout.model, count, few), (), None, None)
@@ -103,6 +108,8 @@ def diagnose(
     laws = unnamed_laws(layout, split, found, rules, report)
     found = with_agreed_floor(with_laws(found, laws))
     diagnosis = describe(layout, split, search, found, entries, laws=laws, seed=seed, rules=rules, report=report)
+    if chatter is not None:
+        diagnosis = replace(diagnosis, sentence=f"{diagnosis.sentence} {chatter.sentence()}")
     after, path = found.told.after, found.judged.path
     named = after.state.named if found.kept else ()
     return DiagnosisOutcome(diagnosis, named, after, path, found.against if path.accepted_steps else None)

@@ -11,7 +11,14 @@ from math import isfinite
 
 import numpy as np
 
-from sim.artefacts import FORECAST_CRITERION, ForeseenHorizon, JudgedCriterion, ModelVerdict, rate_criteria
+from sim.artefacts import (
+    FORECAST_CRITERION,
+    ForeseenHorizon,
+    ForeseenUnit,
+    JudgedCriterion,
+    ModelVerdict,
+    rate_criteria,
+)
 from sim.lab.judge.rows import MIN_FORECASTS
 from sim.lab.learning import HORIZONS_S, MOST_WIDENING, Coverage, first_switch, level_signals
 from sim.lab.recordings import FAHRENHEIT_REST_RANGE
@@ -91,8 +98,10 @@ def judge_learning(model: Model, traces: Sequence[Trace], coverage: Sequence[Cov
         foreseen=tuple(
             ForeseenHorizon(
                 horizon=row.horizon,
-                units={unit: round(crps, 6) for unit, crps in row.units.items()},
-                rare=round(row.rare / model.calibration.get(row.horizon, 1.0), 3),
+                units={
+                    unit: ForeseenUnit(crps=round(score.crps, 6), moments=score.moments)
+                    for unit, score in row.units.items()
+                },
             )
             for row in coverage
         ),

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from hashlib import sha256
 from math import exp, inf, log, nan
 from typing import TypeVar
 
@@ -9,7 +10,7 @@ import numpy as np
 
 from sim.anomaly import AnomalyRecord, ScorePeaks
 from sim.engine import Belief, Tracker, anomaly, compile_tracker, observe, on_event, start, with_inputs
-from sim.forecast import FAN_LEVELS, RARE_SHARE, Z90, fans, member_weights, observe_leap
+from sim.forecast import FAN_LEVELS, Z90, fans, member_weights, observe_leap
 from sim.lab.learning.anomaly_level import record_scores
 from sim.lab.learning.outcomes import clean_readings
 from sim.lab.learning.plain import PERSISTENCE
@@ -42,13 +43,21 @@ Group = TypeVar("Group")
 
 
 @dataclass(frozen=True, slots=True)
+class UnitScore:
+    """The mean CRPS (degC) of a unit's forecasts of one horizon; `moments` is the hash of when each was due, and after
+    every how manieth row: those of two models have something in common where it is the same, and only there."""
+
+    crps: float
+    moments: str
+
+
+@dataclass(frozen=True, slots=True)
 class Coverage:
     """What was seen at one `horizon` (s): `forecasts`, worth so many `independent` ones (they overlap), the share
     `covered` by the 90 % band as the model gave it, the `factor` that comes of it, their mean CRPS (degC), and that of
     `persistence` at the same moments (NaN where none stood beside the model). `other_days` says whether whole traces or
     machines were held out; else it was later times of the same ones, and `widening` is for what they cannot tell.
-    `units` has the mean CRPS of each `Scored.unit`. Beyond `rare` standard deviations of the
-    band as the model gave it came RARE_SHARE of the errors, or none where they are too few to tell.
+    `units` has what was seen in each `Scored.unit`.
     """
 
     horizon: float
@@ -59,8 +68,7 @@ class Coverage:
     crps: float
     persistence: float = nan
     other_days: bool = True
-    units: Mapping[str, float] = field(default_factory=dict)
-    rare: float = 0.0
+    units: Mapping[str, UnitScore] = field(default_factory=dict)
 
     @property
     def widening(self) -> float:
@@ -74,7 +82,8 @@ class Scored:
 
     It was made along the `trace` of that name, of a `machine` ("": nobody says of which), in a `unit` of it that errs
     apart: the machine's cycle, or the day where no switch is read. It is called by the hash of the temperature's
-    readings and the moment of its beginning, so that another model's forecasts of the same are found.
+    readings and the moment of its beginning, so that another model's forecasts of the same are found. The filter had
+    read every `stride`th row.
     """
 
     horizon: float
@@ -84,6 +93,7 @@ class Scored:
     machine: str = ""
     trace: str = ""
     unit: str = ""
+    stride: int = 1
 
 
 @dataclass(slots=True)
@@ -156,7 +166,7 @@ def score_forecasts(
     return [
         score
         for (trace, belief, due), fan in zip(judged, found, strict=True)
-        for score in _scores(trace, belief.time, due, fan, units[id(trace)](belief.time))
+        for score in _scores(trace, belief.time, due, fan, units[id(trace)](belief.time), stride)
     ]
 
 
@@ -172,7 +182,7 @@ def _name_units(trace: Trace, model: Model) -> Callable[[float], str]:
     return lambda time: f"{recording}/{starts[np.searchsorted(starts, time, side='right') - 1] - begin:.0f}"
 
 
-def _scores(trace: Trace, time: float, due: Mapping[float, float], fan: Array, unit: str) -> list[Scored]:
+def _scores(trace: Trace, time: float, due: Mapping[float, float], fan: Array, unit: str, stride: int) -> list[Scored]:
     """The `fan` (L, H) of a forecast made at `time` (s) along a trace against what came true, horizon -> degC."""
     low, median, high = (fan[FAN_LEVELS.index(level)] for level in (0.05, 0.5, 0.95))
     scored = []
@@ -182,7 +192,7 @@ def _scores(trace: Trace, time: float, due: Mapping[float, float], fan: Array, u
         edge = high[column] - median[column] if error >= 0 else median[column] - low[column]
         z = float(Z90 * abs(error) / max(edge, 1e-9))
         crps = float(crps_quantiles(FAN_LEVELS, fan[:, column], outcome))
-        scored.append(Scored(horizon, time + horizon, z, crps, trace.machine, trace.name, unit))
+        scored.append(Scored(horizon, time + horizon, z, crps, trace.machine, trace.name, unit, stride))
     return scored
 
 
@@ -281,15 +291,27 @@ def _count_units(traces: Iterable[tuple[str, str]]) -> int:
 
 def _horizon_crps(scored: Sequence[Scored]) -> dict[float, float]:
     """horizon -> mean CRPS, degC."""
-    return _mean_crps(scored, lambda each: each.horizon)
+    return {horizon: _mean_crps(group) for horizon, group in _group(scored, lambda each: each.horizon).items()}
 
 
-def _mean_crps(scored: Sequence[Scored], key: Callable[[Scored], Group]) -> dict[Group, float]:
-    """The mean CRPS (degC) of each group."""
-    found: dict[Group, list[float]] = {}
+def _unit_scores(scored: Sequence[Scored]) -> dict[str, UnitScore]:
+    """unit -> its score, of forecasts of one horizon in the order of time."""
+    found = {}
+    for unit, group in _group(scored, lambda each: each.unit).items():
+        moments = np.array([(each.due, each.stride) for each in group], dtype="<f8")
+        found[unit] = UnitScore(_mean_crps(group), sha256(moments.tobytes()).hexdigest()[:16])
+    return found
+
+
+def _group(scored: Sequence[Scored], key: Callable[[Scored], Group]) -> dict[Group, list[Scored]]:
+    found: dict[Group, list[Scored]] = {}
     for each in scored:
-        found.setdefault(key(each), []).append(each.crps)
-    return {name: float(np.mean(values)) for name, values in found.items()}
+        found.setdefault(key(each), []).append(each)
+    return found
+
+
+def _mean_crps(scored: Sequence[Scored]) -> float:
+    return float(np.mean([each.crps for each in scored]))
 
 
 def independent_forecasts(times: Array, horizon: float) -> float:
@@ -317,7 +339,7 @@ def horizon_coverage(scored: Sequence[Scored]) -> tuple[Coverage, ...]:
         level = min(0.9 * (1.0 + 1.0 / independent), 0.97)
         seen = min(max(float(np.quantile(z, level)) / Z90, LEAST_WIDENING), MOST_WIDENING)
         factor = exp((independent * log(seen) + PRIOR_FORECASTS * log(PRIOR_FACTOR)) / (independent + PRIOR_FORECASTS))
-        covered, crps = float(np.mean(z <= Z90)), float(np.mean([each.crps for each in forecasts]))
+        covered, crps = float(np.mean(z <= Z90)), _mean_crps(forecasts)
         table.append(
             Coverage(
                 horizon=horizon,
@@ -326,8 +348,7 @@ def horizon_coverage(scored: Sequence[Scored]) -> tuple[Coverage, ...]:
                 covered=covered,
                 factor=factor,
                 crps=crps,
-                units=_mean_crps(forecasts, lambda each: each.unit),
-                rare=float(np.quantile(z, min((1.0 - RARE_SHARE) * (1.0 + 1.0 / independent), 1.0))),
+                units=_unit_scores(forecasts),
             )
         )
     return tuple(table)
