@@ -94,13 +94,13 @@ def scorecard(
     temperature: str | None = None,
     start: float = -inf,
     end: float = inf,
-    runs: Mapping[str, bool] | None = None,
+    runs: Mapping[str, bool | None] | None = None,
 ) -> Scorecard:
     """The scores of a followed `temperature` of a machine in the historian at `path`, and of its scans and samples.
 
     None is the only machine, the first temperature that is followed on it. The predictions, forecasts and writes are
-    those from `start` to `end` (s UTC); the counts are of the whole file. `runs` says of locations whether the machine
-    runs in them. Raises HistorianError.
+    those from `start` to `end` (s UTC); the counts are of the whole file. `runs` says of a model's locations whether
+    the machine runs in them (None: either). Raises HistorianError.
     """
     with reading(path) as connection:
         counts = {table: row_number(connection, table, machine=machine) for table in ("scans", "samples")}
@@ -144,17 +144,18 @@ LEAST_GAP_S, GAP_SCANS = 60.0, 10.0
 """How long nothing was predicted, at least and in usual steps, for a start meanwhile to have been missed."""
 
 
-def time_since_start(times: Array, locations: Sequence[str], runs: Mapping[str, bool]) -> Array:
+def time_since_start(times: Array, locations: Sequence[str], runs: Mapping[str, bool | None]) -> Array:
     """Seconds since the machine's last start at each of some ascending times; -inf at rest, NaN where it is not known:
-    before the first start, and after a gap in which one may have been missed.
+    before the first start, and after what may hide one, a gap or a location of another model than that of `runs`.
 
-    A location of which it is not known whether the machine runs in it changes nothing.
+    A location in which the machine either runs or rests (None) changes nothing.
     """
     if not times.size:
         return np.empty(0)
     steps, order = np.diff(times, prepend=-inf), np.arange(times.size)
-    fresh = steps > (max(LEAST_GAP_S, GAP_SCANS * float(np.median(steps[1:]))) if times.size > 1 else 0.0)
-    state = np.array([runs.get(location, nan) for location in locations], dtype=float)
+    longest = max(LEAST_GAP_S, GAP_SCANS * float(np.median(steps[1:]))) if times.size > 1 else 0.0
+    fresh = (steps > longest) | np.array([location not in runs for location in locations])
+    state = np.array([runs.get(location) for location in locations], dtype=float)
     state = state[np.maximum.accumulate(np.where(np.isfinite(state) | fresh, order, 0))]
     starts = ~fresh & (state == 1.0) & (np.roll(state, 1) == 0.0)
     last = np.maximum.accumulate(np.where(starts | fresh, order, 0))
@@ -163,8 +164,10 @@ def time_since_start(times: Array, locations: Sequence[str], runs: Mapping[str, 
 
 
 def _scores_since_start(
-    times: Array, locations: Sequence[str], forecasts: Mapping[float, Matured], runs: Mapping[str, bool]
+    times: Array, locations: Sequence[str], forecasts: Mapping[float, Matured], runs: Mapping[str, bool | None]
 ) -> tuple[StartScore, ...]:
+    if all(each is None for each in runs.values()):
+        return ()
     since = time_since_start(times, locations, runs)
     classes = ((None, None), *pairwise((*START_BOUNDS_S, None)))
     found: dict[tuple[float | None, float | None], list[HorizonScore]] = {each: [] for each in classes}

@@ -49,12 +49,14 @@ def test_errors_forecasts_and_writes_are_those_that_were_put_in(tmp_path: Path) 
 
 
 def test_time_since_a_start_is_known_from_a_start_that_was_seen_until_one_may_have_been_missed() -> None:
-    runs = {"low": True, "high": True, "off": False}
-    told = [("low", 0), ("off", 10), ("?", 20), ("low", 30), ("?", 40), ("high", 50), ("high", 600), ("off", 610)]
+    runs = {"low": True, "high": True, "off": False, "either": None}
+    told = [("low", 0), ("off", 10), ("either", 20), ("low", 30), ("either", 40), ("high", 50), ("high", 600)]
+    told += [("off", 610), ("of another model", 620), ("either", 630), ("low", 640), ("off", 650), ("low", 660)]
     times = np.array([EPOCH + time for _, time in told])
     since = time_since_start(times, [location for location, _ in told], runs)
     nothing, rest = float("nan"), float("-inf")
-    np.testing.assert_array_equal(since, [nothing, rest, rest, 0.0, 10.0, 20.0, nothing, rest])
+    seen = [nothing, rest, rest, 0.0, 10.0, 20.0, nothing, rest, nothing, nothing, nothing, rest, 0.0]
+    np.testing.assert_array_equal(since, seen)
     assert time_since_start(np.empty(0), [], runs).size == 0
     np.testing.assert_array_equal(time_since_start(times[1:2], ["off"], runs), [rest])
 
@@ -83,7 +85,9 @@ def test_forecasts_are_scored_by_how_long_the_machine_had_been_running(tmp_path:
         (600.0, 1800.0): [(10.0, 0.0, 1.0, 12)],
         (1800.0, None): [(10.0, 0.0, 1.0, 5)],
     }
-    assert scorecard(tmp_path / "h.sqlite").by_start == (), "nobody said in which locations the machine runs"
+    for nothing in (None, {}, {"on": None, "off": None}):
+        card = scorecard(tmp_path / "h.sqlite", runs=nothing)
+        assert card.by_start == (), "nobody said in which locations the machine runs"
 
 
 def test_a_forecast_is_compared_with_the_first_reading_at_or_after_its_time(tmp_path: Path) -> None:

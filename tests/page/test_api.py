@@ -18,7 +18,7 @@ from gateway.machine.writing import witness_places
 from gateway.network.certificates import make_all
 from gateway.outside.web.access import AccountRole, change_password, remove_account
 from gateway.outside.web.backing_up import BackupMaker, BackupRefused
-from gateway.store import read_manifest
+from gateway.store import open_historian, read_manifest
 from sim.artefacts import VERDICT_FILE, ForeseenHorizon, ForeseenUnit, JudgedCriterion, ModelVerdict, promote
 from sim.lab.formats import save
 from sim.sha import Distribution, Flow
@@ -137,6 +137,7 @@ def test_a_trend_is_a_file_too_and_the_forecast_of_a_moment_is_the_one_made_last
         (f"/api/trend?machine=decanter&tag={TEMPERATURE}&start=5&end=1", "before end"),
         ("/api/machine?machine=nobody", "there is no machine"),
         ("/api/machine", "is missing"),
+        ("/api/scorecard?machine=nobody&temperature=T", "nobody"),
         ("/api/alarms?machine=decanter&most=many", "must be a whole number"),
         ("/api/alarms?machine=decanter&more=1", "no such key"),
     ],
@@ -390,6 +391,20 @@ def test_reading_stays_possible_without_an_account_on_this_machine_alone(tmp_pat
         assert '"state": null' in shell and "gearbox" not in shell
         assert client.log_in("olga") == 200
         assert client.ask("GET", "/api/plant")[0] == 200
+
+
+def test_a_machine_that_has_left_the_plant_is_scored_by_its_records(tmp_path: Path) -> None:
+    store = open_historian(config_in(tmp_path, PAGE, model=two_modes()).historian.path)
+    begin = time.time() - 60.0
+    store.view("retired").put("scans", [(begin + n, 0.01, 0) for n in range(60)])
+    row = ("on", 1, 45.0, 44.5, 44.0, 46.0, None, 0.1, "green")
+    store.view("retired", (), "T").put("predictions", [(begin + n, *row) for n in range(60)])
+    assert store.close()
+    with served(tmp_path) as gateway:
+        status, answered = Client(gateway.port).ask("GET", "/api/scorecard?machine=retired&temperature=T")
+        assert status == 200
+        card = answered["weeks"][0]["card"]
+        assert (card["one_step"]["count"], card["one_step"]["mae"], card["by_start"]) == (60, 0.5, [])
 
 
 def test_over_tls_the_cookie_is_secure_and_browsers_stay_with_it(tmp_path: Path) -> None:

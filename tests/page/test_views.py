@@ -14,6 +14,7 @@ from gateway.outside.status import read_status
 from gateway.outside.status.health import CHECKS
 from gateway.outside.texts import LANGUAGES, all_words, preferred_language
 from gateway.outside.web import machine_view
+from gateway.outside.web.views import duration
 from gateway.settings import ALARM_KINDS, parse_kind
 from sim.lab.discrepancy.fitting import catalogue
 from sim.phrase import Phrase
@@ -23,6 +24,27 @@ from tests.page.served import page_views
 
 WORDS = all_words()
 LABELS = {TEMPERATURE: "gearbox bearing", "decanter": "Decanter 2"}
+BY_WHOM = {
+    "olga at 127.0.0.1": "olga an 127.0.0.1",
+    "olga at home at fe80::1": "olga at home an fe80::1",
+    "Anna at the door": "Anna at the door",
+    "anna": "anna",
+    "": "",
+}
+"""Who did something, on record -> in German, in a mail as on the page."""
+DURATIONS = {
+    -3000.0: "–",
+    0.0: "0,0 s",
+    9.9: "9,9 s",
+    119.0: "119 s",
+    120.0: "2 min",
+    7199.0: "120 min",
+    7200.0: "2,0 h",
+    172_799.0: "48,0 h",
+    172_800.0: "2,0 d",
+    864_000.0: "10,0 d",
+}
+"""Seconds -> in German, in a mail as on the page."""
 
 
 def row(language: str = "en", **changes: Any) -> dict[str, Any]:
@@ -251,3 +273,8 @@ def test_a_phrase_is_filled_in_every_language_with_its_own_decimal_sign() -> Non
     inner = Phrase("late", it="tardi", de="spät")
     said = Phrase("{what} by {s} s", it="{what} di {s} s", de="{what} um {s} s").fill(what=inner, s="1.5")
     assert (str(said), said.it, said.de) == ("late by 1.5 s", "tardi di 1,5 s", "spät um 1,5 s")
+
+
+def test_a_mail_says_who_and_for_how_long_as_the_page_does() -> None:
+    assert {who: WORDS["de"].by_whom(who) for who in BY_WHOM} == BY_WHOM
+    assert {seconds: duration(WORDS["de"], seconds) for seconds in DURATIONS} == DURATIONS

@@ -28,9 +28,9 @@ class Words:
         return self.texts.get(key.replace(" ", "_"), key.partition(".")[2])
 
     def by_whom(self, who: str) -> str:
-        """Who did something, a name and the address that it was done from."""
-        name, at, place = who.rpartition(" at ")
-        return self.say("word.by_at", name=name, place=place) if at else who
+        """Who did something, a name and the address that it was done from: one word behind the last `at`."""
+        found = re.fullmatch(r"(.*) at (\S+)", who)
+        return self.say("word.by_at", name=found[1], place=found[2]) if found else who
 
     def number(self, value: float, digits: int) -> str:
         """A number as this language writes it: the decimal sign is its own."""

@@ -369,10 +369,18 @@ async def _mail_shift(call: Call) -> Any:
 
 async def _scorecard(call: Call) -> Any:
     g = call.given
-    reply = await call.page.calls.ask("model", machine=g.machine)
-    model = reply["temperatures"].get(g.temperature) or {"locations": []}
-    runs = {place["name"]: place["runs"] for place in model["locations"] if place["runs"] is not None}
-    return await call.page.reader.scorecard(g.machine, g.temperature, g.weeks, runs)
+    return await call.page.reader.scorecard(g.machine, g.temperature, g.weeks, await _known_locations(call))
+
+
+async def _known_locations(call: Call) -> dict[str, bool | None]:
+    """Of each location of the model that runs whether the machine runs in it (None: either); none where that cannot be
+    asked now: what is on record can be scored without it."""
+    try:
+        reply = await call.page.calls.ask("model", machine=call.given.machine)
+    except ControlError:
+        return {}
+    model = reply["temperatures"].get(call.given.temperature) or {"locations": []}
+    return {place["name"]: place["runs"] for place in model["locations"]}
 
 
 async def _model(call: Call) -> Any:

@@ -140,7 +140,7 @@ class HistorianReader:
         """See `gateway.outside.web.readings.rates_of_alarms`."""
         return await self._slow.ask("rates", days=days)
 
-    async def scorecard(self, machine: str, temperature: str, weeks: int, runs: Mapping[str, bool]) -> bytes:
+    async def scorecard(self, machine: str, temperature: str, weeks: int, runs: Mapping[str, bool | None]) -> bytes:
         """See `gateway.outside.web.readings.scores_by_week`."""
         asked = {"machine": machine, "temperature": temperature, "weeks": weeks}
         return await self._slow.ask("scorecard", **asked, runs=runs)

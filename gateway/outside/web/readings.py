@@ -190,7 +190,7 @@ def rates_of_alarms(path: Path, *, days: float) -> dict[str, Any]:
 
 
 def scores_by_week(
-    path: Path, *, machine: str, temperature: str, weeks: int, runs: Mapping[str, bool]
+    path: Path, *, machine: str, temperature: str, weeks: int, runs: Mapping[str, bool | None]
 ) -> dict[str, Any]:
     """The scorecard of each of the last `weeks` in which there are scans, the newest first, which ends with the newest
     scan; beside it what came of the warnings. `runs` as of `scorecard`. Raises HistorianError.

@@ -326,7 +326,15 @@ def _minutes(words: Words, minutes: float) -> str:
 
 
 def duration(words: Words, seconds: float) -> str:
-    """Seconds as a person says them: in minutes or hours once they are many."""
+    """Seconds as a person says them, as the page does: in minutes, hours or days once they are many.
+
+    What is to come, by a clock that was set back, has no age.
+    """
+    if seconds < 0.0:
+        return "–"
     if seconds < 120.0:
         return f"{words.number(seconds, 1 if seconds < 10.0 else 0)} s"
-    return f"{words.number(seconds / 60.0, 0)} min" if seconds < 7200.0 else f"{words.number(seconds / 3600.0, 1)} h"
+    if seconds < 7200.0:
+        return f"{words.number(seconds / 60.0, 0)} min"
+    hours = seconds / 3600.0
+    return f"{words.number(hours, 1)} h" if hours < 48.0 else f"{words.number(hours / 24.0, 1)} d"

@@ -294,9 +294,16 @@ function saveVector() {
   const text = (at, high, said, more = {}) => s("text", { x: at, y: high, fill: INK, ...more }, said);
   const points = (column) => times.map((time, place) => [time, columns[column][place]]).filter(([, value]) => value !== undefined);
   const path = (column) => points(column).map(([time, value], place, all) => (value === null ? "" : `${place && all[place - 1][1] !== null ? "L" : "M"}${x(time)} ${y(value, lines[column].scale)}`)).join("");
+  // A band ends where its lines do: it has a polygon for each stretch. Its opacity is told apart, which editors ask for.
   const band = ({ series: [high, low], fill }) => {
-    const ends = [high - 1, low - 1].map((column) => points(column).filter(([, value]) => value !== null).map(([time, value]) => `${x(time)},${y(value, lines[column].scale)}`));
-    return s("polygon", { points: [...ends[0], ...ends[1].reverse()].join(" "), fill: fill.slice(0, 7), "fill-opacity": 0.18 });
+    const stretches = [[]], colour = fill(drawn);
+    times.forEach((time, place) => {
+      const ends = [high, low].map((line) => columns[line - 1][place]);
+      if (ends.includes(null)) stretches.push([]);
+      else if (!ends.includes(undefined)) stretches.at(-1).push(ends.map((value) => `${x(time)},${y(value, lines[high - 1].scale)}`));
+    });
+    return stretches.filter(({ length }) => length > 1).map((rows) => s("polygon", {
+      points: [...rows.map(([top]) => top), ...rows.map(([, bottom]) => bottom).reverse()].join(" "), fill: colour.slice(0, 7), "fill-opacity": (parseInt(colour.slice(7), 16) / 255).toFixed(2) }));
   };
   const [, ...scales] = drawn.axes, named = lines.filter((line) => line.width);
   const limits = look.data.limits.map((limit, at) => limit !== undefined && s("g", {}, s("line", { x1: left, x2: left + width, y1: y(limit, scaleOf(at)), y2: y(limit, scaleOf(at)), stroke: LIMIT, "stroke-dasharray": "3 3" }),
