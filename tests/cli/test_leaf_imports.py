@@ -61,7 +61,8 @@ STEPS: tuple[tuple[frozenset[str], str], ...] = (
     (
         frozenset(),
         """demo emulate docs completion keep plc-check machine alarm historian user model-learn model-judge
-        model-version alarm-acknowledge alarm-shelve alarm-unshelve alarm-remove-from-service alarm-return alarm-reset""",
+        model-version alarm-acknowledge alarm-shelve alarm-unshelve alarm-remove-from-service
+        alarm-return alarm-reset""",
     ),
     (frozenset({"pydantic"}), "plc-codegen historian-export historian-query historian-tables trace-can"),
     (

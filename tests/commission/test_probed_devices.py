@@ -182,25 +182,13 @@ async def test_a_connection_that_fails_confirms_no_habit(
     assert "failed (refused: it serves one client)" in told["sentence"] and "nothing is set" in told["sentence"]
 
 
-async def test_the_first_answer_is_timed_without_the_pauses_before_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    now, refusals = 0.0, iter([11, 10, 2])
-
-    class Late(Scripted):
-        async def read(self, *place: object) -> ReadWords:
-            nonlocal now
-            now += 0.02
-            if code := next(refusals, 0):
-                raise DeviceException(code, "refused")
-            return await super().read(*place)
-
-    async def sleep(seconds: float) -> None:
-        nonlocal now
-        now += seconds
+async def test_a_first_refusal_took_what_the_survey_says(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Refusing(Scripted):
+        async def read(self, *_: object) -> ReadWords:
+            raise DeviceException(2, "refused")
 
     monkeypatch.setattr(probe, "mention_gateway", lambda site: None)
-    monkeypatch.setattr(probe, "asyncio", SimpleNamespace(sleep=sleep))
-    monkeypatch.setattr(probe, "time", SimpleNamespace(monotonic=lambda: now))
-    result = await probe.probe_device(cast(Any, Late(0.0)))
+    result = await probe.probe_device(cast(Any, Refusing(0.02)))
     told = next(step["sentence"] for step in result.data["steps"] if step["step"] == "modbus")
     assert told == "unit 1 answers in 20.0 ms, with a refusal: refused"
 

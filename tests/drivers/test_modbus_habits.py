@@ -4,16 +4,20 @@ import asyncio
 import random
 import re
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 from drivers.device_file import DeviceFile, TagTable
 from drivers.errors import DeviceException, LinkDown, NotAsked, ReplyTimeout, WriteUnverified
+from drivers.modbus import survey as survey_module
 from drivers.modbus.driver import ModbusDriver, open_modbus
 from drivers.modbus.settings import ModbusSettings
 from drivers.modbus.survey import open_survey
+from drivers.modbus.wire import WireReply
 from drivers.tag import Quality
 from tests.rig.device_habits import HABITS, PAGE, PTY, DeviceHabit, page
 from tests.rig.habit_wires import TAGS, WALKED, Habit, Together, draw_habits, driven, served
@@ -114,6 +118,34 @@ async def test_a_gateways_word_is_believed_by_hand_when_it_is_the_third() -> Non
         assert {raw.sample.quality for raw in await survey.tags(TAGS)} == {Quality.NO_COMMUNICATION}
     # A reading as the gateway has it, one question thrice, and another reading.
     assert len(habit.requests) == 5
+
+
+@pytest.mark.parametrize("refused", [False, True])
+async def test_the_first_answer_is_timed_without_the_pauses_before_it(
+    refused: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now, pauses = 0.0, []
+
+    async def sleep(seconds: float) -> None:
+        nonlocal now
+        now += seconds
+        pauses.append(seconds)
+
+    async def answer(*_: object, **__: object) -> WireReply:
+        nonlocal now
+        now += 0.02
+        if len(pauses) < 2 or refused:
+            raise DeviceException((11, 10, 2)[len(pauses)], "refused")
+        return WireReply((0,), now - 0.02, now)
+
+    monkeypatch.setattr(survey_module, "asyncio", SimpleNamespace(sleep=sleep))
+    monkeypatch.setattr(survey_module, "_now", lambda: now)
+    async with served(Habit()) as settings, open_survey(settings, clock=lambda: 0.0) as survey:
+        monkeypatch.setattr(survey.driver, "by_hand", answer)
+        with pytest.raises(DeviceException, match="refused") if refused else nullcontext():
+            await survey.read("holding", 0, 1)
+        assert pauses == [0.1, 0.3]
+        assert survey.statistics()["seconds_to_first"] == pytest.approx(0.02)
 
 
 async def test_a_gateways_word_on_one_unit_among_several_is_the_answer() -> None:
