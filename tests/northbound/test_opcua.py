@@ -18,7 +18,7 @@ from gateway.machine.reading import plant_clock
 from gateway.network.certificates import make_all, make_application
 from gateway.outside.northbound import check_northbound, northbound
 from gateway.outside.northbound.opcua import GatewayServer, Nothing, OpcUaServer, ReadingOnly
-from gateway.outside.northbound.opcua_history import recorded_points
+from gateway.outside.northbound.opcua_history import HistorianHistory, recorded_points
 from gateway.outside.northbound.opcua_points import OpcUaPoint, status_points
 from gateway.outside.status import read_status
 from gateway.plant.app import run
@@ -27,6 +27,7 @@ from gateway.store import samples
 from tests.cli.support import decanter, refused
 from tests.gateway.status_picture import picture, tag
 from tests.gateway.support import CURRENT, RUNNING, TEMPERATURE, Bench, config_in, plant_file, two_modes
+from tests.northbound import rig
 from tests.northbound.rig import Plant
 from tests.rig.servers import answers, free_port
 
@@ -354,6 +355,30 @@ def test_the_past_is_read_piece_by_piece_over_a_gap_both_ways(plant: Plant) -> N
     assert given(None, None) == stored == given(None, None, backwards=True)[::-1]
     # Both ends are part of what is asked for.
     assert given(stored[5][0], stored[310][0]) == stored[5:311]
+
+
+@pytest.mark.parametrize("fraction", [0.1234563, 0.1234567])
+async def test_a_reading_is_found_by_the_time_that_a_client_was_given(
+    fraction: float, plant: Plant, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The client's time is a whole microsecond, which lies before or behind the recorded one."""
+    monkeypatch.setattr(rig, "EPOCH", rig.EPOCH + fraction)
+    plant.scan(30)
+    point = OpcUaPoint(
+        path=("one", "Measured", "T"), kind="double", value=0.0, quality=Quality.GOOD, time=0.0, recorded=True
+    )
+    history, node = HistorianHistory(plant.store.path, lambda _: point), ua.NodeId("one/Measured/T", 2)
+    every = [value.SourceTimestamp for value in (await history.read_node_history(node, None, None, 0))[0]]
+    for time in every[:5]:
+        for start, end in ((time, None), (None, time), (time, time)):
+            (found, *_), _next = await history.read_node_history(node, start, end, 1)
+            assert found.SourceTimestamp == time
+    # Page by page, as the continuation points say: none twice, none left out.
+    paged, start = [], every[0]
+    while start is not None:
+        rows, start = await history.read_node_history(node, start, every[-1], 7)
+        paged += [row.SourceTimestamp for row in rows]
+    assert len(every) > 10 and paged == every
 
 
 @pytest.mark.parametrize(

@@ -20,6 +20,8 @@ MOST_VALUES = 10_000
 """Values in one answer; a client goes on by the continuation point."""
 FIRST_WINDOW, LONGEST_WINDOW = 3600.0, 30 * 86_400.0
 """Seconds of the record that are read at a time: doubled while there is nothing, so that gaps cost little."""
+TIME_RESOLUTION_S = 1e-6
+"""A client is given times in whole microseconds, and asks by them for what is on record at finer ones."""
 
 VARIANT_TYPES: Mapping[PointType, ua.VariantType] = {
     "double": ua.VariantType.Double,
@@ -56,6 +58,8 @@ class HistorianHistory(HistoryStorageInterface):  # type: ignore[misc]
         first, last = _seconds(start), _seconds(end)
         backwards = first is None or (last is not None and last < first)
         low, high = (last, first) if backwards and first is not None else (first, last)
+        low = None if low is None else low - TIME_RESOLUTION_S
+        high = None if high is None else high + TIME_RESOLUTION_S
         most = min(nb_values or MOST_VALUES, MOST_VALUES)
 
         def read() -> list[OpcUaPoint]:

@@ -230,7 +230,7 @@ def _parse(text: str) -> Any:
     return json.loads(text, parse_float=str, parse_int=str)
 
 
-class _NamelessLists(Exception):
+class _NamelessLists(TraceError):
     """Lists of readings that nothing tells apart."""
 
 
