@@ -141,6 +141,14 @@ def test_lists_of_readings_of_several_machines_are_theirs_and_nameless_ones_are_
     assert len(mapped(export, tmp_path / "o.toml")[0]) == 2
 
 
+def test_a_row_with_more_cells_than_its_json_names_columns_is_refused(tmp_path: Path) -> None:
+    document = json.loads(columns("split"))
+    document["data"][6] = [*document["data"][6], 9.0]
+    export = tmp_path / "e.json"
+    export.write_text(json.dumps(document), encoding="utf-8")
+    assert "row 7 of its JSON has" in asked(export, tmp_path / "m.toml")
+
+
 def test_a_csv_is_one_below_a_line_of_json_and_under_the_name_of_json(tmp_path: Path) -> None:
     plain = wide(tmp_path / "a.csv").read_text(encoding="utf-8")
     for name, head in (("b.csv", '{"device": "X1", "serial": 12}\n'), ("c.json", "")):

@@ -213,9 +213,10 @@ def _objects(path: Path) -> Iterator[Mapping[str, str] | str]:
             except ValueError as error:
                 raise TraceError(f"{path}: its JSON breaks off or is none ({error}); give the whole file") from None
             try:
-                yield from map(_flatten, _collect_rows(document))
-            except _NamelessLists as error:
-                raise TraceError(f"{path}: {error}; give each its name, or a CSV") from None
+                found_rows = _collect_rows(document)
+            except TraceError as error:
+                raise TraceError(f"{path}: {error}") from None
+            yield from map(_flatten, found_rows)
             return
         for line in filter(str.strip, lines):
             try:
@@ -230,12 +231,11 @@ def _parse(text: str) -> Any:
     return json.loads(text, parse_float=str, parse_int=str)
 
 
-class _NamelessLists(TraceError):
-    """Lists of readings that nothing tells apart."""
-
-
 def _collect_rows(document: Any) -> list[dict[str, Any]]:
-    """The objects of a document: of its lists, each with what names it if there are several; of its columns."""
+    """The objects of a document: of its lists, each with what names it if there are several; of its columns.
+
+    Raises TraceError, without the file's name, where it cannot be told what a reading is of.
+    """
     if isinstance(document, list):
         holders = [each for each in document if _holds_rows(each)]
         own = [_collect_rows(each) for each in holders]
@@ -243,7 +243,10 @@ def _collect_rows(document: Any) -> list[dict[str, Any]]:
         if len(holders) > 1 and not all(names):
             keys = {key for rows in own for row in rows if isinstance(row, dict) for key in row}
             if (len(keys) == 2 and "value" in keys) or _as_readings(own) != own:
-                raise _NamelessLists("its JSON has lists of one reading a time, and no name tells them apart")
+                raise TraceError(
+                    "its JSON has lists of one reading a time, and no name tells them apart; give each its name, "
+                    "or a CSV"
+                )
         elif len(holders) > 1:
             own = [[{**name, **one} for one in rows] for name, rows in zip(names, _as_readings(own), strict=True)]
         found = iter(own)
@@ -251,8 +254,11 @@ def _collect_rows(document: Any) -> list[dict[str, Any]]:
     if not isinstance(document, dict):
         return []
     if _is_table(document):
-        rows = document["data"] if "data" in document else document["values"]
-        return [dict(zip(map(str, document["columns"]), row, strict=False)) for row in rows]
+        rows, names = document["data"] if "data" in document else document["values"], document["columns"]
+        for number, row in enumerate(rows, 1):
+            if len(row) > len(names):
+                raise TraceError(f"row {number} of its JSON has {len(row)} cells, and it names {len(names)} columns")
+        return [dict(zip(map(str, names), row, strict=False)) for row in rows]
     columns = [list(each.values()) if isinstance(each, dict) else each for each in document.values()]
     plain = len(columns) > 1 and all(
         isinstance(each, list) and not _is_objects(each) and not any(map(_is_objects, each[:1])) for each in columns
