@@ -20,7 +20,11 @@ from tests.plc.bench import DECANTER, PATIENCE_S, ROOT, Process, running, wait_u
 
 pytestmark = pytest.mark.usefixtures("patient_disk")
 
-HELD_BACK = r"has not taken its row within|its readings are .* s old|WritePermit was read|it waited .* to be sent"
+HELD_BACK = (
+    r"has not taken its row within|its readings are .* s old|WritePermit was read|it waited .* to be sent|"
+    r"blocks a second|it was disarmed meanwhile|is not known: "
+)
+"""What a block may be refused for that a busy machine sends too late, too close after another, or by a late scan."""
 MINE = ("plc codegen", "plc check plan", "arm", "disarm", "plc check write", "audit", "plc report")
 
 
@@ -186,7 +190,8 @@ def test_a_gateway_that_runs_is_armed_and_disarmed_through_its_socket(
     # What a busy machine is too late for is held back, and that is on record too.
     late = [row for row in rows if row.kind == "write refused" and re.search(HELD_BACK, row.reason)]
     kinds = [row.kind for row in rows if row not in late]
-    assert kinds[0] == "armed" and kinds[-1] == "disarmed" and set(kinds) == {"armed", "confirmed", "write", "disarmed"}
+    assert kinds[0] == "armed" and kinds[-1] == "disarmed", rows
+    assert set(kinds) == {"armed", "confirmed", "write", "disarmed"}, [(row.kind, row.reason) for row in rows]
 
 
 def _writes(folder: Path) -> dict[str, Any] | None:
