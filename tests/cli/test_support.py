@@ -19,7 +19,7 @@ from gateway.network.certificates import make_all
 from gateway.outside.web.access import AccountRole, add_account
 from gateway.plant.app import run
 from gateway.plant.log import open_log
-from tests.gateway.support import MAP, TEMPERATURE, Bench, JumpClock, load_config, plant_file
+from tests.gateway.support import MAP, TEMPERATURE, Bench, PacedClock, load_config, plant_file
 
 SMTP, TOKEN, HOOK = (
     'Geh=eim &7/"ß',
@@ -140,7 +140,7 @@ def bundle_of(path: Path) -> tuple[Mapping[str, str], str]:
 async def test_of_a_gateway_that_runs_all_is_there_and_no_secret(tmp_path: Path) -> None:
     path = made(tmp_path)
     config = load_config(path)
-    bench = Bench(config, JumpClock())
+    bench = Bench(config, PacedClock())
     work = asyncio.create_task(run(config, clock=bench.clock, stop=bench.stop, driver=bench))
     async with asyncio.timeout(120.0):
         while bench.reads < 20:

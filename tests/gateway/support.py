@@ -38,6 +38,15 @@ class JumpClock:
         self.time = max(self.time, moment)
 
 
+class PacedClock(JumpClock):
+    """Leaves real time before each jump: whoever speaks to the gateway meanwhile takes real time, and would find the
+    hour of an arming over on a busy machine."""
+
+    async def sleep_until(self, moment: float, stop: asyncio.Event | None = None) -> None:
+        await asyncio.sleep(0.02)
+        await super().sleep_until(moment, stop)
+
+
 def one_machine(path: Path, tags: Iterable[Tag] = (), **options: Any) -> tuple[Historian, HistorianView]:
     """The historian of a gateway with one machine: what is opened and closed, and the machine's view of it."""
     store = open_historian(path, **options)

@@ -18,7 +18,7 @@ from gateway.plant.app import run
 from gateway.settings.config import Config, load_config
 from gateway.store.arming_rows import find_arming
 from gateway.store.audit import ARMED, CONFIRMED, DISARMED, EXPIRED, AuditEntry, open_audit, read, verify
-from tests.gateway.support import EPOCH, Bench, JumpClock, config_in, plant_file, scan_of, two_modes
+from tests.gateway.support import EPOCH, Bench, JumpClock, PacedClock, config_in, plant_file, scan_of, two_modes
 from tests.gateway.test_writeback import CLOCK, USABLE, Wire, armed, scan
 
 SHADOW = '[writeback]\nmode = "shadow"\n'
@@ -198,7 +198,7 @@ async def until(true: Callable[[], bool]) -> None:
 
 async def test_a_gateway_in_shadow_is_armed_and_disarmed_over_its_socket(tmp_path: Path) -> None:
     config = config_in(tmp_path, SHADOW, model=two_modes())
-    bench = bench_of(config)
+    bench = bench_of(config, PacedClock())
 
     async def meanwhile(bench: Bench) -> None:
         await until(lambda: bench.reads > 5)
@@ -277,7 +277,7 @@ async def test_a_reload_that_sets_the_mode_off_ends_the_arming(tmp_path: Path) -
         assert bench.written[-1]["validity"] == 0
         bench.stop.set()
 
-    await go(config, bench_of(config), 1_000_000, meanwhile)
+    await go(config, bench_of(config, PacedClock()), 1_000_000, meanwhile)
     assert modes == ["off", "shadow"]
     assert [row.entry.kind for row in read(config.audit) if row.entry.kind in (ARMED, EXPIRED)] == [ARMED, EXPIRED]
 

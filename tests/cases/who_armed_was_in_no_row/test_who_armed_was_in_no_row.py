@@ -11,7 +11,7 @@ from gateway.cli.main import main
 from gateway.outside.status import connect
 from gateway.plant.app import run
 from gateway.store import ARMED, DISARMED, read
-from tests.gateway.support import TEMPERATURE, Bench, JumpClock, config_in, two_modes
+from tests.gateway.support import TEMPERATURE, Bench, PacedClock, config_in, two_modes
 
 SHADOW = '[writeback]\nmode = "shadow"\n'
 
@@ -43,7 +43,7 @@ def forged(socket: Path) -> None:
 
 async def test_a_row_of_what_a_person_does_names_user_and_process_whatever_the_request_says(tmp_path: Path) -> None:
     config = config_in(tmp_path, SHADOW, model=two_modes())
-    clock = JumpClock()
+    clock = PacedClock()
     bench = Bench(config, clock, armed=True)
     running = asyncio.create_task(run(config, clock=clock, stop=bench.stop, driver=bench))
     try:
