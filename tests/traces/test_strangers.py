@@ -141,12 +141,15 @@ def test_lists_of_readings_of_several_machines_are_theirs_and_nameless_ones_are_
     assert len(mapped(export, tmp_path / "o.toml")[0]) == 2
 
 
-def test_a_row_with_more_cells_than_its_json_names_columns_is_refused(tmp_path: Path) -> None:
+@pytest.mark.parametrize("more", [1, -1])
+def test_a_row_of_other_than_a_cell_for_each_column_that_its_json_names_is_refused(more: int, tmp_path: Path) -> None:
     document = json.loads(columns("split"))
-    document["data"][6] = [*document["data"][6], 9.0]
+    width = len(document["columns"])
+    document["data"][6] = [*document["data"][6], 9.0][: width + more]
     export = tmp_path / "e.json"
     export.write_text(json.dumps(document), encoding="utf-8")
-    assert "row 7 of its JSON has" in asked(export, tmp_path / "m.toml")
+    said = asked(export, tmp_path / "m.toml")
+    assert f"row 7 of its JSON has {width + more} cells, and it names {width} columns" in said
 
 
 def test_a_csv_is_one_below_a_line_of_json_and_under_the_name_of_json(tmp_path: Path) -> None:

@@ -256,9 +256,12 @@ def _collect_rows(document: Any) -> list[dict[str, Any]]:
     if _is_table(document):
         rows, names = document["data"] if "data" in document else document["values"], document["columns"]
         for number, row in enumerate(rows, 1):
-            if len(row) > len(names):
-                raise TraceError(f"row {number} of its JSON has {len(row)} cells, and it names {len(names)} columns")
-        return [dict(zip(map(str, names), row, strict=False)) for row in rows]
+            if len(row) != len(names):
+                raise TraceError(
+                    f"row {number} of its JSON has {len(row)} cells, and it names {len(names)} columns; give each row "
+                    "a cell for each of them, null where there is none"
+                )
+        return [dict(zip(map(str, names), row, strict=True)) for row in rows]
     columns = [list(each.values()) if isinstance(each, dict) else each for each in document.values()]
     plain = len(columns) > 1 and all(
         isinstance(each, list) and not _is_objects(each) and not any(map(_is_objects, each[:1])) for each in columns
