@@ -39,8 +39,8 @@ class JumpClock:
 
 
 class PacedClock(JumpClock):
-    """Leaves real time before each jump: whoever speaks to the gateway meanwhile takes real time, and would find the
-    hour of an arming over on a busy machine."""
+    """Leaves real time before each jump, for what takes real time meanwhile: a forecast's thread, and a person at the
+    gateway's socket, who would find the arming over on a busy machine."""
 
     async def sleep_until(self, moment: float, stop: asyncio.Event | None = None) -> None:
         await asyncio.sleep(0.02)

@@ -170,14 +170,6 @@ def bench_of(config: Config, clock: JumpClock | None = None) -> Bench:
     return Bench(config, clock or JumpClock(), armed=True)
 
 
-class Unhurried(Bench):
-    """Leaves real time between scans, so that a forecast's thread keeps up with a clock that jumps."""
-
-    async def read(self, tags: Any) -> Any:
-        await asyncio.sleep(0.02)
-        return await super().read(tags)
-
-
 async def asked(config: Config, command: str, **keys: Any) -> dict[str, Any]:
     def ask() -> dict[str, Any]:
         line = connect(config.control_socket, 120.0)
@@ -301,7 +293,7 @@ async def test_what_was_disarmed_by_hand_stays_so_over_a_restart_until_it_is_sig
 async def test_a_bad_or_stale_input_clears_validity(tmp_path: Path, fault: dict[str, Value | None]) -> None:
     config = config_in(tmp_path, SHADOW, model=two_modes(), forecast__runs=20)
     arm_in_log(config.audit, sign_arming("Ada", "x", 60, EPOCH), EPOCH)
-    bench = Unhurried(config, JumpClock(), armed=True)
+    bench = bench_of(config, PacedClock())
     bench.plan = {0: {"MarciaDecanter": True, "Assorbimento": 150.0}, 60: fault, 61: {"fault": None}}
     status = await go(config, bench, 64)
     usable = [bool(block["validity"] & 1) for block in bench.written]  # type: ignore[operator]
@@ -311,7 +303,7 @@ async def test_a_bad_or_stale_input_clears_validity(tmp_path: Path, fault: dict[
 async def test_an_input_out_of_the_models_distribution_clears_validity_and_the_zone_says_red(tmp_path: Path) -> None:
     config = config_in(tmp_path, SHADOW, model=two_modes(), forecast__runs=20)
     arm_in_log(config.audit, sign_arming("Ada", "x", 60, EPOCH), EPOCH)
-    bench = Unhurried(config, JumpClock(), armed=True)
+    bench = bench_of(config, PacedClock())
     bench.plan = {0: {"MarciaDecanter": False}} | {
         number: {"TCuscinettiRiduttore": 25.0 + (number % 2) * 4.0} for number in range(80, 130)
     }
