@@ -25,6 +25,7 @@ if TYPE_CHECKING:
         join_days,
         longest_rising_rows,
         read_clock,
+        spoken_seconds,
         to_utc,
         unroll_midnight,
     )

@@ -76,7 +76,8 @@ def _with_long_times(seconds: Array, cells: Sequence[str], formats: Sequence[str
     long = seconds.copy()
     # No format reads them, or as a midnight.
     for row in np.flatnonzero(np.isnan(seconds) | (seconds == 0)).tolist():
-        if (known := elapsed_seconds(cells[row], minutes=formats == (ELAPSED_MINUTES,))) is not None:
+        known = elapsed_seconds(cells[row], minutes=formats == (ELAPSED_MINUTES,))
+        if known is not None or (known := spoken_seconds(cells[row])) is not None:
             long[row] = known
     # One that is far from what stands before and after it is a time of day that was damaged.
     rows = np.flatnonzero(np.isfinite(long))
@@ -107,6 +108,25 @@ def elapsed_seconds(cell: str, *, minutes: bool = False) -> float | None:
     if second >= 60 or (least >= 60 and not minutes) or (match[1] and hours >= 24):
         return None
     return days * _DAY_S + hours * 3600.0 + least * 60.0 + second if minutes or match[1] or hours >= 24 else None
+
+
+_SPOKEN = re.compile(
+    r"(?:TIME#|T#|PT?(?=\d))?(?:(\d+(?:[.,]\d+)?) ?d(?:ays?)?[ ,_T]*)?(?:(\d+(?:[.,]\d+)?) ?h(?:(?:ou)?rs?)?[ ,_]*)?"
+    r"(?:(\d+(?:[.,]\d+)?) ?m(?:in(?:ute)?s?)?[ ,_]*)?(?:(\d+(?:[.,]\d+)?) ?s(?:ec(?:ond)?s?)?[ ,_]*)?"
+    r"(?:(\d+(?:[.,]\d+)?) ?ms)?",
+    re.IGNORECASE,
+)
+"""10 sec, 1 hr 2 min, PT1M10S, a controller's T#1m10s0ms: days, hours, minutes, seconds, thousandths."""
+_SPOKEN_S = (_DAY_S, 3600.0, 60.0, 1.0, 0.001)
+
+
+def spoken_seconds(cell: str) -> float | None:
+    """Seconds of an elapsed time whose parts say their units; None for any other cell."""
+    match = _SPOKEN.fullmatch(cell)
+    if match is None or not any(match.groups()):
+        return None
+    parts = [float((part or "0").replace(",", ".")) for part in match.groups()]
+    return sum(part * size for part, size in zip(parts, _SPOKEN_S, strict=True))
 
 
 def join_days(days: Sequence[str], times: Sequence[str]) -> list[str]:

@@ -25,7 +25,7 @@ _SMALL_WORDS = (
     "lun mer gio ven sab dom lunedì martedì mercoledì giovedì venerdì sabato domenica",
     "jeu sam dim lundi mardi mercredi jeudi vendredi samedi dimanche",
     "mié mie jue vie sáb lunes martes miércoles jueves viernes sábado domingo",
-    "uhr at um alle ore à le il de del of am",
+    "uhr at um alle ore à le il de del of am klo kl ob godz",
 )
 """Days of the week and small words, which the date says again. `am` is German here: after digits it halves a day."""
 _DROPPED = frozenset(word for words in _SMALL_WORDS for word in words.split())
@@ -47,6 +47,16 @@ _FRAME = re.compile(r"^(?:\[|DT#|DATE_AND_TIME#)|\]$")
 _HOURS = re.compile(r"(?<!\d)(\d\d?) ?h ?(\d\d)(?: ?(?:min|m|:) ?(\d\d) ?s?|(?: ?(?:min|m))?(?![\d:]))", re.IGNORECASE)
 """21h17, 21h17m00s."""
 _HALF_BEFORE = re.compile(r"(?:(上午|午前|오전)|下午|午後|오후)\s*(\d[\d:.]*)")
+_LOCAL_HALVES = {
+    "π.μ.": "AM", "πμ": "AM", "μ.μ.": "PM", "μμ": "PM", "ص": "AM", "م": "PM", "f.m.": "AM", "fm": "AM", "e.m.": "PM",
+    "em": "PM", "öö": "AM", "ös": "PM", "dop.": "AM", "odp.": "PM", "vorm.": "AM", "nachm.": "PM", "de.": "AM",
+    "du.": "PM",
+}  # fmt: skip
+"""Halves of the day in Greek, Arabic, Swedish, Turkish, Czech, German and Hungarian, the last before its time."""
+_HALF_BEHIND = re.compile(rf"(?<=\d)\s*({'|'.join(map(re.escape, _LOCAL_HALVES))})$", re.IGNORECASE)
+_HALF_IN_FRONT = re.compile(r"\b(d[eu]\.)\s*(\d\d?:[\d:.]*\d)$", re.IGNORECASE)
+_SPACED_DATE = re.compile(r"^(\d{1,4})\. ?(\d\d?)\. ?(\d{1,4})\.?(?=\s|$)")
+"""13. 3. 2024 and 2024. 03. 13., as Czech and Hungarian programs write them."""
 _NEEDLESS_HALF = re.compile(r"(?<= )(0?0(?=[:\d.,]+ A)|(?:1[3-9]|2[0-3])(?=[:\d.,]+ P))(:[\d:.,]+) [AP]M\b")
 """AM or PM behind an hour of 24, as Niagara writes it; one that contradicts its hour is read as nothing."""
 _WORD = re.compile(r"[^\W\d_]{2,}\.?|\bà\b")
@@ -61,6 +71,9 @@ def plain_time(text: str) -> str:
     "13. Mrz 2024 09:58:00" is "13 Mar 2024 09:58:00". A year behind the time comes before it.
     """
     text = _COUNTED_DATE.sub(r"\1-\2-\3", _WALL_ZONE.sub("", _FRAME.sub("", text.rstrip())))
+    text = _SPACED_DATE.sub(r"\1.\2.\3", text)
+    text = _HALF_IN_FRONT.sub(lambda match: f"{match[2]} {_LOCAL_HALVES[match[1].casefold()]}", text)
+    text = _HALF_BEHIND.sub(lambda match: f" {_LOCAL_HALVES[match[1].casefold()]}", text)
     text = _HOURS.sub(lambda match: ":".join(filter(None, match.groups())), text)
     text = _HALF_BEFORE.sub(lambda match: f"{match[2]} {'AM' if match[1] else 'PM'}", text)
     text = _ZONE.sub(lambda match: f" {_ZONES[match[1]]}", _NO_ZONE.sub("", _ASIDE.sub("", text.strip())))

@@ -22,6 +22,7 @@ from sim.lab.recordings import (
     plain_time,
     read_clock,
     since_1970,
+    spoken_seconds,
     unroll_midnight,
 )
 from sim.lab.recordings.mapping.words import named_time
@@ -276,6 +277,8 @@ def daily_clock(place: int, cells: Sequence[str], header: str) -> list[FoundCloc
     """A column of times of day of which no column says the day: they roll over at midnight, or are counted on."""
     first = next(filter(None, cells), "")
     formats = (ELAPSED_MINUTES,) if counts_minutes(header, first) else pure_time(first)[:1]
+    if spoken_seconds(first) is not None:
+        formats = ("%H:%M:%S",)
     times, _ = read_clock(ClockColumns(column="t", formats=formats), [cells], "auto")
     enough = np.isfinite(times).sum() >= _ENOUGH * sum(map(bool, cells))
     return [FoundClock(place, formats, "year", unroll_midnight(times))] if enough else []
@@ -386,6 +389,11 @@ def counted_clock(place: int, values: Array, header: str, *, named: bool) -> Fou
     times = COUNTS[format_].seconds(values)
     # So large an elapsed time is a count from a beginning that is not known.
     return None if since_1970(float(np.nanmin(times))) else FoundClock(place, (format_,), "year", times)
+
+
+def says_count_unit(header: str) -> bool:
+    """Whether a header says in which unit its times are counted."""
+    return any(word in _COUNT_UNITS for word in _WORDS.findall(header.casefold()))
 
 
 def _restarts_evenly(counts: Array) -> bool:

@@ -21,6 +21,7 @@ from sim.lab.recordings import (
     numbers,
     read_clock,
     since_1970,
+    spoken_seconds,
     unroll_midnight,
 )
 from sim.lab.recordings.mapping.answer_words import NO_COLUMN
@@ -38,6 +39,7 @@ from sim.lab.recordings.mapping.clocks import (
     looks_rounded_count,
     pure_date,
     pure_time,
+    says_count_unit,
     whole_day,
 )
 from sim.lab.recordings.mapping.columns import FoundColumn, dwells, find_decimal, has_levels, is_slow
@@ -130,6 +132,8 @@ def choose_clock(table: FoundTable, answers: Answers, *, now: float) -> FoundClo
         elif place in bare:
             day, sure[place] = _day_beside(table, place, days, bare[place])
             by_place[place] = bare_times_clocks(place, cells, (day, table.column(day)), bare[place])
+        elif named_time(header) and spoken_seconds(filled[0]) is not None:
+            by_place[place] = [] if days else daily_clock(place, cells, header)
         elif (place in spans and pure_time(filled[0])) or counts_minutes(header, filled[0]):
             # How long something took is no time of the day beside it.
             moves = any(len(set(table.column(at))) > 1 for at in days)
@@ -183,7 +187,36 @@ def choose_clock(table: FoundTable, answers: Answers, *, now: float) -> FoundClo
             f"{table.path}: the days of {table.header[chosen]!r} may stand in "
             f"{' or in '.join(repr(table.header[at]) for at in days)}: name that column 'Date', or export only that one"
         )
-    return _one_order(table, found[chosen], answers, now)
+    return _one_order(table, [_in_own_unit(table, clock, answers) for clock in found[chosen]], answers, now)
+
+
+def _in_own_unit(table: FoundTable, clock: FoundClock, answers: Answers) -> FoundClock:
+    """The clock in the unit that a person names. Raises Undecided for elapsed times of no unit that are hardly s."""
+    header = table.header[clock.place]
+    said = [text.rpartition("=")[2] for text in answers.unit if text.rpartition("=")[0] == header]
+    if said and said[-1] not in _ELAPSED_UNITS:
+        raise TraceError(f"{table.path}: --unit {header}={said[-1]}: a time is in one of {list_names(_ELAPSED_UNITS)}")
+    if said:
+        return replace(clock, formats=(_ELAPSED_UNITS[said[-1]],))
+    steps = np.abs(np.diff(clock.times))
+    usual = float(np.median(steps[steps > 0])) if np.any(steps > 0) else 0.0
+    plain = clock.formats == ("seconds",) and not since_1970(float(np.nanmin(clock.times)))
+    if not plain or says_count_unit(header) or usual < _HARDLY_S:
+        return clock
+    thousands = 1 if usual <= _HARDLY_S * 1e3 else 2 if usual <= _HARDLY_S * 1e6 else 3
+    choices = [f"{header}={unit}" for unit in list(_ELAPSED_UNITS)[: thousands + 1]]
+    raise Undecided(
+        table.path,
+        f"the times in {header!r} say no unit, and go on by {usual:g}",
+        "unit",
+        choices,
+        guess=choices[thousands],
+    )
+
+
+_ELAPSED_UNITS = {"s": "seconds", "ms": "milliseconds", "us": "microseconds", "ns": "nanoseconds"}
+_HARDLY_S = 3600.0
+"""s between rows from which on elapsed times without a unit may as well count thousandths."""
 
 
 def _has_days(table: FoundTable, place: int) -> bool:
@@ -653,11 +686,14 @@ def _check_load(where: object, running: FoundColumn, load: FoundColumn | None, a
     )
 
 
-def with_units(where: object, columns: Sequence[FoundColumn], answers: Answers) -> list[FoundColumn]:
-    """The columns in the units that a person names. Raises TraceError for what is none, or no column."""
+def with_units(where: object, columns: Sequence[FoundColumn], answers: Answers, clock: str) -> list[FoundColumn]:
+    """The columns in the units that a person names, but that of the `clock`. Raises TraceError for what is none, or no
+    column."""
     wanted: dict[str, str] = {}
     for text in answers.unit:
         name, mark, unit = text.rpartition("=")
+        if name == clock:
+            continue
         known = known_unit(unit)
         if not mark or not known or name not in (column.header for column in columns):
             raise TraceError(f"{where}: --unit {text}: give it as COLUMN=UNIT, such as 'Bearing temperature=K'")

@@ -158,7 +158,8 @@ def draft_map(path: Path, answers: Answers, names: Mapping[str, str] | None = No
         )
     columns, own, marks = _columns(table, clock, long, taken | set(quality.places), separate_times(table, rows, times))
     columns = [replace(column, name=names.get(column.header, column.name)) for column in columns]
-    columns = with_units(path, with_words(path, _number_equal_names(columns), own, answers), answers)
+    columns = with_words(path, _number_equal_names(columns), own, answers)
+    columns = with_units(path, columns, answers, table.header[clock.place])
     parts = choose_parts(path, columns, answers)
     columns = _without_unclear(path, columns, parts, marks, answers)
     check_temperature(path, columns, parts.temperature, answers)

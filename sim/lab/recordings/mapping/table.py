@@ -27,6 +27,7 @@ from sim.lab.recordings import (
     parse_quantity,
     read_head,
     rows_mark,
+    spoken_seconds,
     with_row_names,
 )
 from sim.lab.recordings.mapping.clocks import is_time, looks_rounded_count, pure_date, pure_time
@@ -288,6 +289,8 @@ def _is_data(row: Sequence[str]) -> bool:
     if len(row) < 2:
         return False
     if any(is_time(cell) or pure_date(cell) or pure_time(cell) or _is_dated(cell) for cell in row):
+        return True
+    if spoken_seconds(row[0]) is not None and any(map(_numeric, row[1:])):
         return True
     filled = [cell for cell in row if cell]
     return bool(row[0]) and len(filled) > 1 and all(_numeric(cell) for cell in filled)

@@ -39,7 +39,9 @@ _RUNNING = re.compile(
 )
 _ALARM = re.compile(r"alarm|allarm|fault|stör|guasto|défaut|fallo|error|quality|qualit|valid", re.IGNORECASE)
 _TIME = re.compile(
-    r"time|elapsed|^x_value$|^t_(?:ms|s|sec|min|h)$|zeit|datum|date|data\b|\bora\b|tempo\b|heure|horodat|temps|fecha|hora|stamp|\bt\b|\bts\b|clock|epoch|\bsec|时间|日期",
+    r"time|elapsed|^x_value$|^t_(?:ms|s|sec|min|h)$|zeit|datum|date|data\b|\bora\b|tempo\b|heure|horodat|temps|fecha|hora|stamp|\bt\b|\bts\b|clock|epoch|\bsec|时间|日期|"
+    r"\btid\b|tidspunkt|klock|klokk|\baika\b|\bčas\b|\bczas\b|godzin|tijd|tarih|\bsaat|zaman|\bidő|dátum|"
+    r"врем|дата|ώρα|ημερομ|日付|日時|時刻|시간|날짜|일시",
     re.IGNORECASE,
 )
 _DURATION = re.compile(
