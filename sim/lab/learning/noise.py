@@ -47,6 +47,9 @@ INITIAL_HEAT_DEGC_PER_S = 1e-3
 """degC/s with which the search for a disturbance begins."""
 SCAN_STEPS = 12
 """Steps of the searches that only compare memories."""
+SLOPE_SPAN_S = 900.0
+"""A slope (degC/s) counts as the degrees that it makes in so many seconds, the longest horizon: what is believed of the
+scatters of m, and their bounds, are in degC, and the least of them, 0.05, would as degC/s be 180 degC in an hour."""
 DRIFT_SPAN_S = 300.0
 """The changes over so many seconds set the noise of locations in which nothing is known."""
 
@@ -436,7 +439,8 @@ def _known_mean(scores: Array) -> Array:
 class _Objective:
     """What the likelihood needs, and the floors and counts of its parameters; the last one is the disturbance's sigma.
 
-    `memory` (s) is that of the disturbance, None without one; `sensor_memory` (s) is in the steps' `repeats`.
+    Theta has scatters in degC; `units` (S,) are those of the m of the `seen` locations, for each degC. `memory` (s) is
+    that of the disturbance, None without one; `sensor_memory` (s) is in the steps' `repeats`.
     """
 
     steps: _KnotSteps
@@ -444,6 +448,7 @@ class _Objective:
     aheads: tuple[_Ahead, ...]
     groups: int
     seen: Indices
+    units: Array
     places: int
     floor: float
     memory: float | None = None
@@ -458,7 +463,7 @@ class _Objective:
         """(sensor (Q,), process (G, Q), scatter (L, Q), rough (Q,)) from theta (P, Q) of logarithms."""
         values = np.exp(theta)
         scatter = np.zeros((self.places, theta.shape[1]))
-        scatter[self.seen] = values[self.scatters]
+        scatter[self.seen] = values[self.scatters] * self.units[:, None]
         rough = np.zeros(theta.shape[1]) if self.memory is None else values[-1]
         return values[0], values[1 : 1 + self.groups], scatter, rough
 
@@ -664,14 +669,15 @@ def _tasks(
     heats = [None if memory is None else disturbance_step(memory, steps.k, steps.dt) for memory in memories]
     count = int(groups.max()) + 1
     aheads = [_aheads(steps, heats, horizon, count, groups.size) for horizon in HORIZONS_S]
-    table = _chunks(steps)
+    table, seen = _chunks(steps), np.flatnonzero(shape.target >= 0)
     return [
         _Objective(
             steps=replace(steps, heat=heat),
             table=table,
             aheads=tuple(of_horizon[number] for of_horizon in aheads if of_horizon),
             groups=count,
-            seen=np.flatnonzero(shape.target >= 0),
+            seen=seen,
+            units=np.array([1.0 / SLOPE_SPAN_S if shape.kinds[place] == "linear" else 1.0 for place in seen]),
             places=groups.size,
             floor=floor,
             memory=memory,
