@@ -7,6 +7,7 @@ from sim.doors import lazy_getattr
 if TYPE_CHECKING:
     from sim.lab.recordings.auto_thresholds import Levels, find_levels, round_value, with_levels, with_thresholds
     from sim.lab.recordings.cells import (
+        NO_VALUES,
         RUN_WORDS,
         SWITCH_WORDS,
         Points,

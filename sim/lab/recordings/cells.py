@@ -22,6 +22,8 @@ SWITCH_WORDS: tuple[tuple[tuple[str, ...], tuple[str, ...]], ...] = (
 )
 """Words of two-valued signals that need no declaring, (on, off) by kind: English, Italian, German, French, Spanish."""
 
+NO_VALUES = frozenset({"", "null", "(null)", "none", "nan", "n/a", "na", "-", "--", "\\n"})
+"""What programs write where there is no value, in lower case."""
 RUN_WORDS = frozenset(SWITCH_WORDS[3][0])
 """Of these the words of a machine that runs."""
 _BLANKS = re.compile(r"(?<=\d)[ '’\xa0\u202f](?=\d{3}(?!\d))")

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.lab.recordings.cells import SWITCH_WORDS, booleans, numbers
+from sim.lab.recordings.cells import NO_VALUES, SWITCH_WORDS, booleans, numbers
 from sim.lab.recordings.clock import clock_columns, read_clock, to_utc
 from sim.lab.recordings.column_map import ColumnMap, Long, Names, SignalColumn
 from sim.lab.recordings.fault_codes import find_codes
@@ -368,7 +368,7 @@ def _read_long(
         name_at, value_at = _required_columns(header, long.name), _required_columns(header, long.value)
         values_at = [place for name in long.value if (place := find_column(header, (name,))) is not None]
         readings, beside = join_cells([columns[place] for place in values_at])
-        for place, count in zip(values_at[1:], beside, strict=True):
+        for place, count in zip(values_at, beside, strict=True):
             report.unused[header[place]] += count
         object_at = _required_columns(header, long.object) if long.objects else None
         taken = {_required_columns(header, each) for each in clock_columns(column_map.clock)}
@@ -412,15 +412,17 @@ def _read_long(
 
 
 def join_cells(columns: Sequence[Sequence[str]]) -> tuple[list[str], list[int]]:
-    """Of the cells of each row the first that holds something, "" where none does; and of each further column how
-    many of its cells stand beside one that was taken."""
-    joined, beside = list(columns[0]), list[int]()
-    for column in columns[1:]:
-        filled = [(at, cell) for at, cell in enumerate(column) if cell.strip()]
-        free = [(at, cell) for at, cell in filled if not joined[at].strip()]
-        for at, cell in free:
-            joined[at] = cell
-        beside.append(len(filled) - len(free))
+    """Of the cells of each row the first that holds a value, the first column's where none does; and of each column how
+    many of its cells hold something and stand beside one that was taken."""
+    joined, beside = list(columns[0]), [0] * len(columns)
+    without = [at for at, cell in enumerate(joined) if cell.strip().casefold() in NO_VALUES] if columns[1:] else []
+    for place, column in enumerate(columns[1:], 1):
+        free = [at for at in without if column[at].strip().casefold() not in NO_VALUES]
+        for at in free:
+            beside[0] += bool(joined[at].strip())
+            joined[at] = column[at]
+        beside[place] = sum(map(bool, map(str.strip, column))) - len(free)
+        without = sorted(set(without).difference(free))
     return joined, beside
 
 

@@ -18,6 +18,7 @@ from typing import Any, BinaryIO, cast
 
 from drivers.csv_rows import write_rows
 from drivers.named_files import regular
+from sim.lab.recordings.json_readings import DATED, name_pairs, spread_readings
 from sim.lab.recordings.load_report import TraceError
 
 UNPACK_ERRORS = (EOFError, zlib.error, zipfile.BadZipFile)
@@ -213,17 +214,21 @@ def _objects(path: Path) -> Iterator[Mapping[str, str] | str]:
             except ValueError as error:
                 raise TraceError(f"{path}: its JSON breaks off or is none ({error}); give the whole file") from None
             try:
-                found_rows = _collect_rows(document)
+                found_rows = _collect_rows(name_pairs(document))
             except TraceError as error:
                 raise TraceError(f"{path}: {error}") from None
-            yield from map(_flatten, found_rows)
+            for row in found_rows:
+                yield from map(_flatten, spread_readings(row) if isinstance(row, dict) else [row])
             return
         for line in filter(str.strip, lines):
             try:
                 found = _parse(line)
             except ValueError:
                 found = None
-            yield _flatten(found) if isinstance(found, dict) else line.strip()
+            if isinstance(found, dict):
+                yield from map(_flatten, spread_readings(found))
+            else:
+                yield line.strip()
 
 
 def _parse(text: str) -> Any:
@@ -312,7 +317,7 @@ def _as_readings(lists: list[list[dict[str, Any]]]) -> list[list[dict[str, Any]]
     """
     names = {name for rows in lists for row in rows if isinstance(row, dict) for name in row}
     first = next((row for rows in lists for row in rows if isinstance(row, dict) and len(row) > 1), {})
-    times = [name for name in first if name.casefold() in _TIME_NAMES or _TIME.match(str(first[name]))]
+    times = [name for name in first if name.casefold() in _TIME_NAMES or DATED.match(str(first[name]))]
     values = [name for name in names if name.casefold() in _VALUE_NAMES] if len(names) > 2 else names - set(times)
     if len(times) != 1 or len(values) != 1 or "value" in names:
         return lists
@@ -328,7 +333,6 @@ def _as_readings(lists: list[list[dict[str, Any]]]) -> list[list[dict[str, Any]]
 
 _TIME_NAMES = frozenset(("t", "ts", "time", "timestamp", "date", "datetime"))
 _VALUE_NAMES = frozenset(("v", "val"))
-_TIME = re.compile(r"(?:19|20)\d\d-\d\d|\d\d?:\d\d|1\d{9}(?:\d{3})?(?:\.|$)")
 
 
 def _holds_rows(value: Any) -> bool:

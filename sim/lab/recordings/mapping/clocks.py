@@ -364,14 +364,15 @@ def looks_rounded_count(cell: str) -> bool:
 def counted_clock(place: int, values: Array, header: str, *, named: bool) -> FoundClock | None:
     """A column of numbers as a clock: a date by its size, or elapsed if its header says so and it begins near 0.
 
-    It may fall where a machine or a session follows another, but not as readings do.
+    It may fall where a machine or a session follows another, but not as readings do; or rise there, newest first.
     """
     finite = values[np.isfinite(values)]
     if finite.size < 2 or finite[0] == finite[-1] == np.median(finite):
         return None
     steps = np.diff(finite)
     in_order = bool(np.all(steps >= 0) or np.all(steps <= 0))
-    if not in_order and not (named and float((steps < 0).mean()) <= _MAX_FALL_SHARE):
+    falls = float((steps < 0).mean())
+    if not in_order and not (named and (falls <= _MAX_FALL_SHARE or _restarts_evenly(finite[::-1]))):
         return None
     # Time (ms), elapsed_min, t [h]; of several words that are units, as of h:m:s, none is sure.
     units = [_COUNT_UNITS[word] for word in _WORDS.findall(header.casefold()) if word in _COUNT_UNITS]

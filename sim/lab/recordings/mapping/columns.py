@@ -11,6 +11,7 @@ import numpy as np
 
 from sim.lab.recordings import (
     CONVERTED_UNITS,
+    NO_VALUES,
     SWITCH_WORDS,
     booleans,
     conversion,
@@ -27,7 +28,7 @@ _MAX_STATES = 12
 """Words of a column that says states; more are names or notes."""
 _MIN_NUMBER_SHARE = 0.8
 """Share of the filled cells that must be numbers: exports write words where they have no value."""
-_NO_VALUE = frozenset({"", "null", "none", "nan", "n/a", "na", "-", "--", "no data", "bad", "bad input", "undefined"})
+_NO_VALUE = NO_VALUES | {"no data", "bad", "bad input", "undefined"}
 _OPPOSITES = {word: value for pair in SWITCH_WORDS for words, value in zip(pair, (1, 0), strict=True) for word in words}
 _ON = frozenset(
     {"active", "aktiv", "attivo", "actif", "activo", "open", "auf", "started", "gestartet", "läuft", "lauf"}

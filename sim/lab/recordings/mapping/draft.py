@@ -11,6 +11,7 @@ from typing import Literal
 import numpy as np
 
 from sim.lab.recordings import (
+    NO_VALUES,
     UNNAMED_COLUMN,
     LoadReport,
     Points,
@@ -408,7 +409,8 @@ def _long_form(table: FoundTable, clock: FoundClock) -> _LongForm | None:
     names = [p for p in named if sum(not _plain_number(word) for word in words[p]) > len(words[p]) / 2]
     names = names or [p for p in named if len(words[p]) > 1 and all(word.isdigit() for word in words[p])]
     rows = [[row[place] for place in values] for row in table.rows]
-    if not values or not names or any(sum(map(bool, cells)) > 1 for cells in rows):
+    told_of = (sum(cell.casefold() not in NO_VALUES for cell in cells) for cells in rows)
+    if not values or not names or any(count > 1 for count in told_of):
         return None
     name = max(names, key=lambda place: (len(words[place]), place))
     unit = next((place for place in others if named_unit(table.header[place])), None)

@@ -53,13 +53,15 @@ _FREQUENCY = re.compile(r"[\[({_ ][kMG]?Hz[\])}]?(?:_\d+)?\s*$", re.IGNORECASE)
 """The end of a header that says hertz: the clock of a processor is a frequency."""
 _NAME = re.compile(
     r"^(?:.*(?:name|tag|variable|field|point|signal|series|metric|parameter|channel|entity|alias|property|measurement|messstelle|nome|nom|nombre|bezeichn|"
-    r"punto|sensor|item|path|topic|descri|beschreib|label|libell).*)$",
+    r"punto|sensor|item|path|topic|target|node.?id|descri|beschreib|label|libell).*)$",
     re.IGNORECASE,
 )
-_KIND = "num|float|int|bool|dbl|double|real|str|string|text"
+_KIND = "num|float|int|integer|bigint|bool|boolean|dbl|double|real|str|string|text"
 _VALUE = re.compile(
-    rf"^_?(?:var|v|tag|process|raw|date|{_KIND})?_?(?:value|wert|valore|valeur|valor|val|reading|messwert|payload)s?"
-    rf"(?:{_KIND})?(?:[ _\[(].*)?$",
+    rf"^(?:_?(?:var|v|tag|measure|process|raw|date|{_KIND})?_?"
+    rf"(?:value|wert|valore|valeur|valor|val|reading|messwert|payload)s?(?:::)?(?:{_KIND})?(?:[ _\[(].*)?|"
+    # What stands within a value by its type.
+    rf"value\.(?:body|(?:{_KIND})value))$",
     re.IGNORECASE,
 )
 _BRACKETED = re.compile(r"\s*[\[({]\s*([^\])}]*)\s*[\])}]\s*$")
