@@ -33,6 +33,9 @@ class LinkFault(Enum):
     OTHER = "other"
 
 
+NO_WAY_TO_UNIT = frozenset({10, 11})
+"""Codes of a DeviceException that a Modbus gateway gives in the place of a unit that does not answer: they are nothing
+that the unit has said (MODBUS Application Protocol V1.1b3, 7)."""
 MAX_SENTENCE_CHARACTERS = 1000
 """Characters of a sentence."""
 

@@ -182,6 +182,8 @@ class Reconnecting(Section):
 
 
 S = TypeVar("S", bound=BaseModel)
+_ADDRESS = re.compile(r"[^/:\s]+:\d{1,5}|\[[0-9a-fA-F:]+\]:\d{1,5}")
+"""A host and its port, which is taken for a file where one was asked for."""
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -191,7 +193,8 @@ def read_toml(path: Path) -> dict[str, Any]:
         text = contents(path, MOST_TOML_BYTES).decode()
         return parse_toml(text)
     except FileNotFoundError:
-        raise ConfigError([f"{path}: there is no such file; give the path of an existing TOML file"]) from None
+        what = "is an address and no file" if _ADDRESS.fullmatch(str(path)) else "there is no such file"
+        raise ConfigError([f"{path}: {what}; give the path of an existing TOML file"]) from None
     except OSError as error:
         raise ConfigError(
             [f"{path}: cannot be read ({error.strerror}); give a TOML file that this user can read"]

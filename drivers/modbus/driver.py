@@ -14,6 +14,7 @@ from drivers.codec import Reading, encoder, reader
 from drivers.connections import Connections
 from drivers.driver import BeforeSending, Clock, PlanKind, PlanLine, anyhow
 from drivers.errors import (
+    NO_WAY_TO_UNIT,
     AddressError,
     DeviceException,
     DriverError,
@@ -50,7 +51,7 @@ from drivers.modbus.plan import (
 from drivers.modbus.quarantine import RefusedAddresses
 from drivers.modbus.settings import ModbusSettings, connection_place, read_settings
 from drivers.modbus.shared import SharedLink
-from drivers.modbus.verify import NO_WAY_TO_UNIT, exception_quality
+from drivers.modbus.verify import exception_quality
 from drivers.modbus.wire import WireReply, read_request, write_request
 from drivers.survey import Raw
 from drivers.tag import Quality, Sample, Tag, Value

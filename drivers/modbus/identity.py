@@ -14,6 +14,7 @@ from pymodbus.pdu import ModbusPDU
 from pymodbus.pdu.mei_message import ReadDeviceInformationRequest
 from pymodbus.pdu.other_message import ReportDeviceIdRequest
 
+from drivers.errors import ReplyMismatch
 from drivers.modbus.address import Area
 from drivers.modbus.wire import read_request
 
@@ -65,11 +66,11 @@ def pinned_marks(given: object) -> tuple[PinnedMark, ...]:
 def _mark(name: str, expected: Any) -> PinnedMark:
     if name in OBJECTS or (match := _OBJECT.fullmatch(name)):
         number = OBJECTS.index(name) if name in OBJECTS else int(match[1]) if match else -1
-        if not isinstance(expected, str) or number > 255:
+        if not isinstance(expected, str) or not expected.strip("\0 ") or number > 255:
             raise ValueError(f"{name!r} is {expected!r}; give the text that the device says (decanter plc probe)")
-        return PinnedMark(name, expected.strip("\0 "), object=number)
+        return PinnedMark(name, _pinned_text(expected), object=number)
     if name == SERVER_ID:
-        if not isinstance(expected, str) or not expected:
+        if not isinstance(expected, str) or not expected.strip("\0 "):
             raise ValueError(f"{name!r} is {expected!r}; give the text that the device says (decanter plc probe)")
         return PinnedMark(name, expected.strip("\0 "))
     match = _PLACE.fullmatch(name)
@@ -81,11 +82,15 @@ def _mark(name: str, expected: Any) -> PinnedMark:
         raise ValueError(f"{name!r} is no stretch of at most {_MOST_REGISTERS} registers; give one as holding:300-307")
     area = Area(match[1])
     if isinstance(expected, str) and not area.is_bits:
+        if not expected.strip("\0 "):
+            raise ValueError(
+                f"{name!r} is {expected!r}, which every device says that was never given a text; give its own"
+            )
         if len(expected) > 2 * count:
             raise ValueError(
                 f"{name!r} has room for {2 * count} characters and {expected!r} has more; give all its registers"
             )
-        return PinnedMark(name, expected.strip("\0 "), area=area, start=start, count=count)
+        return PinnedMark(name, _pinned_text(expected), area=area, start=start, count=count)
     most = 1 if area.is_bits else 0xFFFF
     words = expected if isinstance(expected, list | tuple) else _words(expected, count, area)
     if len(words) != count or not all(type(word) is int and 0 <= word <= most for word in words):
@@ -102,9 +107,25 @@ def _words(number: object, count: int, area: Area) -> Sequence[int]:
     return struct.unpack(f">{count}H", number.to_bytes(2 * count, "big"))
 
 
+def _text(data: bytes) -> str:
+    """What a device says, without what fills it up: UTF-8 where it is that, else a character a byte."""
+    try:
+        return data.decode().strip("\0 ")
+    except UnicodeDecodeError:
+        return data.decode("latin-1").strip("\0 ")
+
+
+def _pinned_text(expected: str) -> str:
+    """As `_text`, of what was written down, perhaps a character a byte."""
+    try:
+        return _text(expected.encode("latin-1"))
+    except UnicodeEncodeError:
+        return expected.strip("\0 ")
+
+
 def text_of_registers(words: Sequence[int]) -> str:
     """The text in registers, without what fills it up."""
-    return struct.pack(f">{len(words)}H", *words).split(b"\0", 1)[0].decode("latin-1").strip(" ")
+    return _text(struct.pack(f">{len(words)}H", *words).split(b"\0", 1)[0])
 
 
 def text_of_server_id(said: Sequence[int]) -> str:
@@ -156,20 +177,24 @@ def mark_request(mark: PinnedMark, unit: int) -> ModbusPDU:
 def identification(said: Sequence[int]) -> tuple[dict[str, str], int]:
     """The objects in a reply to function 43, and the number of the one that follows in another (0: none).
 
-    `said` is code, conformity, more, next, count, objects. What is cut short is left out.
+    `said` is code, conformity, more, next, count, objects; some devices count those of later replies too. Raises
+    ReplyMismatch where the objects do not fill the reply, or one is said in two ways: it is not known who says it.
     """
     reply = bytes(said)
     if len(reply) < 5:
         return {}, 0
     more, following, count, at = reply[2], reply[3], reply[4], 5
     identity: dict[str, str] = {}
-    for _ in range(count):
-        if at + 2 > len(reply):
-            break
-        number, length = reply[at], reply[at + 1]
+    while at < len(reply) and count:
+        number, end = reply[at], at + 2 + (reply[at + 1] if at + 1 < len(reply) else 0)
         name = OBJECTS[number] if number < len(OBJECTS) else f"object {number}"
-        identity[name] = reply[at + 2 : at + 2 + length].decode("latin-1").strip("\0 ")
-        at += 2 + length
+        text = _text(reply[at + 2 : end])
+        if end > len(reply) or identity.setdefault(name, text) != text:
+            slip = "is said in two ways" if end <= len(reply) else f"ends {end - len(reply)} bytes behind the reply"
+            raise ReplyMismatch(f"the identification cannot be told: {name} {slip}")
+        at, count = end, count - 1
+    if at < len(reply):
+        raise ReplyMismatch(f"the identification cannot be told: {len(reply) - at} bytes follow its last object")
     return identity, following if more == 0xFF else 0
 
 

@@ -14,10 +14,17 @@ from dataclasses import dataclass, replace
 from pymodbus.pdu import ModbusPDU
 
 from drivers.driver import BeforeSending, Clock, anyhow
-from drivers.errors import DeviceException, DriverError, LinkDown, LinkFault, ReplyMismatch, ReplyTimeout
+from drivers.errors import (
+    NO_WAY_TO_UNIT,
+    DeviceException,
+    DriverError,
+    LinkDown,
+    LinkFault,
+    ReplyMismatch,
+    ReplyTimeout,
+)
 from drivers.modbus.replies import ID_REUSE_DELAY_S, ReplyStream, TransactionIds
 from drivers.modbus.verify import (
-    NO_WAY_TO_UNIT,
     REGISTER_BYTES,
     Asked,
     check_reply,

@@ -21,13 +21,22 @@ from contextlib import contextmanager, suppress
 from pymodbus.pdu import ModbusPDU
 
 from drivers.driver import BeforeSending, Clock, anyhow
-from drivers.errors import DeviceException, DriverError, LinkDown, LinkFault, NotAsked, ReplyMismatch, ReplyTimeout
+from drivers.errors import (
+    NO_WAY_TO_UNIT,
+    DeviceException,
+    DriverError,
+    LinkDown,
+    LinkFault,
+    NotAsked,
+    ReplyMismatch,
+    ReplyTimeout,
+)
 from drivers.link import Backoff, DeadPeer, Link
 from drivers.modbus.replies import TransactionIds
 from drivers.modbus.settings import ModbusSettings
 from drivers.modbus.transport import AnyWire, explain, make_transport
 from drivers.modbus.turns import RETRY_AT_ONCE_S, ReplyTimes, Stall, Suspect, Turns, UnitHealth
-from drivers.modbus.verify import NO_WAY_TO_UNIT, WRITES
+from drivers.modbus.verify import WRITES
 from drivers.modbus.wire import WireReply
 from drivers.supervision import Supervisor
 
@@ -188,6 +197,7 @@ class SharedLink:
                 raise
             except DeviceException as error:
                 line.counts["exceptions"] += 1
+                line.unreached += error.code in NO_WAY_TO_UNIT
                 self.link.note_answer(wire)
                 if error.code in NO_WAY_TO_UNIT and len(self.health) > 1:
                     self._note_life(settings)
@@ -464,6 +474,8 @@ class UnitLine:
     def __init__(self, shared: SharedLink, settings: ModbusSettings) -> None:
         self._shared, self.settings = shared, settings
         self.counts = dict.fromkeys(("requests", "timeouts", "mismatches", "exceptions"), 0)
+        # Of the exceptions those by which a gateway says that the unit does not answer.
+        self.unreached = 0
 
     async def open(self) -> None:
         """Take part, and connect if nobody has yet. Raises LinkDown if the first attempt fails (it goes on trying)."""
@@ -537,7 +549,7 @@ class UnitLine:
     @property
     def proof(self) -> tuple[int, int]:
         """It changes with each connection, and with each question to the unit that has had no answer."""
-        return self._shared.link.connects, self.counts["timeouts"] + self.counts["mismatches"]
+        return self._shared.link.connects, self.counts["timeouts"] + self.counts["mismatches"] + self.unreached
 
     @property
     def ends_connections(self) -> bool:

@@ -13,12 +13,11 @@ from pymodbus.pdu import ModbusPDU
 
 from drivers.connections import Connections
 from drivers.driver import Clock
-from drivers.errors import AddressError, DeviceException, DriverError, LinkDown, ReplyTimeout
+from drivers.errors import NO_WAY_TO_UNIT, AddressError, DeviceException, DriverError, LinkDown, ReplyTimeout
 from drivers.modbus.address import Area, locate
 from drivers.modbus.driver import ModbusDriver, make_modbus
 from drivers.modbus.identity import MOST_PARTS, identification, object_request, server_id_request, text_of_server_id
 from drivers.modbus.settings import ModbusSettings, read_settings
-from drivers.modbus.verify import NO_WAY_TO_UNIT
 from drivers.modbus.wire import WireReply, read_request
 from drivers.survey import Raw, ReadWords
 from drivers.tag import Quality, Tag
@@ -123,18 +122,21 @@ class ModbusSurvey:
     async def tags(self, tags: Sequence[Tag]) -> list[Raw]:
         """Each tag with its raw words, as the driver reads them; a failure is a sample of bad quality.
 
-        A device of which nothing at all comes is asked one question with all patience, and then once more; one of
-        which only a part comes, since its first answer was late, is read once more.
+        A device of which nothing at all comes is asked one question with all patience, and read once more if that is
+        answered; one of which only a part comes, since its first answer was late, is read once more.
         """
         samples = await self.driver.read(tags)
         silent = 0 if self._tried else sum(sample.quality in _SILENT for sample in samples)
         if 0 < silent < len(samples):
             samples = await self.driver.read(tags)
         elif silent:
+            pauses = list(LINE_PAUSES_S)
+            if any(sample.quality is Quality.NO_COMMUNICATION for sample in samples):
+                await asyncio.sleep(pauses.pop(0))  # a gateway has said it: this reading was the first question
             with suppress(DriverError, AddressError):
                 span = locate(tags[0], self._settings.wide_registers)
-                wide = span.wide is not None
-                await self._exchange(read_request(span.area, span.start, span.count, self._unit(None), wide=wide))
+                request = read_request(span.area, span.start, span.count, self._unit(None), wide=span.wide is not None)
+                await self._exchange(request, pauses)
             if self._answered:
                 samples = await self.driver.read(tags)
         until, searching = _now() + SEARCH_S, self.driver.is_searching
@@ -182,8 +184,9 @@ class ModbusSurvey:
     async def _once(self, request: ModbusPDU, deadline: float, *, again: bool) -> WireReply:
         try:
             reply = await self.driver.by_hand(request, deadline, again=again)
-        except DeviceException:
-            self._answered = True
+        except DeviceException as error:
+            # What a gateway says in its place the device has not answered.
+            self._answered |= error.code not in NO_WAY_TO_UNIT
             raise
         self._answered, self._slowest = True, max(self._slowest, reply.received - reply.sent)
         if self._deadline > self._settings.timeout:

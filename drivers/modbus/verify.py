@@ -44,8 +44,6 @@ EXCEPTIONS: dict[int, tuple[str, Quality]] = {
     10: ("gateway path unavailable: the gateway has no way to this unit", Quality.NO_COMMUNICATION),
     11: ("gateway target device failed to respond: the unit behind the gateway is silent", Quality.NO_COMMUNICATION),
 }
-NO_WAY_TO_UNIT = frozenset({10, 11})
-"""What a gateway answers for a unit that does not."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,11 +24,12 @@ _COUNTED = re.compile(r"\s*\((\d{3}\.\d+)\)")
 _ASC_BASE = re.compile(r"\s*base\s+(?:hex|dec)\s+timestamps\s+relative\b", re.IGNORECASE)
 _ASC_TIME = re.compile(r"(\s*)(\d+\.\d+)(?=\s)")
 _BUSMASTER = re.compile(
-    r"(?P<h>\d+):(?P<m>\d+):(?P<s>\d+):(?P<part>\d{1,4})\s+[RT]x\s+(?P<bus>\d+)\s+(?P<id>0x[0-9A-Fa-f]+|\d+)\s+"
+    r"(?P<h>\d+):(?P<m>\d+):(?P<s>\d+):(?P<part>\d{1,4})\s+[RT]x\s+(?P<bus>\d+)\s+(?P<id>(?:0x)?[0-9A-Fa-f]+)\s+"
     r"(?P<kind>[sx]r?)\s+(?P<size>\d+)\s*(?P<data>.*)"
 )
 GVRET_HEADER = "Time Stamp,ID,Extended,"
 CANEDGE_HEADER = "TimestampEpoch;BusChannel;ID;IDE;DLC;DataLength;Dir;EDL;BRS;DataBytes"
+_DAY_S = 86400.0
 WITH_TIMES = "record it with candump -L, or print it with candump -ta"
 
 
@@ -85,9 +86,10 @@ def _of_busmaster(head: Sequence[str]) -> Rewrite:
     if any("***DEC***" in line for line in head):
         base = 10
     total = 0.0
+    midnights = 0
 
     def rewrite(line: str) -> str:
-        nonlocal total
+        nonlocal total, midnights
         if not line.strip() or line.startswith("***"):
             return ""
         match = _BUSMASTER.match(line.strip())
@@ -95,14 +97,19 @@ def _of_busmaster(head: Sequence[str]) -> Rewrite:
             return line
         time = 3600 * int(match["h"]) + 60 * int(match["m"]) + int(match["s"])
         seconds = time + int(match["part"]) / 10 ** len(match["part"])
-        total = total + seconds if relative else seconds
-        number = int(match["id"], 16 if match["id"].startswith("0x") else base)
-        name = f"{number:08X}" if match["kind"].startswith("x") else f"{number:03X}"
+        if not relative and total - seconds - midnights * _DAY_S > _DAY_S / 2:
+            midnights += 1
+        total = total + seconds if relative else seconds + midnights * _DAY_S
         try:
+            number = int(match["id"], 16 if match["id"].startswith("0x") else base)
             octets = bytes(int(part, base) for part in match["data"].split()).hex()
         except ValueError:
             return line
-        data = "R" if match["kind"].endswith("r") else ("#0" if int(match["size"]) > 8 else "") + octets
+        is_remote, size = match["kind"].endswith("r"), int(match["size"])
+        if not is_remote and len(octets) != 2 * size:
+            return line
+        name = f"{number:08X}" if match["kind"].startswith("x") else f"{number:03X}"
+        data = "R" if is_remote else ("#0" if size > 8 else "") + octets
         return f"({total:.6f}) {match['bus']} {name}#{data}\n"
 
     return rewrite

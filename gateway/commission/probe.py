@@ -12,7 +12,15 @@ from typing import Any
 import click
 
 from drivers.driver import LINKS
-from drivers.errors import DeviceException, DriverError, LinkDown, LinkFault, ReplyMismatch, ReplyTimeout
+from drivers.errors import (
+    NO_WAY_TO_UNIT,
+    DeviceException,
+    DriverError,
+    LinkDown,
+    LinkFault,
+    ReplyMismatch,
+    ReplyTimeout,
+)
 from drivers.survey import AsksRegisters
 from gateway.commission.options import SharedOptions
 from gateway.commission.session import (
@@ -28,7 +36,6 @@ from gateway.commission.session import (
     warning,
 )
 from gateway.commission.survey import (
-    BEHIND_GATEWAY,
     ILLEGAL_FUNCTION,
     Register,
     connect_sentence,
@@ -257,7 +264,7 @@ async def _speaks(site: Site, survey: AsksRegisters, steps: list[CheckStep]) -> 
         sentence = not_modbus(tcp_port(settings), received) if foreign else str(error)
         steps.append(failed_step("modbus", sentence, error))
         return {}
-    if refusal is not None and refusal.code in BEHIND_GATEWAY:
+    if refusal is not None and refusal.code in NO_WAY_TO_UNIT:
         text = f"a gateway answers for unit {unit} that it cannot reach it (exception {refusal.code})"
         text += _hint(await _other_units(survey, unit))
         steps.append(failed_step("modbus", text, refusal))
@@ -286,7 +293,7 @@ async def _other_units(survey: AsksRegisters, unit: int) -> list[int]:
         try:
             await survey.read("holding", 0, 1, other)
         except DeviceException as error:
-            answering += [] if error.code in BEHIND_GATEWAY else [other]
+            answering += [] if error.code in NO_WAY_TO_UNIT else [other]
         except (ReplyTimeout, ReplyMismatch):
             continue
         except DriverError:  # a serial line knows no unit 0 or 255, or the connection is gone
@@ -307,14 +314,21 @@ def _hint(others: Sequence[int]) -> str:
 async def _identity(site: Site, survey: AsksRegisters, steps: list[CheckStep], facts: dict[str, Any]) -> None:
     """Who the device says it is (functions 43 and 17), held against what is pinned."""
     said: dict[str, str] = {}
-    with suppress(DeviceException, ReplyTimeout, ReplyMismatch, LinkDown):
+    slip: ReplyMismatch | None = None
+    try:
         facts["identity"] = dict(await survey.identity())
         said |= {name: text for name, text in facts["identity"].items() if text}
+    except ReplyMismatch as error:
+        slip = error
+    except (DeviceException, ReplyTimeout, LinkDown):
+        pass
     with suppress(DeviceException, ReplyTimeout, ReplyMismatch, LinkDown):
         if text := await survey.server_id():
             facts["server_id"] = said["server id"] = text
     if said:
         steps.append(ok("identity", ", ".join(f"{name} {text}" for name, text in said.items())))
+    elif slip is not None:
+        steps.append(warning("identity", f"what the device says of itself is not taken: {slip}"))
     else:
         steps.append(warning("identity", "the device does not say who it is (functions 43 and 17), as most do not"))
     if site.target.settings.get("identity"):

@@ -19,6 +19,7 @@ from gateway.outside.status import (
     HistorianStatus,
     LinkStatus,
     ModelStatus,
+    PastStatus,
     PredictionStatus,
     ScanStatus,
     StrangeStatus,
@@ -205,6 +206,18 @@ def _forecast(one: FollowedTemperature, last: Scan | None, now: float) -> Foreca
         block=values,
         coverage=model.outlook.coverage(),
         postponed=model.outlook.postponed,
+        past=[
+            None
+            if each is None
+            else PastStatus(
+                moments=each.moments,
+                mean=each.mean,
+                sigma=each.sigma,
+                deviations=each.deviations,
+                flagged=each.flagged,
+            )
+            for each in model.guards.past
+        ],
     )
 
 

@@ -99,7 +99,9 @@ def parse_json(text: str, file: str | Path) -> JsonNode:
     try:
         document = json.loads(text, parse_constant=_no_constant, object_pairs_hook=_unique)
     except json.JSONDecodeError as error:
-        sentence = f"is no JSON ({error.msg} at column {error.colno}); correct that place"
+        # Where nothing of it is JSON, another file was meant, and there is no place to correct.
+        remedy = "correct that place" if text.lstrip()[:1] in ("{", "[") else "give the file that was meant"
+        sentence = f"is no JSON ({error.msg} at column {error.colno}); {remedy}"
         raise file_error(file, error.lineno, sentence) from None
     except (ValueError, RecursionError) as error:
         raise file_error(file, None, f"is no JSON that can be used ({error}); correct that place") from None

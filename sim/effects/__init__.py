@@ -43,6 +43,7 @@ from sim.effects.kinds import (
     offset_times,
     own_kind,
     parameter,
+    parameter_words,
     refuse,
     sensor_offset,
     sensor_offsets,

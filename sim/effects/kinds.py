@@ -11,6 +11,7 @@ import numpy as np
 from sim.effects.exchange import BENDING, FLOWING, HOUSING
 from sim.effects.heating import HEATING
 from sim.effects.kind import (
+    ABSOLUTE_SECONDS,
     EffectKind,
     Feature,
     Structural,
@@ -18,7 +19,7 @@ from sim.effects.kind import (
 )
 from sim.effects.lines import LineError, kind_of_line
 from sim.effects.random import RANDOM
-from sim.effects.rivals import RIVAL_KINDS
+from sim.effects.rivals import RIVAL_KINDS, moment_words
 from sim.effects.sensing import SENSING
 from sim.effects.varying import VARYING
 from sim.sha import SHA, Array, Effect, EffectLine
@@ -151,9 +152,16 @@ def sensor_offsets(sha: SHA, times: Array) -> Array:
     return total
 
 
+def parameter_words(kind: str, name: str, value: float, digits: int = 6) -> str:
+    """A parameter of an effect as people read it: a moment as its date, a number with so many digits."""
+    known = EFFECTS.get(kind) or RIVALS.get(kind)
+    meant = None if known is None else known.parameters.get(name)
+    return moment_words(value) if meant is not None and meant.unit == ABSOLUTE_SECONDS else f"{value:.{digits}g}"
+
+
 def effect_summary(effect: Effect) -> str:
     """One line that says all of an effect: kind, parameters, signals, locations and event."""
-    parts = [f"{name} {value:g}" for name, value in effect.params.items()]
+    parts = [f"{name} {parameter_words(effect.kind, name, value)}" for name, value in effect.params.items()]
     parts += [f"{role} {signal}" for role, signal in effect.signals.items()]
     parts += [f"since {effect.event}"] if effect.event else []
     parts += [f"in {', '.join(effect.locations)}"] if effect.locations else []

@@ -28,4 +28,5 @@ from sim.forecast.ensemble import (
 from sim.forecast.fan import FAN_LEVELS, Forecast, fans, forecast
 from sim.forecast.leaps import observe_leap
 from sim.forecast.local_trend import LocalOutlook, LocalTrend, walk_outlook
+from sim.forecast.past_readings import HeldAgainstPast, LikeMoments
 from sim.forecast.review import FORECASTS, ONE_STEP, Review, follow, follow_forecasts, review_errors, share, standardise

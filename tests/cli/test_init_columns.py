@@ -81,3 +81,26 @@ def test_where_no_column_is_called_as_the_temperature_is_the_rename_that_helps_i
     assert decanter(*words, "--rename", "Bearing two (°C)=DE_Temp").exit_code == 0
     read = load_map(tmp_path / "p" / "columns.toml")
     assert read.signal_names("DE_Temp") == ("Bearing two (°C)",) and read.temperature == "DE_Temp"
+
+
+@pytest.mark.parametrize("both", [False, True])
+def test_of_two_switches_the_one_that_is_a_tag_is_taken_and_of_two_tags_none(both: bool, tmp_path: Path) -> None:
+    pump = "Pumpe_EIN,10005,BOOL,\n" if both else ""
+    (tmp_path / "io.csv").write_text(
+        f"Tag,Address,Type,Unit\nMotor_EIN,10004,BOOL,\n{pump}Strom,30101,REAL,A\nLager_T,30103,REAL,degC\n", "utf-8"
+    )
+    words = ("AUS", "EIN")
+    rows = [
+        f"{1_700_000_000 + 5 * row},{words[row // 50 % 2]},{words[row // 30 % 2]},{80 + row % 3},{20 + row / 10}"
+        for row in range(200)
+    ]
+    text = "\n".join(["time,Pumpe EIN,Motor EIN,Strom (A),Lager T (degC)", *rows]) + "\n"
+    (tmp_path / "export.csv").write_text(text, "utf-8")
+    given = ("init", tmp_path / "p", "--host", "192.0.2.1", "--list", tmp_path / "io.csv", "--heartbeat", "Motor_EIN")
+    done = decanter(*given, "--trace", tmp_path / "export.csv")
+    if both:
+        refused(done, 2, "columns that may be the running: 'Pumpe EIN', 'Motor EIN'")
+        return
+    assert done.exit_code == 0, done.output
+    assert "'Motor EIN' of the trace is taken for the switch, the only one of several that is a tag" in done.output
+    assert load_map(tmp_path / "p" / "columns.toml").signal_names("Motor_EIN") == ("Motor EIN",)

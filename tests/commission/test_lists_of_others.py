@@ -499,6 +499,31 @@ def test_the_ends_of_a_range_are_known_by_more_headers(header: str, cells: str, 
 
 
 @pytest.mark.parametrize(
+    ("cell", "dtype", "order"),
+    [
+        ("U_WORD", "uint16", None), ("S_WORD", "int16", None), ("U_DWORD", "uint32", "ABCD"),
+        ("S_DWORD_R", "int32", "CDAB"), ("U_QWORD_R", "uint64", "CDAB"), ("FP32", "float32", "ABCD"),
+        ("FP32_R", "float32", "CDAB"),
+    ],
+)  # fmt: skip
+def test_types_are_read_in_the_words_of_esphome(cell: str, dtype: str, order: str | None, tmp_path: Path) -> None:
+    found = row(tmp_path, "Address;Type", f"100;{cell}")
+    assert isinstance(found, dict) and (found["dtype"], found.get("order")) == (dtype, order), found
+
+
+@pytest.mark.parametrize(
+    ("cell", "ends"),
+    [
+        ("0 to 6553.3", (0.0, 6553.3)), ("-3276.8 to 3276.7", (-3276.8, 3276.7)), ("0..150,5 °C", (0.0, 150.5)),
+        ("(0 - 1.234,5) kW", (0.0, 1234.5)), ("0..150.", (0.0, 150.0)), ("0-150%", (0.0, 150.0)),
+    ],
+)  # fmt: skip
+def test_a_range_keeps_the_decimals_of_its_upper_end(cell: str, ends: tuple[float, float], tmp_path: Path) -> None:
+    found = row(tmp_path, "Address;Type;Scale;Range", f"100;INT32;0,1;{cell}")
+    assert isinstance(found, dict) and (found["low"], found["high"]) == ends, found
+
+
+@pytest.mark.parametrize(
     ("header", "cells", "said"),
     [
         ("Raw Low;Raw High", "0;27648", "both ends of the range in units"),

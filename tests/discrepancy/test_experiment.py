@@ -1,8 +1,11 @@
 """An experiment that tells rivals apart: proposed from what a person can set, made on the plant, diagnosed again."""
 
 import json
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,6 +14,7 @@ from click.testing import CliRunner
 from gateway.cli.main import main
 from sim.engine.schedules import schedule
 from sim.engine.simulation import simulate
+from sim.lab.discrepancy import ceiling as ceiling_room
 from sim.lab.discrepancy import proving
 from sim.lab.discrepancy.advice import experiment_lines
 from sim.lab.discrepancy.beginning import beginning
@@ -28,13 +32,16 @@ from sim.lab.discrepancy.experiment import (
 from sim.lab.discrepancy.fitting import build_frame, build_record, first_new_cycle, move_frame, rivals
 from sim.lab.discrepancy.fitting.candidates import catalogue
 from sim.lab.discrepancy.fitting.free_run_fit import fit
+from sim.lab.discrepancy.heat import Blocks
 from sim.lab.discrepancy.held_out import HeldOutRun
-from sim.lab.discrepancy.judging import NamingResult
+from sim.lab.discrepancy.judging import NamingResult, systematic
 from sim.lab.discrepancy.naming import NamingStep, step
+from sim.lab.discrepancy.proving import JudgedPath, Proof
 from sim.lab.discrepancy.rules import RULES, DecisionRules
 from sim.lab.discrepancy.workflow import diagnose
 from sim.lab.formats import write_model_directory
 from sim.lab.recordings import write_trace
+from sim.sha import Array
 from sim.sha.automaton import Effect, Flow, Input
 from sim.sha.events import encode
 from sim.sha.model import Model
@@ -201,12 +208,25 @@ def test_of_an_experiment_of_four_cycles_the_last_are_held_out_and_no_gap_begins
     long: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asked: list[float] = []
+    free: list[float] = []
+    proofs: list[Proof] = []
+    judge = proving.longest_that_passes
+
+    def judged(proof: Proof, paths: Sequence[NamingResult]) -> JudgedPath:
+        proofs.append(proof)
+        return judge(proof, paths)
 
     def looked_for(trials: tuple[HeldOutRun, ...], least: float, rules: DecisionRules) -> GapBeginning | None:
         asked.extend(float(trial.record.times.max()) for trial in trials)
         return beginning(trials, least, rules)
 
+    def learned_from(features: Array, heat: Array, blocks: Blocks, *_: object) -> Array:
+        free.append(float(blocks.time.max()))
+        return np.zeros(heat.size)
+
     monkeypatch.setattr(proving, "beginning", looked_for)
+    monkeypatch.setattr(ceiling_room, "_out_of_fold", learned_from)
+    monkeypatch.setattr(proving, "longest_that_passes", judged)
     days, later = plant(1, days=2), plant(5, days=long)
     later = replace(later, times=later.times + 3 * 86400.0, events=())
     record = build_record(model(), [days, replace(later, events=encode(later, ALPHABET))], ())
@@ -218,6 +238,27 @@ def test_of_an_experiment_of_four_cycles_the_last_are_held_out_and_no_gap_begins
     made = course.held_out[(course.times >= later.times[0])] > 0.5
     assert made.any() == (long > 1) and not made.all()
     assert len(asked) == 2 and max(asked) < later.times[0]
+    assert len(free) == 1 and free[0] < later.times[0]
+    assert proofs and all(proof.first_made == 6 for proof in proofs)
+
+
+def test_a_free_learner_is_not_asked_about_the_repetitions_of_an_experiment(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A right name was withheld: from one repetition trees foresaw what the model is off by at the same set-points."""
+    cycle, rng, size = np.repeat(np.arange(16), 20), np.random.default_rng(0), 320
+    made_there = cycle >= 10
+    seconds = np.full(size, 600.0)
+    blocks = Blocks(
+        heat=rng.standard_normal(size) + 1.5 * made_there, seconds=seconds, time=np.cumsum(seconds),
+        location=np.zeros(size, int), cycle=cycle, since_start=np.tile(np.cumsum(np.full(20, 600.0)), 16),
+        since_stop=np.zeros(size), running=np.ones(size), course=rng.uniform(20.0, 30.0, size),
+        signals=np.where(made_there, 150.0, rng.uniform(100.0, 200.0, size))[:, None],
+    )  # fmt: skip
+    monkeypatch.setattr(ceiling_room, "heat_blocks", lambda _: blocks)
+    record = SimpleNamespace(signals=("Assorbimento",), model=SimpleNamespace(temperature="T"))
+    fitted: Any = SimpleNamespace(frame=SimpleNamespace(record=record))
+    assert systematic(ceiling_room.ceiling(fitted, 0), RULES)
+    assert not systematic(ceiling_room.ceiling(fitted, 0, 10.0), RULES)
+    assert ceiling_room.ceiling(fitted, 0, 3.0) is None, "of fewer than four cycles nothing is said"
 
 
 def test_the_command_proposes_and_writes_the_experiment(tmp_path: Path) -> None:

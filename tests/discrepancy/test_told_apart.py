@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from sim.lab.discrepancy import proving
 from sim.lab.discrepancy.diagnosis import GapBeginning, NoiseFloor
 from sim.lab.discrepancy.fitting import (
     Fitted,
@@ -27,6 +28,7 @@ from sim.lab.discrepancy.proving import (
     Proof,
     as_special_case,
     began_otherwise,
+    longest_that_passes,
     readmit_effect,
     separate_rivals,
     unlikely,
@@ -114,6 +116,17 @@ def test_a_name_that_only_rivals_held_back_is_given_where_held_out_cycles_tell_i
     )
     chance = replace(refused, steps=((little, "adds 9.0 nats, and a name needs 14.0"),))
     assert readmit_effect(proof_of(parts), chance) is chance
+
+
+def test_names_are_judged_without_what_a_free_learner_finds_in_an_experiment(
+    parts: tuple[Fitted, Record], near: NamingStep, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[float] = []
+    monkeypatch.setattr(proving, "ceiling", lambda _fitted, _seed, first_made: asked.append(first_made))
+    assert near.best is not None and near.best.fitted is not None
+    path = NamingResult(parts[0], near.best.fitted, ((near, ""),))
+    longest_that_passes(replace(proof_of(parts), stated=np.full(1, np.nan), first_made=3.0), [path])
+    assert asked == [3.0]
 
 
 def test_what_is_too_little_on_fitted_cycles_counts_with_what_held_out_ones_foretell_of_it(

@@ -12,6 +12,8 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
+from gateway.console import Rows
+from gateway.lab.gap.diagnose import DiagnosisResult, show
 from sim.artefacts.model_directory import read_model_directory
 from sim.lab.discrepancy import advice_lines, beginning_sentence, held_out_sentence
 from sim.lab.discrepancy.diagnosis import Diagnosis, Verdict
@@ -299,6 +301,16 @@ def test_the_report_names_class_rivals_experiment_and_what_was_not_tested() -> N
     assert "run for half an hour at one load with the pump on, then off" in said
     assert "ambient-coupling no trace has a signal for the role" in said
     assert "97 % of it is gone (95 % interval 90 % to 100 %" in said
+
+
+def test_page_and_terminal_print_a_moment_as_its_date() -> None:
+    found = of("named")
+    for name, params in (("sensor-offset-step", {"size": 0.5, "at": 1.743e9}), ("wear-drift", {"since": 1.743e9})):
+        one = replace(found, effects=(replace(found.effects[0], name=name, members=(name,), params=params),))
+        shown = DiagnosisResult(one, None, None)
+        rows = next(part for part in show(shown, Path("out")) if isinstance(part, Rows) and "added" in part.title)
+        for text in (flat(html_of(one)), str(rows.rows)):
+            assert "2025-03-26 14:40 UTC" in text and "e+09" not in text
 
 
 def test_the_report_says_when_the_new_model_will_not_be_promoted() -> None:

@@ -45,6 +45,12 @@ def read(folder: Path, name: str, text: str) -> tuple[list[CanFrame], Log]:
             + "0:0:1:5000 Rx 1 217056256 x 8 240 125 125 104 19 240 240 125\n" * 2,
             [1.5, 3.0],
         ),
+        (  # as SavvyCAN writes it: no 0x, and midnight passes
+            "j.log",
+            BUSMASTER.format(base="HEX", mode="SYSTEM")
+            + "".join(f"{time}:992 Rx 0 0CF00400 x 8 F0 7D 7D 68 13 F0 F0 7D \n" for time in ("23:59:59", "00:00:00")),
+            [86399.992, 86400.992],
+        ),
     ],
 )
 def test_what_another_program_writes_gives_its_frames(name: str, text: str, times: list[float], tmp_path: Path) -> None:
@@ -52,6 +58,12 @@ def test_what_another_program_writes_gives_its_frames(name: str, text: str, time
     assert [frame.time for frame in frames] == pytest.approx(times), log.summary()
     assert all((frame.id, frame.extended, frame.data) == (0x0CF00400, True, DATA) for frame in frames)
     assert not log.problem
+
+
+def test_a_line_of_fewer_bytes_than_it_says_is_no_frame(tmp_path: Path) -> None:
+    text = BUSMASTER.format(base="HEX", mode="SYSTEM") + "00:00:01:5000 Rx 1 0x0CF00400 x 8 F0 7D 7D\n"
+    frames, log = read(tmp_path, "cut.log", text)
+    assert not frames and log.counts["refused"] == 1
 
 
 def test_kinds_of_printed_frames_are_told_apart(tmp_path: Path) -> None:

@@ -37,6 +37,7 @@ class Device:
     ends_connections: bool = False
     even: bool = False
     silent_next: int = 0
+    unreached_next: int = 0
     registers: dict[int, int] = field(default_factory=lambda: {number: number for number in range(64)})
     coils: dict[int, int] = field(default_factory=lambda: dict.fromkeys(range(16), 0))
     asked: list[tuple[int, ...]] = field(default_factory=list)
@@ -50,6 +51,9 @@ class Device:
         if self.silent_next:
             self.silent_next -= 1
             return None
+        if self.unreached_next:
+            self.unreached_next -= 1
+            return bytes((function | 0x80, 11))
         if function in self.refused:
             return bytes((function | 0x80, 1))
         if function == 43:
@@ -176,15 +180,18 @@ MARKS: dict[str, tuple[dict[str, Any], dict[str, Any], dict[str, Any]]] = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("cable", [True, False], ids=["reconnected", "behind a device server"])
-@pytest.mark.parametrize("mark", MARKS)
-async def test_a_device_that_is_not_the_pinned_one_is_not_believed_and_not_written(mark: str, cable: bool) -> None:
-    setting, own, other = MARKS[mark]
+@pytest.mark.parametrize(
+    ("mark", "shown_by"),
+    [*((mark, by) for mark in MARKS for by in ("a connection", "silence")), ("a serial number as text", "a gateway")],
+)
+async def test_a_device_that_is_not_the_pinned_one_is_not_believed_and_not_written(mark: str, shown_by: str) -> None:
+    (setting, own, other), cable = MARKS[mark], shown_by == "a connection"
     async with plugged(Device(**own), identity=setting) as (plug, driver):
         assert isinstance(driver, PinnedDriver) and isinstance(driver, Complains)
         assert good(await driver.read(TAGS)) and driver.complaints() == ()
         await driver.write([(TAGS[0], 0)])
-        stranger = Device(**other, silent_next=0 if cable else 1)
+        # Behind a device server the connection stays, and what shows the change is one question without an answer.
+        stranger = Device(**other, silent_next=shown_by == "silence", unreached_next=shown_by == "a gateway")
         plug.swap(stranger, cable=cable)
         samples = await read_until(driver, lambda samples: bool(driver.complaints()))
         assert all(sample.value is None and sample.quality is Quality.NOT_CONNECTED for sample in samples)
@@ -218,6 +225,47 @@ async def test_a_device_that_does_not_say_who_it_is_is_not_believed() -> None:
         assert not any(sample.quality.is_good for sample in samples) and "says nothing of it" in samples[0].reason
 
 
+def identification_of(*objects: tuple[int, bytes], count: int = 1, longer: int = 0, behind: bytes = b"") -> bytes:
+    body = b"".join(bytes((number, len(text) + longer)) + text for number, text in objects)
+    return bytes((43, 14, 1, 1, 0, 0, count)) + body + behind
+
+
+@pytest.mark.parametrize(
+    ("reply", "reason"),
+    [
+        (identification_of((0, b"Maker"), count=9), ""),  # of some devices the count is that of all replies
+        (identification_of((0, b"Maker"), longer=3), "vendor ends 3 bytes behind the reply"),
+        (identification_of((0, b"Maker"), behind=b" of others"), "10 bytes follow its last object"),
+        (identification_of((0, b"Others"), (0, b"Maker"), count=2), "vendor is said in two ways"),
+        (identification_of((0, b"Maker"), behind=b"\1", count=2), "product code ends 1 bytes behind the reply"),
+        (identification_of((0, b"Others"), count=0), "8 bytes follow its last object"),
+        (bytes((43, 14, 1, 1, 0xFF, 1, 1, 1, 1)) + b"x", "says nothing of it"),  # more follows, for ever the same
+    ],
+)
+async def test_who_says_itself_in_a_broken_way_has_not_said_it(reply: bytes, reason: str) -> None:
+    class Broken(Device):
+        def answer(self, pdu: bytes) -> bytes | None:
+            return reply if pdu[0] == 43 else super().answer(pdu)
+
+    async with plugged(Broken(), identity={"vendor": "Maker"}) as (plug, driver):
+        samples = await driver.read(TAGS)
+        if not reason:
+            assert good(samples)
+            return
+        assert not any(sample.quality.is_good for sample in samples) and reason in samples[0].reason
+        with pytest.raises(LinkDown):
+            await driver.write([(TAGS[0], 7)])
+        assert not [row for row in plug.device.asked if row[0] == 16]
+
+
+@pytest.mark.parametrize("said", ["Größe".encode(), "Größe".encode("cp1252")], ids=["UTF-8", "cp1252"])
+@pytest.mark.parametrize("pinned", ["Größe", "Größe".encode().decode("latin-1")], ids=["as read", "a character a byte"])
+async def test_a_text_is_the_same_in_whatever_bytes_it_is_said(said: bytes, pinned: str) -> None:
+    device = Device(objects={0: said})
+    async with plugged(device, identity={"vendor": pinned}) as (_, driver):
+        assert good(await driver.read(TAGS))
+
+
 async def test_a_pinned_device_that_hangs_up_after_each_answer_is_read_and_never_written() -> None:
     async with plugged(Device(ends_connections=True), identity={"holding:40-47": "SN-0001"}) as (plug, driver):
         assert good(await read_until(driver, good))
@@ -232,6 +280,8 @@ async def test_a_pinned_device_that_hangs_up_after_each_answer_is_read_and_never
         ({}, "must be a table"),
         ({"colour": "red"}, "says nothing of who"),
         ({"vendor": 3}, "give the text"),
+        ({"vendor": " "}, "give the text"),
+        ({"holding:300-307": ""}, "never given a text"),
         ({"holding:300": "SN4711"}, "room for 2 characters"),
         ({"holding:300": 70000}, "list of its 1 words"),
         ({"holding:300-301": [1]}, "list of its 2 words"),

@@ -6,13 +6,16 @@ from contextlib import closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from random import Random
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import pytest
 
 from drivers.supervision import Supervisor
 from gateway.machine.alarms.board import AlarmBoard
 from gateway.machine.alarms.conditions import acknowledge_words, make_conditions
+from gateway.machine.followed import FollowedTemperature
+from gateway.machine.model.guards import PAST
 from gateway.machine.model.loading import load_model
 from gateway.machine.model.predict import Predictor
 from gateway.machine.model.unit import ModelUnit
@@ -22,6 +25,7 @@ from gateway.machine.records import Keeper, Records
 from gateway.machine.writing.block import Validity
 from gateway.machine.writing.writeback_stage import WritebackStage, open_audit_trail
 from gateway.plant.log import open_log
+from gateway.plant.status import _forecast
 from gateway.settings.config import Config
 from gateway.store.historian import HistorianView
 from tests.gateway.support import (
@@ -133,6 +137,39 @@ async def test_model_follows_forecasts_and_finds_without_a_machine_around_it(tmp
         unit.begin_anew()
         assert unit.prediction is None and unit.outlook.latest is None
         await unit.close()
+
+
+async def test_a_forecast_far_from_what_came_after_like_moments_is_flagged_and_a_restart_knows_them(
+    tmp_path: Path,
+) -> None:
+    config = config_in(tmp_path, model=two_modes(), forecast__period=1.0, **FORECAST)
+    loaded = load_model(config)
+    assert loaded is not None
+    # While this machine ran it was never warm, and at rest always.
+    known = [["on", 0, 10.0, 20, 10.0, 19.0], ["off", 0, 10.0, 20, 30.0, 19.0]]
+    with stored(config) as (historian, log):
+        unit = ModelUnit(config, loaded, (), historian=historian, log=log)
+        unit.guards.restore({PAST: known})
+        flagged = []
+        for second, on in enumerate((True, False, False, True, True)):
+            scan = scan_of({RUNNING: on, CURRENT: 150.0 * on, TEMPERATURE: 30.0}, EPOCH + 2.0 * second)
+            prediction = unit.follow(scan)
+            unit.settle(prediction)
+            unit.foresee(scan, prediction)
+            await unit.outlook.finish()
+            one = cast(FollowedTemperature, SimpleNamespace(model=unit, config=config))
+            if (said := _forecast(one, scan, scan.time)) is not None:
+                flagged.append([each and each.flagged for each in said.past])
+        # Each is collected with the scan after it; of the first location nobody saw the beginning.
+        assert flagged == [[None], [False], [False], [True]]
+        assert [each["moments"] for each in unit.guard_report()[PAST]] == [20], "on record, too"
+        unit.save(EPOCH + 200.0)
+        kept = unit.guards.snapshot()[PAST]
+        await unit.close()
+    with stored(config) as (historian, log):
+        again = ModelUnit(config, loaded, (), historian=historian, log=log)
+        again.restore(EPOCH + 201.0)
+        assert again.guards.snapshot()[PAST] == kept and len(kept) == 2
 
 
 async def test_a_forecast_waits_for_half_a_period_at_most_where_scans_are_skipped(tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gateway.lab.learning.learn import coverage_rows
 from sim.lab.learning.bins.candidates import BinsCandidate
 from sim.lab.learning.bins.learn import learn_bins
 from sim.lab.learning.calibrate import HORIZONS_S, Scored, calibrate, horizon_coverage, score_forecasts
@@ -46,6 +47,13 @@ def test_little_evidence_leaves_the_factor_near_its_cautious_start() -> None:
     (one,) = horizon_coverage(scored(np.zeros(1)))
     assert 0.9 < one.factor < 1.25
     assert horizon_coverage([]) == ()
+
+
+def test_a_table_for_people_has_no_hashes_of_moments() -> None:
+    coverage = horizon_coverage(scored(np.ones(3)))
+    assert coverage[0].units
+    (row,) = coverage_rows(coverage)
+    assert row["forecasts"] == 3 and all(isinstance(value, (int, float)) for value in row.values())
 
 
 def test_a_cycle_of_a_recording_has_the_same_name_whatever_else_was_read_and_whichever_model_forecast_it() -> None:

@@ -322,7 +322,7 @@ def test_a_report_is_read_on_a_phone_without_a_stroke_to_the_side(page: Page, ga
     limit = deeds.filter(has_text="decanter, gearbox bearing: war über der Grenze")
     expect(limit.first).to_contain_text("olga an 127.0.0.1")
     wide = "nodes => nodes.filter((node) => node.scrollWidth > node.clientWidth + 1).map((node) => node.innerText)"
-    for view in ("shift", "communication"):
+    for view in ("shift", "communication", "machine/decanter"):
         page.goto(f"/?lang=de#/{view}")
         expect(page.locator("main .stacks").first).to_be_visible()
         assert page.locator("main .scroll:has(.stacks)").evaluate_all(wide) == [], view

@@ -10,6 +10,7 @@ import pytest
 
 import gateway.outside.texts
 import gateway.outside.web
+from gateway.outside.panel import status_rows
 from gateway.outside.status import read_status
 from gateway.outside.status.health import CHECKS
 from gateway.outside.texts import LANGUAGES, all_words, preferred_language
@@ -125,6 +126,21 @@ def test_what_the_sentence_is_worth_is_said_beside_it(
 ) -> None:
     found = row(**changes)
     assert said in found["sentence"] and (found["level"], found["valid"]) == (level, valid)
+
+
+def test_a_forecast_beyond_three_deviations_of_the_past_is_said_and_no_doubt_of_its_own() -> None:
+    like = {"moments": 23, "mean": 41.0, "sigma": 1.5, "deviations": 0.5, "flagged": False}
+    usual = row(forecast__past=[None, like, like])
+    assert usual["validity"] == row()["validity"] and usual["valid"] == "good"
+    far, further = (like | {"deviations": off, "flagged": True} for off in (3.2, -4.1))
+    found = row(forecast__past=[far, further, None])
+    said = "in 5 min it is 4.1 standard deviations from what was measured after 23 like moments (41.0 ± 1.5 °C)"
+    assert found["validity"] == f"{usual['validity']}; {said}" and found["valid"] == "good"
+    for language in LANGUAGES:
+        assert row(language, forecast__past=[far, further, None])["validity"].count("23") == 1
+    rows = status_rows(read_status(picture(forecast__past=[like, further, None])))
+    assert str(rows["in 5 min"]).endswith("; 4.1 sd from 41.0 with sd 1.5 after 23 like moments")
+    assert all("like moments" not in str(rows[name]) for name in ("in 1 min", "in 15 min"))
 
 
 @pytest.mark.parametrize(

@@ -40,6 +40,7 @@ from sim.artefacts import (
     version_directory,
     versions,
 )
+from sim.engine import open_loop
 from sim.lab.formats import save
 from sim.lab.judge.comparison import NEW, PRESENT, compare_horizons, propose_verdict
 from sim.lab.learning.semi_markov import sojourns
@@ -742,6 +743,78 @@ def test_a_timer_retrains_on_its_own_bearings_drift_alarm_and_waits_without_a_re
     gateway.view("decanter", tags, temperature=TEMPERATURE).put("guards", [(last, json.dumps({"drift": guards}))])
     assert gateway.close()
     assert due()["due"] == "the drift alarm's condition holds"
+
+
+def _quickly_searched(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """The trials of each search of settings, which costs nothing and finds none that are better."""
+    searched: list[int] = []
+
+    def search(*_: Any, trials: int) -> SimpleNamespace:
+        searched.append(trials)
+        return SimpleNamespace(better=False, best=None, sentence="the defaults are as good")
+
+    monkeypatch.setattr(study, "tune", search)
+    return searched
+
+
+@pytest.mark.parametrize(
+    ("trials", "limit", "searches"), [(5, 2.0, True), (5, 90.0, False), (5, None, True), (0, 2.0, False)]
+)
+def test_settings_are_searched_where_s_in_per_cent_of_the_readings_is_above_its_limit(
+    trials: int,
+    limit: float | None,
+    searches: bool,
+    request_of: RetrainingRequest,
+    library: CycleLibrary,
+    quick: SimpleNamespace,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(study, "report_files", lambda *_: {"retraining_report.txt": "drawn in another test"})
+    searched = _quickly_searched(monkeypatch)
+    found = run(replace(request_of, trials=trials, score_limit=limit), library)
+    assert searched == ([trials] if searches else [])
+    why = "(limit 20%)" if limit is None else f"on 12 new cycles (limit {limit:g} %)"
+    begin = "searched, as " if searches else "not searched: "
+    assert (found.tuned.startswith(begin) and why in found.tuned) if trials else not found.tuned
+
+
+def test_s_is_half_the_mean_error_three_tenths_of_the_largest_and_two_of_the_scatter(
+    request_of: RetrainingRequest, library: CycleLibrary
+) -> None:
+    source = make_source(request_of, BEGIN)
+    cut_and_rate(request_of, library, source, silent)
+    rows = new_cycles(library, source.model)
+    by_hand = []
+    for row in rows[-study.MAX_HELD_OUT :]:
+        cycle = encode_trace(library.readings(row.content), source.model.alphabet)
+        measured = cycle.signals[TEMPERATURE]
+        run = open_loop(source.model, cycle, "resync")
+        off = run.mean[np.searchsorted(run.times, cycle.times)] - measured
+        score = 0.5 * np.abs(off).mean() + 0.3 * np.abs(off).max() + 0.2 * off.std()
+        by_hand.append(100.0 * score / np.abs(measured).mean())
+    percent, count = study.score_percent(library, source, rows)
+    assert percent == pytest.approx(np.mean(by_hand)) and count == study.MAX_HELD_OUT
+    assert np.isnan(study.score_percent(library, source, [])[0])
+
+
+def test_a_timer_retrains_where_s_of_the_cycles_since_the_last_retraining_is_above_its_limit(
+    tmp_path: Path, store: Path, historian: Path, quick: SimpleNamespace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    searched = _quickly_searched(monkeypatch)
+    given = ("model", "version", "retrain", store, "--historian", historian, "--library", tmp_path / "l")
+    given += ("--full-speed", "--no-diagnosis", "--if-due", "--after", 99)
+    said = decanter(*given, "--tune", "7:90").stdout
+    assert "fewer than 99 that are not ordinary, no S above 90 %" in said
+    assert only_object(decanter(*given, "--json").stdout)["due"] is False, "without a limit S is no reason"
+    data = only_object(decanter(*given, "--tune", "7:2", "--json").stdout)
+    assert data["due"].startswith("S of the current version is ") and data["due"].endswith(
+        " % of the readings on 12 new cycles (limit 2 %)"
+    )
+    assert searched == [7] and data["tuned"].startswith(f"searched, as {data['due']}")
+    # The same cycles are no reason for a second one, whatever became of the first.
+    assert only_object(decanter(*given, "--tune", "7:2", "--json").stdout)["due"] is False
+    for text in ("0", "x", "7:", "7:x", "7:-1", "7:nan", "7:inf", ":8"):
+        refused(decanter(*given, "--tune", text), 2, f"'{text}' is not TRIALS or TRIALS:PERCENT")
 
 
 def test_a_damaged_library_and_too_few_cycles_are_one_sentence(

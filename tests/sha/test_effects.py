@@ -83,6 +83,8 @@ def test_the_signal_of_a_role_takes_the_place_of_its_parameter() -> None:
 def test_an_effect_is_told_in_one_line() -> None:
     assert effect_summary(replace(PUMP, locations=("on",))) == "pump-cooling: loss 0.01; sink 20; pump P; in on"
     assert effect_summary(START) == "startup-churning: gain 0.1; tau 60; shape 1; since W_ON"
+    step = Effect("sensor-offset-step", {"size": 0.5, "at": 1.743e9})
+    assert effect_summary(step) == "sensor-offset-step: size 0.5; at 2025-03-26 14:40 UTC"
 
 
 def test_what_cannot_do_effects_says_so_in_one_sentence() -> None:

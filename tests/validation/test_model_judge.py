@@ -227,6 +227,21 @@ CASES: dict[str, tuple[Callable[[], ModelVerdict], str, str]] = {
         "1.2 against 1 °C at 60 s)",
     ),
     "bands that nothing mends": (lambda: judged(coverage=foreseen(factor=5.0)), "unfit", "which no widening mends"),
+    "a band wider than all that was read": (
+        lambda: judged(coverage=[*foreseen()[:2], replace(foreseen(factor=1.5)[2], width=25.0)]),
+        "limited",
+        "its 90 % band is 38 °C wide at 900 s, and its readings lie within 30 °C: at 900 s it says nothing",
+    ),
+    "a band that another day widens beyond that": (
+        lambda: judged(coverage=[replace(row, width=20.0, other_days=False) for row in foreseen()]),
+        "limited",
+        "at 60 s, 300 s and 900 s it says nothing; next: learn with longer recordings and more days",
+    ),
+    "a wide band of a machine that moves more": (
+        lambda: judged(coverage=[replace(row, width=20.0) for row in foreseen()]),
+        "fit",
+        "",
+    ),
     "bands that were far too narrow": (lambda: judged(coverage=foreseen(covered=0.3)), "limited", "held 30 %"),
     "a flow without bound": (lambda: judged(model=hopeless()), "unfit", "it does not verify"),
     "simulated traces": (lambda: judged(replace(record(), synthetic=True)), "limited", "learned from synthetic traces"),

@@ -248,6 +248,11 @@ def _column_map(
             if open_point.field == "temperature" and len(mine) == 1 and not answers.temperature:
                 answers = answers.with_answer("temperature", mine[0])
                 continue
+            # A gateway follows what it reads: of several switches that one is meant which is a tag.
+            tags = [choice for choice in open_point.choices if choice in choices]
+            if open_point.field == "running" and len(tags) == 1 and not answers.running:
+                answers = answers.with_answer("running", tags[0])
+                continue
             if open_point.field == "temperature" and not mine:
                 raise ValueError(
                     f"{trace}: none of its columns is called as {temperature} is; say which one it is: "
@@ -265,6 +270,11 @@ def _column_map(
         names[first.temperature] = temperature
     # The events come from the other two parts: those must be tags, or a gateway has no events.
     open_points = []
+    if answers.running:
+        open_points.append(
+            f"{answers.running!r} of the trace is taken for the switch, the only one of several that is a tag"
+        )
+        answers = answers.with_answer("running", names.get(answers.running, answers.running))
     for part, header in {"load": first.current, "switch": first.running or RUNNING_SIGNAL}.items():
         if not header or header in names:
             continue

@@ -46,7 +46,7 @@ _UNITS = {
     **dict.fromkeys(("giri min", "giri", "1 min", "min 1", "u min", "rpm", "r min"), "rpm"),
 }
 _RANGE = re.compile(
-    r"[(\[]?\s*(?P<low>[-+−]?\d[\d.,']*?)\s*(?:\.\.\.?|…|~|to|bis|÷|/|;|-|–|—|a)\s*(?P<high>[-+−]?\d[\d.,']*?)\s*[)\]]?"
+    r"[(\[]?\s*(?P<low>[-+−]?\d[\d.,']*?)\s*(?:\.\.\.?|…|~|to|bis|÷|/|;|-|–|—|a)\s*(?P<high>[-+−]?\d+(?:[.,']\d+)*)\s*[)\]]?"
     r"\s*(?P<unit>[^\d\s].*)?",
     re.IGNORECASE,
 )

@@ -167,7 +167,9 @@ _TYPES: Mapping[str, str] = {
     **dict.fromkeys(("ulint", "uint64", "lword", "u64", "uint 64", "qword", "acc64", "bitfield64"), "uint64"),
     **dict.fromkeys(("acc32", "bitfield32", "enum32", "udword"), "uint32"),
     **dict.fromkeys(("acc16", "bitfield16", "enum16", "enum"), "uint16"),
-    **dict.fromkeys(("sunssf", "int2"), "int16"),
+    **dict.fromkeys(("sunssf", "int2", "s word"), "int16"),
+    **{"u word": "uint16", "u dword": "uint32", "s dword": "int32", "u qword": "uint64", "s qword": "int64"},  # ESPHome
+    "fp32": "float32",
     **dict.fromkeys(("int4",), "int32"),
     **dict.fromkeys(("float4",), "float32"),
     **dict.fromkeys(("float8",), "float64"),
@@ -336,10 +338,14 @@ _COUNTED = re.compile(r"(\d) (?:registers?|words?|regs?|registri)")
 _SUFFIXED = re.compile(r"(u?int(?:8|16|32|64)|float|double)(be|le|sw|sb)")
 _SUFFIXES = {"be": "ABCD", "le": "DCBA", "sw": "CDAB", "sb": "BADC"}
 """`uint32sw` and its like in ioBroker's tables: big and little endian, swapped words, swapped bytes."""
+_REVERSED = re.compile(r"([us] [dq]word|fp32) r")
+"""`U_DWORD_R` of ESPHome: the words from the last one on."""
 
 
 def type_cell(key: str) -> TypeCell:
     """A type's cell, as `cells.header_key` writes it."""
+    if match := _REVERSED.fullmatch(key):
+        return TypeCell(_TYPES[match[1]], order="CDAB")
     if match := _SUFFIXED.fullmatch(key):
         return TypeCell("float64" if match[1] == "double" else _TYPES[match[1]], order=_SUFFIXES[match[2]])
     for start in (key, key.replace("32bit", "32 bit").replace("16bit", "16 bit").replace("64bit", "64 bit")):

@@ -157,8 +157,8 @@ def _device_file_row(plant: Path, table: Mapping[str, Any], link: str | None) ->
     for row in links if isinstance(links, list) else ():
         if isinstance(row, dict) and link in (None, row.get("name")) and isinstance(row.get("file"), str):
             return row
-    wanted = f"a link {link!r}" if link else "device.file or a [[device.links]] table with a file"
-    raise ConfigError([f"{plant}: has no {wanted}; add it, or give --device FILE"])
+    lacking = f"no link {link!r}" if link else "neither device.file nor a [[device.links]] table with a file"
+    raise ConfigError([f"{plant}: has {lacking}; add it, or give --device FILE"])
 
 
 # ---------------------------------------------------------------- changing

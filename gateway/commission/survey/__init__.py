@@ -18,5 +18,5 @@ from gateway.commission.survey.network import (
     read_greeting,
     resolve_host,
 )
-from gateway.commission.survey.registers import BEHIND_GATEWAY, ILLEGAL_FUNCTION, first_register, scan_registers
+from gateway.commission.survey.registers import ILLEGAL_FUNCTION, first_register, scan_registers
 from gateway.commission.survey.units import scan_units

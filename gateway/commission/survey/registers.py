@@ -7,7 +7,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any
 
-from drivers.errors import DeviceException, DriverError, LinkDown, ReplyMismatch, ReplyTimeout
+from drivers.errors import NO_WAY_TO_UNIT, DeviceException, DriverError, LinkDown, ReplyMismatch, ReplyTimeout
 from drivers.survey import AsksRegisters
 from gateway.commission.session import Site, Target, mention_gateway
 from gateway.commission.survey.addresses import Register, parse_register
@@ -17,8 +17,6 @@ from gateway.console import CommandResult, Progress
 MOST_REGISTERS, MOST_BITS = 125, 2000
 """The protocol's own limits of one read (MODBUS Application Protocol V1.1b3, 6.1 to 6.4)."""
 _BUSY = frozenset({5, 6})
-BEHIND_GATEWAY = frozenset({10, 11})
-"""Exceptions of a gateway: path unavailable, target failed to respond (MODBUS Application Protocol V1.1b3, 7)."""
 ILLEGAL_FUNCTION = 1
 _BUSY_TRIES = 8
 _MAX_FIRST_SILENCES = 4
@@ -45,7 +43,7 @@ class _Asking:
             try:
                 await self._ask_patiently(start, count)
             except DeviceException as error:
-                if error.code in BEHIND_GATEWAY or error.code == ILLEGAL_FUNCTION:
+                if error.code in NO_WAY_TO_UNIT or error.code == ILLEGAL_FUNCTION:
                     raise
                 self.reasons[f"exception {error.code}"] += 1
                 return False

@@ -5,11 +5,11 @@ from collections.abc import Sequence
 from typing import Any
 
 from drivers.driver import LINKS
-from drivers.errors import DeviceException, LinkDown, LinkFault, ReplyMismatch, ReplyTimeout
+from drivers.errors import NO_WAY_TO_UNIT, DeviceException, LinkDown, LinkFault, ReplyMismatch, ReplyTimeout
 from drivers.survey import AsksRegisters
 from gateway.commission.session import Site, mention_gateway
 from gateway.commission.survey.addresses import Register
-from gateway.commission.survey.registers import BEHIND_GATEWAY, first_register
+from gateway.commission.survey.registers import first_register
 from gateway.console import CommandResult, Progress
 from gateway.entry import Exit
 
@@ -91,7 +91,7 @@ class _UnitScan:
             try:
                 words = await self._survey.read(self._register.table, self._register.number, 1, unit)
             except DeviceException as error:
-                if error.code in BEHIND_GATEWAY:
+                if error.code in NO_WAY_TO_UNIT:
                     return None
                 answer, refused = str(error), True
             except (ReplyTimeout, ReplyMismatch, LinkDown) as error:

@@ -236,7 +236,7 @@ def disarm(given: SharedOptions, reason: str, socket: Path | None, audit: Path |
         if given.plant is not None and given.device is None:
             target = gateway_target(given.plant, given.machine, socket)
     if target is not None and target.places is not None and target.places.problem is not None:
-        click.echo(f"{target.places.problem}; it is disarmed all the same", err=True)
+        click.echo(f"{target.places.problem}; the disarming goes on all the same", err=True)
     perform(given, "disarm", {"reason": reason}, work, _disarmed_lines, target=target)
 
 

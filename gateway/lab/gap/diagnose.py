@@ -23,7 +23,7 @@ from gateway.lab.models.propose import propose, recorded_drift, require_store
 from gateway.lab.traces.load import load
 from gateway.store import reading, recent
 from sim.artefacts import model_hash, read_effect_lines
-from sim.effects import usual_roles
+from sim.effects import parameter_words, usual_roles
 from sim.lab.discrepancy import (
     Diagnosis,
     DiagnosisOutcome,
@@ -315,7 +315,13 @@ def show(result: DiagnosisResult, out: Path) -> Iterator[Part]:
         yield f"law {number}, {law_sentence(law)}"
     if diagnosis.effects:
         rows = [
-            [effect.name, ", ".join(effect.members), effect.confidence, effect.gain, dict(effect.params)]
+            [
+                effect.name,
+                ", ".join(effect.members),
+                effect.confidence,
+                effect.gain,
+                {name: parameter_words(effect.name, name, value, 4) for name, value in effect.params.items()},
+            ]
             for effect in diagnosis.effects
         ]
         yield Rows("added to the model", ("effect", "class", "confidence", "nats", "parameters"), rows)

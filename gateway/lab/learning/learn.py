@@ -30,7 +30,7 @@ from sim.sha import Bins, Model, Trace, display_unit, encode, encode_trace
 from sim.strict_json import json_text
 
 if TYPE_CHECKING:
-    from sim.lab.learning import DriverEvidence, MachineSpread
+    from sim.lab.learning import Coverage, DriverEvidence, MachineSpread
     from sim.lab.learning.bins import Learned
     from sim.lab.learning.lsha import LearnedLsha, ObservationTable, TraceAcceptance
     from sim.lab.recordings import ColumnMap
@@ -310,6 +310,11 @@ def write(out: Path, learned: Learned, more: Mapping[str, str] | None = None) ->
     return write_model_directory(out, learned.model, learned.values, more=more)
 
 
+def coverage_rows(coverage: Sequence[Coverage]) -> list[dict[str, Any]]:
+    """A row a horizon; what was seen in each unit, by hashes of its moments, is for whoever compares two models."""
+    return [{name: value for name, value in asdict(row).items() if name != "units"} for row in coverage]
+
+
 def diagnostics(learned: Learned) -> dict[str, list[dict[str, Any]]]:
     """How the model came about, as plain values: the candidates' held-out scores, the fits, the bands' coverage."""
     fits = [asdict(location) for location in learned.locations if location.source != "unknown"]
@@ -317,7 +322,7 @@ def diagnostics(learned: Learned) -> dict[str, list[dict[str, Any]]]:
     return {
         "candidates": [asdict(candidate) for candidate in learned.candidates],
         "fits": [{name: fit[name] for name in wanted} for fit in fits],
-        "held-out forecasts": [asdict(row) for row in learned.coverage],
+        "held-out forecasts": coverage_rows(learned.coverage),
     }
 
 
@@ -336,5 +341,5 @@ def lsha_diagnostics(learned: LearnedLsha) -> dict[str, list[dict[str, Any]]]:
         ],
         "locations": [{name: fit[name] for name in wanted} for fit in fits],
         "edges and acceptance": [edges | checked | events],
-        "held-out forecasts": [asdict(row) for row in report.coverage],
+        "held-out forecasts": coverage_rows(report.coverage),
     }

@@ -1,5 +1,6 @@
 """The options of what learns while the plant runs and its help; the work is loaded when it is asked for."""
 
+from math import inf
 from pathlib import Path
 from typing import Any
 
@@ -8,6 +9,22 @@ import click
 from gateway.console import historian_machine_option, json_option, map_option, seed_option
 from gateway.lab.options import RATINGS, historian_option, library_option
 from sim.error_limits import RED, YELLOW
+
+
+def _search(_: click.Context, __: click.Parameter, text: str | None) -> tuple[int, float | None] | None:
+    """(trials, S in per cent above which they are made or None) of TRIALS[:PERCENT]."""
+    if text is None:
+        return None
+    trials, colon, percent = text.partition(":")
+    try:
+        search = int(trials), float(percent) if colon else None
+    except ValueError:
+        search = 0, None
+    if search[0] < 1 or not (search[1] is None or 0.0 <= search[1] < inf):
+        raise click.BadParameter(
+            f"{text!r} is not TRIALS or TRIALS:PERCENT, a whole number from 1 on and a percentage from 0 on, as 30:8"
+        )
+    return search
 
 
 @click.command("retrain", short_help="Learn from the historian's new cycles; propose a version that is better.")
@@ -23,9 +40,18 @@ from sim.error_limits import RED, YELLOW
 @click.option(
     "--rows", type=click.IntRange(1000), default=600_000, show_default=True, help="Scans to learn from at most."
 )
-@click.option("--tune", "trials", type=click.IntRange(1), help="Search settings where performance has fallen: trials.")
+@click.option(
+    "--tune",
+    "search",
+    metavar="TRIALS[:PERCENT]",
+    callback=_search,
+    help="Search settings in so many trials where performance has fallen: S above PERCENT of the readings, "
+    "else a fifth of the new cycles badly predicted.",
+)
 @click.option("--no-diagnosis", is_flag=True, help="Do not look for what the new model still lacks.")
-@click.option("--if-due", is_flag=True, help="Only on drift, after --after new cycles that teach, or --every days.")
+@click.option(
+    "--if-due", is_flag=True, help="Only on drift, S above --tune's, --after new cycles that teach, or --every days."
+)
 @click.option(
     "--after", type=click.IntRange(1), default=10, show_default=True, help="New cycles that are not ordinary."
 )

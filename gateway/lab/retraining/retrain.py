@@ -51,7 +51,7 @@ def retrain_command(
     map_name: str,
     method: str | None,
     rows: int,
-    trials: int | None,
+    search: tuple[int, float | None] | None,
     no_diagnosis: bool,
     if_due: bool,
     after: int,
@@ -67,6 +67,7 @@ def retrain_command(
         raise click.UsageError("--red is below --yellow; give the red class the larger error")
     if not full_speed:
         os.nice(NICE)
+    trials, score_limit = search or (0, None)
     begin = time.process_time()
     with sentences(), progress("retraining") as bar, interruptible(bar) as report:
         temperature = load_version(store).temperature
@@ -91,7 +92,8 @@ def retrain_command(
             method=method,
             seed=seed,
             rows=rows,
-            trials=trials or 0,
+            trials=trials,
+            score_limit=score_limit,
             diagnosis=not no_diagnosis,
             yellow=yellow,
             red=red,
@@ -106,9 +108,11 @@ def retrain_command(
                 learned = creation_time(version_directory(store, source.version))
                 age = time.time() - max(learned, (library.fact("finished") or {"at": learned})["at"])
                 limit = float("inf") if every is None else every * 86_400.0
-                reason = due(library, source.model, after=after, drifting=drifting, age=age, every=limit)
+                reason = due(request, library, source, after=after, drifting=drifting, age=age, every=limit)
                 fresh = len(new_cycles(library, source.model))
                 said = f"not due: {cut} cycles came, no drift, fewer than {after} that are not ordinary"
+                if score_limit is not None:
+                    said += f", no S above {score_limit:g} %"
                 if reason and fresh < MIN_NEW_CYCLES:
                     # For a timer that is no mistake: it comes again.
                     said = f"not yet: {reason}, but {fresh} new cycles are too few; it takes {MIN_NEW_CYCLES}"

@@ -11,7 +11,7 @@ import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from hashlib import sha256
-from math import inf
+from math import inf, isnan, nan
 from pathlib import Path
 from typing import Any
 
@@ -54,7 +54,15 @@ from sim.familiarity import ClassFigures, measured_classes
 from sim.files import replace_durably
 from sim.lab.discrepancy import diagnose
 from sim.lab.formats import save, write_model_directory
-from sim.lab.judge import compare_horizons, judge_learning, propose_verdict
+from sim.lab.judge import (
+    TraceJob,
+    TraceRunSettings,
+    compare_horizons,
+    judge_learning,
+    propose_verdict,
+    rank,
+    run_job,
+)
 from sim.lab.tuning import METHODS, Settings, StudyPlan, Task, Taught, tune
 from sim.proof import verify
 from sim.sha import Model, Trace, content_hash, encode_trace, joint_hash
@@ -83,8 +91,9 @@ class RetrainingRequest:
 
     `standard` are the traces that a new model must not be worse on, `former` those of earlier training that no library
     has; both encoded by nobody yet. `rows` is how many scans the training has at most, `trials` those of a search of
-    settings where performance has fallen. `yellow` and `red` are the classes of expected relative error; `forecasts` is
-    by how many forecasts a cycle judges at most.
+    settings where performance has fallen: where S is above `score_limit` (per cent of the readings), or without one
+    where more than RETUNE_SHARE of the new cycles are badly predicted. `yellow` and `red` are the classes of expected
+    relative error; `forecasts` is by how many forecasts a cycle judges at most.
     """
 
     store: Path
@@ -100,6 +109,7 @@ class RetrainingRequest:
     diagnosis: bool
     yellow: float
     red: float
+    score_limit: float | None = None
     forecasts: int = MAX_FORECASTS_PER_CYCLE
 
 
@@ -150,17 +160,68 @@ def new_cycles(library: CycleLibrary, model: Model) -> list[CycleRow]:
     return [row for row in rows[last + 1 :] if not row.is_excluded and row.error is not None]
 
 
-def due(library: CycleLibrary, model: Model, *, after: int, drifting: bool, age: float, every: float) -> str:
-    """Why it is time to retrain, "" where it is not: `after` new cycles that teach, drift, the last one's age (s)."""
+def due(
+    request: RetrainingRequest,
+    library: CycleLibrary,
+    source: CycleSource,
+    *,
+    after: int,
+    drifting: bool,
+    age: float,
+    every: float,
+) -> str:
+    """Why it is time to retrain, "" where it is not.
+
+    Reasons are drift, `after` new cycles that teach, S above the limit of the `request`, the last one's age (s).
+    """
     if drifting:
         return "the drift alarm's condition holds"
     names = [row.name for row in library.cycles(as_cut=True)]
     finished = (library.fact("finished") or {}).get("last")
     since = set(names[names.index(finished) + 1 :] if finished in names else names)
-    teaching = [row for row in new_cycles(library, model) if row.rating != "ordinary" and row.name in since]
-    if len(teaching) >= after:
-        return f"{len(teaching)} new cycles are not ordinary"
-    return f"the last retraining is {age / 86_400.0:.3g} days ago" if age >= every else ""
+    fresh = [row for row in new_cycles(library, source.model) if row.name in since]
+    teaching = sum(row.rating != "ordinary" for row in fresh)
+    if teaching >= after:
+        return f"{teaching} new cycles are not ordinary"
+    if age >= every:
+        return f"the last retraining is {age / 86_400.0:.3g} days ago"
+    # What it was before the last retraining is no reason for another one.
+    if request.score_limit is not None and len(fresh) >= MIN_HELD_OUT:
+        fallen, said = _has_fallen(request, library, source, fresh)
+        return said if fallen else ""
+    return ""
+
+
+def score_percent(library: CycleLibrary, source: CycleSource, cycles: Sequence[CycleRow]) -> tuple[float, int]:
+    """(S of the current version's free run, the number of cycles): the "S %" of `model judge rank`, by its weights.
+
+    In per cent of the readings, a mean over the newest MAX_HELD_OUT of the `cycles` that are kept or in the historian
+    still; NaN where the version cannot be run along any of them.
+    """
+    results = []
+    # Two runs: S is of the mean alone, and the band that more of them would draw is not asked for.
+    settings = TraceRunSettings(runs=2)
+    for row in cycles[-MAX_HELD_OUT:]:
+        trace = read_cycle(source, row, library)
+        if trace is not None:
+            job = TraceJob(label="present", semantics="", model=source.model, trace=trace, settings=settings)
+            results.append(run_job(job).result)
+    ranking = rank(results) if results else None
+    return (ranking.standings[0].score_percent, len(ranking.common)) if ranking is not None else (nan, 0)
+
+
+def _has_fallen(
+    request: RetrainingRequest, library: CycleLibrary, source: CycleSource, fresh: Sequence[CycleRow]
+) -> tuple[bool, str]:
+    """Whether settings are to be searched since the current version performs badly on the new cycles, and by what."""
+    if request.score_limit is None:
+        share = sum(row.rating == "badly predicted" for row in fresh) / max(len(fresh), 1)
+        return share > RETUNE_SHARE, f"{share:.0%} of the new cycles are badly predicted (limit {RETUNE_SHARE:.0%})"
+    percent, count = score_percent(library, source, fresh)
+    if isnan(percent):
+        return False, "S of the current version is not known on any new cycle"
+    said = f"S of the current version is {percent:.3g} % of the readings on {count} new cycles"
+    return percent > request.score_limit, f"{said} (limit {request.score_limit:g} %)"
 
 
 def retrain(
@@ -186,6 +247,7 @@ def retrain(
         "seed": request.seed,
         "rows": request.rows,
         "trials": request.trials,
+        "score_limit": request.score_limit,
         "diagnosis": request.diagnosis,
         "forecasts": request.forecasts,
         "standard": joint_hash(request.standard),
@@ -208,13 +270,15 @@ def retrain(
 
     learned = library.step(study, "learned")
     if learned is None:
-        fresh = new_cycles(library, present)
-        fallen = sum(row.rating == "badly predicted" for row in fresh) / max(len(fresh), 1) > RETUNE_SHARE
         settings_found: Settings = {}
         tuned = ""
-        if request.trials and fallen:
-            report("searching settings", 0.15)
-            settings_found, tuned = _search_settings(request, present, method, training, folder)
+        if request.trials:
+            fallen, why = _has_fallen(request, library, source, new_cycles(library, present))
+            tuned = f"not searched: {why}"
+            if fallen:
+                report("searching settings", 0.15)
+                settings_found, found_sentence = _search_settings(request, present, method, training, folder)
+                tuned = f"searched, as {why}: {found_sentence}"
         report(f"learning ({method})", 0.25)
         record = _record(request, source, method, chosen, settings=settings_found)
         taught = learned_model(record, training, present)

@@ -1,26 +1,47 @@
 """The guards of the model while it runs: 3-sigma reviews of its predictions, its drift, how often it left its range."""
 
 from collections.abc import Mapping
+from dataclasses import asdict
 from typing import Any
 
 from gateway.machine.model.drift import CycleDrift, follow_cycle, make_drift_rule
 from gateway.machine.model.predict import Predictor, ScanPrediction
-from sim.forecast import FORECASTS, ONE_STEP, Z90, Calibration, Forecast, Review, follow, follow_forecasts, share
+from sim.forecast import (
+    FORECASTS,
+    ONE_STEP,
+    Z90,
+    Calibration,
+    Forecast,
+    HeldAgainstPast,
+    LikeMoments,
+    Review,
+    follow,
+    follow_forecasts,
+    share,
+)
 from sim.sha import Model
 from sim.strict_json import shallow_dict
 
-INNOVATIONS, DRIFT = "one step", "drift"
+INNOVATIONS, DRIFT, PAST = "one step", "drift", "past readings"
 
 
 class Guards:
     """Reviews by what is looked at: the one-step prediction, and the forecasts of each horizon ("60 s").
 
     `drift` follows the free run from cycle to cycle, against `limit` (degC) or the model's own band (None); the alarm
-    comes from `drift_cycles` beyond it on, which is said with it so that the records tell whether it stands.
+    comes from `drift_cycles` beyond it on, which is said with it so that the records tell whether it stands. `past` has
+    the newest forecast by horizon beside what was measured after like moments, None where that is not known yet; a
+    reading that comes `tolerance` s after its moment is of it still.
     """
 
     def __init__(
-        self, model: Model, horizons: tuple[float, ...], limit: float | None = None, *, drift_cycles: int
+        self,
+        model: Model,
+        horizons: tuple[float, ...],
+        limit: float | None = None,
+        *,
+        drift_cycles: int,
+        tolerance: float,
     ) -> None:
         self.model = model
         self._drift_cycles = drift_cycles
@@ -28,6 +49,8 @@ class Guards:
         self._rule = make_drift_rule(model, limit)
         self._horizons = {f"{horizon:g} s": horizon for horizon in horizons}
         self.reviews = {INNOVATIONS: Review()} | {name: Review() for name in self._horizons}
+        self.past: tuple[HeldAgainstPast | None, ...] = ()
+        self._like = LikeMoments(horizons, model.sensor_sigma, tolerance)
         self.forecast_clamps = 0
         self.forecasts_clamped = 0
 
@@ -36,6 +59,7 @@ class Guards:
         p = prediction
         if self._rule is not None:
             self.drift = follow_cycle(self._rule, self.drift, p)
+        self._like.follow(p.time, p.location if p.known else None, p.measured)
         if p.measured is None:
             return
         if p.mean is not None and p.high is not None and p.high > p.mean:
@@ -46,8 +70,10 @@ class Guards:
         for name, horizon in self._horizons.items():
             self.reviews[name] = follow_forecasts(self.reviews[name], calibration, horizon, p.time, p.measured)
 
-    def count_forecast(self, forecast: Forecast) -> None:
-        """Count the clamps of a finished forecast's runs."""
+    def take_forecast(self, forecast: Forecast) -> None:
+        """Hold a finished forecast against the past, and count the clamps of its runs."""
+        medians = forecast.quantiles[forecast.levels.index(0.5)].tolist()
+        self.past = self._like.hold(forecast.time, dict(zip(forecast.horizons.tolist(), medians, strict=True)))
         self.forecast_clamps += forecast.clamps
         self.forecasts_clamped += forecast.clamps > 0
 
@@ -81,6 +107,7 @@ class Guards:
                 "limit": self.drift.limit,
             },
             "reviews": reviews,
+            PAST: [None if each is None else asdict(each) for each in self.past],
             "clamps": {
                 "belief": belief,
                 "free_run": free_run,
@@ -93,10 +120,15 @@ class Guards:
         }
 
     def snapshot(self) -> dict[str, Any]:
-        """The reviews and the drift as JSON can carry them."""
-        return {name: shallow_dict(review) for name, review in self.reviews.items()} | {DRIFT: shallow_dict(self.drift)}
+        """The reviews, the drift and the past as JSON can carry them."""
+        reviews = {name: shallow_dict(review) for name, review in self.reviews.items()}
+        return reviews | {DRIFT: shallow_dict(self.drift), PAST: self._like.snapshot()}
 
     def restore(self, saved: Mapping[str, Any]) -> None:
-        """Go on from a snapshot, for what is still looked at. Raises TypeError for what `snapshot` did not write."""
+        """Go on from a snapshot, for what is still looked at.
+
+        Raises TypeError or ValueError for what `snapshot` did not write.
+        """
         self.reviews |= {name: Review(**review) for name, review in saved.items() if name in self.reviews}
         self.drift = CycleDrift(**saved[DRIFT]) if DRIFT in saved else self.drift
+        self._like.restore(saved.get(PAST, ()))

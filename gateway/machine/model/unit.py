@@ -107,7 +107,11 @@ class ModelUnit:
         )
         alarms = config.alarms
         self.guards = Guards(
-            self.loaded.model, config.forecast.horizons, alarms.drift, drift_cycles=alarms.drift_cycles
+            self.loaded.model,
+            config.forecast.horizons,
+            alarms.drift,
+            drift_cycles=alarms.drift_cycles,
+            tolerance=self.outlook.calibration.tolerance,
         )
         section = config.virtual_sensor
         self.familiarity = CycleFamiliarity(self.loaded.familiarity, self.loaded.model, config.alarms.unfamiliar)
@@ -250,7 +254,7 @@ class ModelUnit:
             self.outlook.void()  # before it is collected: it began from what is no longer known
         finished = self.outlook.collect()
         if finished is not None:
-            self.guards.count_forecast(finished.forecast)
+            self.guards.take_forecast(finished.forecast)
         return finished
 
     def usable(self, prediction: ScanPrediction) -> Forecast | None:

@@ -124,9 +124,16 @@ def _forecast_rows(forecast: ForecastStatus | None, unit: str) -> dict[str, Text
     if forecast is None:
         return {"forecast": Text(NOTHING)}
     rows: dict[str, Text] = {}
-    for horizon, fan, p_limit in zip(forecast.horizons, forecast.quantiles, forecast.p_limit, strict=True):
+    past = forecast.past or [None] * len(forecast.horizons)
+    for horizon, fan, p_limit, own in zip(forecast.horizons, forecast.quantiles, forecast.p_limit, past, strict=True):
         span = f"{number(fan[2], 1, unit)} ({number(fan[0], 1)} to {number(fan[4], 1)}), P(limit) {number(p_limit, 3)}"
-        rows[f"in {horizon / 60:g} min"] = Text(span if forecast.usable else NOTHING)
+        flagged = own is not None and own.flagged
+        if own is not None and flagged:
+            usual = f"{number(own.mean, 1)} with sd {number(own.sigma, 1)} after {own.moments} like moments"
+            span += f"; {number(abs(own.deviations), 1)} sd from {usual}"
+        rows[f"in {horizon / 60:g} min"] = Text(
+            span if forecast.usable else NOTHING, style="yellow" if flagged and forecast.usable else ""
+        )
     if not forecast.usable:
         rows["to limit"] = Text(f"{NOTHING} (the newest forecast is {duration(forecast.age)} old)")
         return rows

@@ -36,6 +36,7 @@ if TYPE_CHECKING:
         HistorianStatus,
         LinkStatus,
         ModelStatus,
+        PastStatus,
         PredictionStatus,
         ScanStatus,
         StatusError,

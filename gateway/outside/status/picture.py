@@ -122,13 +122,28 @@ class PredictionStatus:
 
 
 @dataclass(frozen=True, kw_only=True)
+class PastStatus:
+    """A forecast's median `deviations` times `sigma` above the `mean` of what came after so many like `moments`.
+
+    It is `flagged` beyond 3 of them. Mean and sigma are in the temperature's unit.
+    """
+
+    moments: int
+    mean: float
+    sigma: float
+    deviations: float
+    flagged: bool
+
+
+@dataclass(frozen=True, kw_only=True)
 class ForecastStatus:
     """The newest forecast: `quantiles` holds one fan a horizon (degC, by `levels`), `p_limit` one probability each.
 
     `usable`: it is fresh, and the state that it began from is still known. `block` are the fields of the write-back
     block that it fills, brought to the newest scan; of these, minutes without a value lie beyond the horizons.
     `coverage` is, by horizon, the share of recent 90 % bands that held what came; None before enough have matured.
-    `postponed` counts those that waited since scans were skipped when they were due.
+    `postponed` counts those that waited since scans were skipped when they were due. `past` holds the median against
+    what was measured after like moments, by horizon; None before enough of them are known.
     """
 
     time: float
@@ -142,6 +157,7 @@ class ForecastStatus:
     block: Mapping[str, float | None]
     coverage: Sequence[float | None] = ()
     postponed: int = 0
+    past: Sequence[PastStatus | None] = ()
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -207,6 +207,9 @@ def _temperature(
             worth = ("doubtful", f"{words.say('validity.unfamiliar')}: {row['familiarity']['sentence']}")
         if one.model is not None and one.model.verdict == "unfit":
             worth = ("doubtful", words.say("validity.unfit"))
+        if unusual := _beyond_past(words, forecast, unit):
+            # Said and no doubt of its own: what is far from all that was measured may be the machine that fails.
+            worth = (worth[0], f"{worth[1]}; {unusual}")
     level = "normal"
     if value > one.limit:
         # This is measured: what the forecast is worth says nothing of it.
@@ -247,6 +250,27 @@ def _worth(words: Words, zone: str, coverage: float | None) -> tuple[str, str]:
         ("doubtful", words.say("validity.narrow", held=held))
         if coverage < NARROW_BAND
         else ("good", words.say("validity.green", held=held))
+    )
+
+
+def _beyond_past(words: Words, forecast: ForecastStatus, unit: str) -> str:
+    """That the forecast is beyond 3 sd of what came after like moments, where it is most; "" where it is not."""
+    flagged = [
+        (abs(past.deviations), horizon, past)
+        for horizon, past in zip(forecast.horizons, forecast.past, strict=False)
+        if past is not None and past.flagged
+    ]
+    if not flagged:
+        return ""
+    deviations, horizon, past = max(flagged, key=lambda each: each[0])
+    return words.say(
+        "validity.beyond_past",
+        minutes=words.number(horizon / 60.0, 0),
+        deviations=words.number(deviations, 1),
+        mean=words.number(past.mean, 1),
+        sigma=words.number(past.sigma, 1),
+        unit=unit,
+        moments=words.number(past.moments, 0),
     )
 
 

@@ -20,9 +20,14 @@ LEAST_CYCLES, LEAST_BLOCKS = 4, 60
 DAY_S = 86400.0
 
 
-def ceiling(fitted: Fitted, seed: int) -> Ceiling | None:
-    """The share of the heat left by a fit that trees predict on unseen cycles; None with too few cycles or blocks."""
+def ceiling(fitted: Fitted, seed: int, first_made: float = np.inf) -> Ceiling | None:
+    """The share of the heat left by a fit that trees predict on unseen cycles; None with too few cycles or blocks.
+
+    Not asked are those of an experiment, from the piece of evidence `first_made` on: they repeat the same set-points,
+    and what a model is off by at these one of them tells of the others. That is no more than that they are repeated.
+    """
     blocks = heat_blocks(fitted)
+    blocks = blocks.select(blocks.cycle < first_made)
     cycles = np.unique(blocks.cycle)
     if cycles.size < LEAST_CYCLES or blocks.heat.size < LEAST_BLOCKS:
         return None

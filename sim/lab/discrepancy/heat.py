@@ -1,13 +1,13 @@
 """The heat that a fit leaves unexplained: how fast the residual moves beyond what the flow itself would do to it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
 from sim.lab.discrepancy.fitting import Fitted, Record, decay_and_pull, sensor_view
 from sim.lab.discrepancy.screen import Projector
 from sim.lab.learning import Indices, first_switch
-from sim.sha import Array
+from sim.sha import Array, Mask
 
 BLOCK_S = 600.0
 """Seconds over which the heat is averaged: shorter, the sensor's noise hides it."""
@@ -35,6 +35,10 @@ class Blocks:
     running: Array
     course: Array
     signals: Array
+
+    def select(self, kept: Mask) -> "Blocks":
+        """The blocks (b,) that are kept."""
+        return Blocks(**{each.name: getattr(self, each.name)[kept] for each in fields(self)})
 
 
 def implied_heat(fitted: Fitted) -> Array:

@@ -71,7 +71,7 @@ class NamesSearched:
 @dataclass(frozen=True, slots=True)
 class Proof:
     """What names are judged by: held-out cycles with their floor and the `runs` over them before there are names, what
-    the model states, excess and ceiling before."""
+    the model states, excess and ceiling before; `first_made` is the first piece of evidence of an experiment."""
 
     held_out: Record
     runs: RunsBefore
@@ -81,6 +81,7 @@ class Proof:
     ceiling: Ceiling | None
     seed: int
     rules: DecisionRules
+    first_made: float = np.inf
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,6 +163,7 @@ def prove(
         ceiling=search.ceiling,
         seed=seed,
         rules=rules,
+        first_made=layout.first_made,
     )
     paths = (as_special_case(proof, paths[0]), *paths[1:])
     longer = readmit_effect(proof, paths[0]), with_the_gap_itself(proof, paths[0])
@@ -332,7 +334,7 @@ def _judge_path(proof: Proof, path: NamingResult, shorter: NamingResult | None) 
         held, *_ = compare_fits(
             path.base, path.fitted, proof.held_out, proof.seed, floor, runs=proof.runs, second=second
         )
-    left = ceiling(path.fitted, proof.seed) if path.accepted_steps else proof.ceiling
+    left = ceiling(path.fitted, proof.seed, proof.first_made) if path.accepted_steps else proof.ceiling
     # What a free learner still finds says that the shapes are not quite right, and by so little one may beat another.
     more = proof.rules.margin_nats if path.accepted_steps and systematic(left, proof.rules) else 0.0
     apart = tuple(step if why else separate_rivals(proof, step, more) for step, why in path.steps)

@@ -102,7 +102,7 @@ def diagnose(
     entries = tuple(entry for entry in catalogue(lines) if entry.name not in without)
     split = split_cycles(layout, rules)
     allowed = min(most, count // rules.each_name_least_cycles) if count >= rules.first_name_least_cycles else 0
-    search = search_names(split.training, layout.present, entries, allowed, seed=seed, rules=rules, report=report)
+    search = search_names(layout, split.training, entries, allowed, seed=seed, rules=rules, report=report)
     report("held-out cycles", 0.85)
     found = prove(layout, search, split.held_out, entries, seed=seed, rules=rules)
     laws = unnamed_laws(layout, split, found, rules, report)
@@ -116,8 +116,8 @@ def diagnose(
 
 
 def search_names(
+    layout: DataLayout,
     training: Frame,
-    present: Mapping[str, str],
     entries: Sequence[CatalogueEntry],
     allowed: int,
     *,
@@ -130,8 +130,8 @@ def search_names(
     report("fitting the model's own parameters", 0.05)
     base = fit(training, model_effects(training.record.model))
     report("what a free learner could still explain", 0.2)
-    ceiling_before = ceiling(base, seed)
-    paths = name(base, present, max(allowed, 1), report, rules=rules, entries=entries)
+    ceiling_before = ceiling(base, seed, layout.first_made)
+    paths = name(base, layout.present, max(allowed, 1), report, rules=rules, entries=entries)
     return NamesSearched(base=base, ceiling=ceiling_before, paths=paths, allowed=allowed)
 
 

@@ -166,6 +166,20 @@ def _covers(case: LearnedCase) -> Said:
     return (None if least.covered < MIN_BAND_SHARE else True), said
 
 
+def _says_something(case: LearnedCase) -> Said:
+    """A band that is wider than all that was ever read says less than the recording by itself."""
+    rows = [row for row in case.coverage if row.width > 0]
+    values = np.concatenate([column for _, column in case.readings()] or [np.zeros(0)])
+    if not rows or not values.size:
+        return True, "how wide its bands are was not looked at"
+    span, unit = float(np.ptp(values)), display_unit(case.model.unit)
+    widest = max(rows, key=lambda row: row.widening * row.width)
+    said = f"its 90 % band is {widest.widening * widest.width:.2g} {unit} wide at {widest.horizon:g} s"
+    if empty := [row.horizon for row in rows if row.widening * row.width > span]:
+        return None, f"{said}, and its readings lie within {span:.2g} {unit}: at {_list_seconds(empty)} it says nothing"
+    return True, f"{said}, of {span:.2g} {unit} within which its readings lie"
+
+
 def _taught_enough(case: LearnedCase) -> Said:
     switch = first_switch(case.model.alphabet)
     rises = sum(event.symbol == switch.rising for trace in case.traces for event in trace.events) if switch else None
@@ -382,6 +396,7 @@ CRITERIA: Mapping[str, tuple[Callable[[LearnedCase], Said], str]] = {
     FORECAST_CRITERION: (_foresees, "learn with more starts and stops; `decanter diagnose` names what is missing"),
     "horizons": (_foresees_each_horizon, "learn with longer unbroken recordings"),
     "band": (_covers, "learn with more days, or look at the sensor's noise"),
+    "width": (_says_something, "learn with longer recordings and more days"),
     "units": (_taught_enough, "learn with more days and starts"),
     "readings": (_readings_are_readings, "say the code for no reading in the column map (bad = [...])"),
     "noise": (_move_as_heat_does, "look at the sensor and its wiring; give each machine a file of its own"),

@@ -9,7 +9,7 @@ a single day tells nothing of how the next one differs.
 from collections.abc import Sequence
 from math import log
 
-from scipy.stats import chi2
+from scipy.special import gammaincinv
 
 from sim.anomaly import MAX_LEVEL, MIN_PEAK, AnomalyRecord
 
@@ -43,5 +43,7 @@ def weekly_level(highest: Sequence[float], seconds: float, units: int) -> float:
     least = highest[tail] if tail < len(highest) else MIN_PEAK
     excess = sum(peak - least for peak in highest[:tail]) / tail
     independent = min(tail, units)
-    longest = excess * 2 * independent / float(chi2.ppf(1.0 - CONFIDENCE, 2 * independent))
+    # The quantile of chi-square: scipy.stats, which has it by name, takes half a second to load.
+    quantile = 2.0 * float(gammaincinv(independent, 1.0 - CONFIDENCE))
+    longest = excess * 2 * independent / quantile
     return least + longest * max(log(tail * WEEK_S / seconds), 0.0)

@@ -57,7 +57,7 @@ class Coverage:
     `covered` by the 90 % band as the model gave it, the `factor` that comes of it, their mean CRPS (degC), and that of
     `persistence` at the same moments (NaN where none stood beside the model). `other_days` says whether whole traces or
     machines were held out; else it was later times of the same ones, and `widening` is for what they cannot tell.
-    `units` has what was seen in each `Scored.unit`.
+    `units` has what was seen in each `Scored.unit`. `width` (degC) is the median width of that band, 0 where not kept.
     """
 
     horizon: float
@@ -69,6 +69,7 @@ class Coverage:
     persistence: float = nan
     other_days: bool = True
     units: Mapping[str, UnitScore] = field(default_factory=dict)
+    width: float = 0.0
 
     @property
     def widening(self) -> float:
@@ -78,7 +79,8 @@ class Coverage:
 
 @dataclass(frozen=True, slots=True)
 class Scored:
-    """One forecast for one horizon: when it was due, its error in units of the band (1.645 is its edge), its CRPS.
+    """One forecast for one horizon: when it was due, its error in units of the band (1.645 is its edge), its CRPS, and
+    the `width` of its 90 % band (both degC).
 
     It was made along the `trace` of that name, of a `machine` ("": nobody says of which), in a `unit` of it that errs
     apart: the machine's cycle, or the day where no switch is read. It is called by the hash of the temperature's
@@ -94,6 +96,7 @@ class Scored:
     trace: str = ""
     unit: str = ""
     stride: int = 1
+    width: float = 0.0
 
 
 @dataclass(slots=True)
@@ -192,7 +195,8 @@ def _scores(trace: Trace, time: float, due: Mapping[float, float], fan: Array, u
         edge = high[column] - median[column] if error >= 0 else median[column] - low[column]
         z = float(Z90 * abs(error) / max(edge, 1e-9))
         crps = float(crps_quantiles(FAN_LEVELS, fan[:, column], outcome))
-        scored.append(Scored(horizon, time + horizon, z, crps, trace.machine, trace.name, unit, stride))
+        width = float(high[column] - low[column])
+        scored.append(Scored(horizon, time + horizon, z, crps, trace.machine, trace.name, unit, stride, width))
     return scored
 
 
@@ -349,6 +353,7 @@ def horizon_coverage(scored: Sequence[Scored]) -> tuple[Coverage, ...]:
                 factor=factor,
                 crps=crps,
                 units=_unit_scores(forecasts),
+                width=float(np.median([each.width for each in forecasts])),
             )
         )
     return tuple(table)

@@ -47,6 +47,9 @@ INITIAL_HEAT_DEGC_PER_S = 1e-3
 """degC/s with which the search for a disturbance begins."""
 SCAN_STEPS = 12
 """Steps of the searches that only compare memories."""
+SLOPE_SPAN_S = 900.0
+"""A slope (degC/s) counts as the degrees that it makes in so many seconds, the longest horizon: what is believed of the
+scatters of m, and their bounds, are in degC, and the least of them, 0.05, would as degC/s be 180 degC in an hour."""
 DRIFT_SPAN_S = 300.0
 """The changes over so many seconds set the noise of locations in which nothing is known."""
 
@@ -187,48 +190,80 @@ def _chunks(steps: _KnotSteps) -> Indices:
     return table
 
 
+@dataclass(frozen=True, slots=True)
+class _Filtered:
+    """What the filter found for n knots and Q sets of noises, each thing once: `slot` (n, Q) says where it stands.
+
+    `score` (F,) are log-likelihoods, `state` (9, F) what is known after a knot; the last of both is NaN, for knots
+    outside all chunks.
+    """
+
+    slot: Indices
+    score: Array
+    state: Array
+
+
+def _own_pairs(
+    steps: _KnotSteps, table: Indices, *, sensor: Array, process: Array, scatter: Array, rough: Array
+) -> tuple[Indices, Indices]:
+    """(chunk, set) (P,) of what has to be filtered: the first set, and each that differs from it in the chunk.
+
+    A gradient takes a set for each location's scatter, and most chunks pass few of the locations.
+    """
+    own = np.empty((table.shape[1], sensor.size), dtype=np.bool_)
+    own[:] = (sensor != sensor[0]) | (rough != rough[0])
+    own[:, 0] = True
+    other_scatter, other_process = scatter != scatter[:, :1], process != process[:, :1]
+    for chunk, column in enumerate(table.T):
+        knots = column[column >= 0][1:]
+        own[chunk] |= other_scatter[np.unique(steps.place[knots])].any(axis=0)
+        own[chunk] |= other_process[np.unique(steps.group[knots])].any(axis=0)
+    chunks, sets = np.nonzero(own)
+    return chunks, sets
+
+
 def _filter_knots(
     steps: _KnotSteps, table: Indices, *, sensor: Array, process: Array, scatter: Array, rough: Array
-) -> tuple[Array, Array]:
-    """(log-likelihoods (n, Q), states (9, n, Q) after each knot) for Q sets of `sensor` (Q,), `process` (G, Q), ...
+) -> _Filtered:
+    """Log-likelihood and state after each knot for Q sets of `sensor` (Q,), `process` (G, Q), ...
 
     The Kalman filter on X, m - mu and the disturbance D, vectorised twice: over the chunks, which begin at a reading
     and so need nothing of one another, and over the Q sets of noises that a gradient takes. A state is the means of X,
     m - mu and D, then xx, xm, mm, xd, md and dd of their covariance; without a disturbance all of D is 0.
     """
     n, width = steps.run.size, sensor.size
-    scores, states = np.full((n, width), np.nan), np.full((9, n, width), np.nan)
     if table.shape[0] < 2:
-        return scores, states
+        return _Filtered(np.zeros((n, width), dtype=np.intp), np.full(1, np.nan), np.full((9, 1), np.nan))
+    chunks, sets = _own_pairs(steps, table, sensor=sensor, process=process, scatter=scatter, rough=rough)
     # All that does not depend on the state is made for all knots at once, in the order in which the loop meets them:
     # its rounds are many and their arrays small, so that what counts there is the number of operations and their
-    # overhead. One in place, of arrays of the same shape, takes a third of the time of one that has to broadcast.
-    inside = table[1:] >= 0
-    knots, ends = table[1:][inside], np.cumsum(inside.sum(axis=1))
-
-    def wide(values: Array) -> Array:
-        return np.repeat(values[knots][:, None], width, axis=1)
-
-    a, p, drift, reading = wide(steps.decay), wide(steps.pull), wide(steps.drift), wide(steps.reading)
+    # overhead. The longest chunks are the first, so that those which go on are the first pairs of a row.
+    longest = np.searchsorted(chunks, (table[1:] >= 0).sum(axis=1))
+    ends = np.cumsum(longest)
+    begins = ends - longest
+    pair = np.arange(ends[-1]) - np.repeat(begins, longest)
+    knots, column = table[1:][np.repeat(np.arange(longest.size), longest), chunks[pair]], sets[pair]
+    a, p, drift, reading = steps.decay[knots], steps.pull[knots], steps.drift[knots], steps.reading[knots]
     aa, ap, pp = a * a, 2 * a * p, p * p
-    added = steps.density[knots][:, None] * process[steps.group[knots]] ** 2
-    drawn, noise = scatter[steps.place[knots]] ** 2, sensor**2
-    counted = steps.repeats[knots][:, None] * noise
+    noise = sensor**2
+    added = steps.density[knots] * (process**2)[steps.group[knots], column]
+    drawn, sensed = (scatter**2)[steps.place[knots], column], noise[column]
+    counted = steps.repeats[knots] * sensed
     # A new stay draws its m anew, and so does a chunk's first step: what the stay before it knew is given up.
-    fresh = np.repeat((steps.stay[knots] != steps.stay[knots - 1])[:, None], width, axis=1)
+    fresh = steps.stay[knots] != steps.stay[knots - 1]
     fresh[: ends[0]] = True
     known = np.isfinite(reading)
     heat = steps.heat
     if heat is not None:
-        keep, carry = wide(heat.keep), wide(heat.carried)
-        new_xx, new_xd, new_dd = (part[knots][:, None] * rough**2 for part in (heat.xx, heat.xd, heat.dd))
+        keep, carry = heat.keep[knots], heat.carried[knots]
+        new_xx, new_xd, new_dd = (part[knots] * (rough**2)[column] for part in (heat.xx, heat.xd, heat.dd))
         twice, squared, kept = 2.0 * carry, carry * carry, keep * keep
-    innovation, variance = np.empty((knots.size, width)), np.empty((knots.size, width))
-    after, begins = np.zeros((9, knots.size, width)), np.append(0, ends[:-1])
-    anew = np.logical_or.reduceat(fresh[:, 0], begins).tolist()
-    full = np.logical_and.reduceat(known[:, 0], begins).tolist()
-    x, m, d, xx, xm, mm, xd, md, dd = state = np.zeros((9, table.shape[1], width))
-    x[:], xx[:], dd[:] = steps.reading[table[0]][:, None], noise, rough**2
+    innovation, variance = np.empty(knots.size), np.empty(knots.size)
+    after = np.full((9, knots.size + 1), np.nan)
+    anew = np.logical_or.reduceat(fresh, begins).tolist()
+    full = np.logical_and.reduceat(known, begins).tolist()
+    x, m, d, xx, xm, mm, xd, md, dd = state = np.zeros((9, chunks.size))
+    x[:], xx[:], dd[:] = steps.reading[table[0, chunks]], noise[sets], (rough**2)[sets]
     for begin, end, some_fresh, all_known in zip(begins.tolist(), ends.tolist(), anew, full, strict=True):
         at = slice(begin, end)
         if len(x) != end - begin:
@@ -290,8 +325,11 @@ def _filter_knots(
         xx *= rest
         xm *= rest
         after[:, at] = state
-    scores[knots], states[:, knots] = _log_score(innovation, variance + noise), after
-    return scores, states
+    slot, place = np.full((n, width), knots.size, dtype=np.intp), np.arange(knots.size)
+    first = column == 0
+    slot[knots[first]] = place[first][:, None]
+    slot[knots, column] = place
+    return _Filtered(slot, np.append(_log_score(innovation, variance + sensed), np.nan), after)
 
 
 def _log_score(error: Array, variance: Array) -> Array:
@@ -401,7 +439,8 @@ def _known_mean(scores: Array) -> Array:
 class _Objective:
     """What the likelihood needs, and the floors and counts of its parameters; the last one is the disturbance's sigma.
 
-    `memory` (s) is that of the disturbance, None without one; `sensor_memory` (s) is in the steps' `repeats`.
+    Theta has scatters in degC; `units` (S,) are those of the m of the `seen` locations, for each degC. `memory` (s) is
+    that of the disturbance, None without one; `sensor_memory` (s) is in the steps' `repeats`.
     """
 
     steps: _KnotSteps
@@ -409,6 +448,7 @@ class _Objective:
     aheads: tuple[_Ahead, ...]
     groups: int
     seen: Indices
+    units: Array
     places: int
     floor: float
     memory: float | None = None
@@ -423,20 +463,18 @@ class _Objective:
         """(sensor (Q,), process (G, Q), scatter (L, Q), rough (Q,)) from theta (P, Q) of logarithms."""
         values = np.exp(theta)
         scatter = np.zeros((self.places, theta.shape[1]))
-        scatter[self.seen] = values[self.scatters]
+        scatter[self.seen] = values[self.scatters] * self.units[:, None]
         rough = np.zeros(theta.shape[1]) if self.memory is None else values[-1]
         return values[0], values[1 : 1 + self.groups], scatter, rough
 
     def scores(self, theta: Array) -> list[Array]:
         """(Q,) the mean log-likelihood one step ahead, then at each horizon."""
         sensor, process, scatter, rough = self.unpack(theta)
-        one_step, states = _filter_knots(
-            self.steps, self.table, sensor=sensor, process=process, scatter=scatter, rough=rough
-        )
-        scores = [_known_mean(one_step)]
+        found = _filter_knots(self.steps, self.table, sensor=sensor, process=process, scatter=scatter, rough=rough)
+        scores = [_known_mean(found.score[found.slot])]
         for ahead in self.aheads:
             # An origin outside all chunks has no state: NaN, which the mean leaves out.
-            x, m, d, xx, xm, mm, xd, md, dd = (part[ahead.origin] for part in states)
+            x, m, d, xx, xm, mm, xd, md, dd = found.state[:, found.slot[ahead.origin]]
             a, own, warm = ahead.decay[:, None], ahead.own[:, None], ahead.heated[:, None]
             mean = a * x + own * m + warm * d + ahead.drift[:, None]
             variance = a * a * xx + 2 * a * own * xm + own * own * mm
@@ -631,14 +669,15 @@ def _tasks(
     heats = [None if memory is None else disturbance_step(memory, steps.k, steps.dt) for memory in memories]
     count = int(groups.max()) + 1
     aheads = [_aheads(steps, heats, horizon, count, groups.size) for horizon in HORIZONS_S]
-    table = _chunks(steps)
+    table, seen = _chunks(steps), np.flatnonzero(shape.target >= 0)
     return [
         _Objective(
             steps=replace(steps, heat=heat),
             table=table,
             aheads=tuple(of_horizon[number] for of_horizon in aheads if of_horizon),
             groups=count,
-            seen=np.flatnonzero(shape.target >= 0),
+            seen=seen,
+            units=np.array([1.0 / SLOPE_SPAN_S if shape.kinds[place] == "linear" else 1.0 for place in seen]),
             places=groups.size,
             floor=floor,
             memory=memory,

@@ -73,7 +73,8 @@ def load_traces(source: Source, column_map: ColumnMap) -> tuple[list[Trace], Loa
     if not traces:
         where = source if isinstance(source, str | Path) else ", ".join(map(str, source))
         errors = report.errors or (f"{where}: there is no CSV file there; give a file, a folder or a pattern",)
-        more = f" (and {len(errors) - 1} more files like it)" if len(errors) > 1 else ""
+        others = len(errors) - 1
+        more = f" (and {others} more that {'gives' if others == 1 else 'give'} no trace)" if others else ""
         raise TraceError(errors[0] + more, report)
     return traces, report
 

@@ -204,11 +204,11 @@ const valueCell = (text, cut) => h("td", { class: text.length > MOST_IN_A_LINE ?
 function inputs(status, labels, extra, cut) {
   const rank = (tag) => (tag.quality === "GOOD" ? 1 : 0);
   const rows = Object.entries(status.values).sort(([, a], [, b]) => rank(a) - rank(b));
-  return h("div", { class: "scroll", tabindex: "0" }, h("table", {},
+  return h("div", { class: "scroll", tabindex: "0" }, h("table", { class: "stacks readings" },
     h("thead", {}, h("tr", {}, ["tag", "value", "age", "quality", "reason"].map((key) => h("th", { scope: "col", class: key === "value" || key === "age" ? "number" : null }, say(`word.${key}`))))),
     h("tbody", {}, rows.map(([name, tag]) => h("tr", { class: tag.quality === "GOOD" ? "" : "bad" },
       tagHead(labels, name),
       valueCell(withUnit(shown(tag.value), unit(tag.unit)), cut),
-      h("td", { class: "number" }, duration(tag.age / status.speed + extra)),
-      h("td", {}, cut ? say("word.unknown") : qualityWord(tag.quality)), h("td", { lang: "en" }, tag.reason))))));
+      h("td", { class: "number", "data-head": say("word.age") }, duration(tag.age / status.speed + extra)),
+      h("td", { "data-head": say("word.quality") }, cut ? say("word.unknown") : qualityWord(tag.quality)), h("td", { lang: "en" }, tag.reason))))));
 }

@@ -7,6 +7,7 @@ from math import isfinite
 from pathlib import Path
 from shlex import quote
 
+from sim.effects import parameter_words
 from sim.lab.discrepancy import (
     MIN_LISTED_SHARE,
     Diagnosis,
@@ -91,7 +92,11 @@ def report_html(diagnosis: Diagnosis, occasion: Occasion, pictures: Mapping[str,
     best = max((tried.gain for tried in diagnosis.candidates if isfinite(tried.gain)), default=0.0)
     unit, held = display_unit(diagnosis.unit), diagnosis.held_out
     environment = page_environment(
-        "sim.lab.discrepancy.output", share=_share, span=lambda seconds: span(*seconds), shown_unit=display_unit
+        "sim.lab.discrepancy.output",
+        share=_share,
+        span=lambda seconds: span(*seconds),
+        shown_unit=display_unit,
+        parameter=lambda value, kind, name: parameter_words(kind, name, value, 5),
     )
     return environment.get_template("diagnosis.html").render(
         one=diagnosis,
