@@ -1,5 +1,5 @@
 // Alarms and the scorecard.
-import { ask, byWhom, duration, explained, fact, h, moment, number, person, say, shown, start, withUnit } from "./dom.js";
+import { ask, byWhom, duration, explained, fact, grid, h, moment, number, person, say, shown, start, withUnit } from "./dom.js";
 import { state } from "./live.js";
 import { scoreOf } from "./scores.js";
 import { sign, stateKey, worstLevel } from "./plant.js";
@@ -93,10 +93,8 @@ export function alarmsView() {
     ratesFacts(history.rates),
     h("h2", {}, say("alarm.history")),
     !history.rows ? h("p", { class: "quiet" }, say("word.loading")) : !history.rows.length ? h("p", { class: "quiet" }, say("word.nothing"))
-      : h("div", { class: "scroll", tabindex: "0" }, h("table", {},
-        h("thead", {}, h("tr", {}, [say("word.time"), say("word.machine"), say("alarm.alarm"), say("word.state"), say("word.value"), say("alarm.acknowledged_by")].map((text) => h("th", { scope: "col" }, text)))),
-        h("tbody", {}, history.rows.map((row) => h("tr", {}, h("td", {}, moment(row.time)), h("td", {}, row.of_plant ? say("nav.plant") : state.machines[row.name]?.label ?? row.name), h("th", { scope: "row", title: row.condition }, pastTitle(row, state.machines[row.name]?.labels ?? {})),
-          h("td", {}, say(`alarm.${stateKey(row.state)}`)), h("td", { class: "number" }, shown(row.value)), h("td", {}, byWhom(row.acknowledged_by))))))));
+      : grid([say("word.time"), say("word.machine"), say("alarm.alarm"), say("word.state"), say("word.value"), say("alarm.acknowledged_by")],
+        history.rows.map((row) => [moment(row.time), row.of_plant ? say("nav.plant") : state.machines[row.name]?.label ?? row.name, h("span", { title: row.condition }, pastTitle(row, state.machines[row.name]?.labels ?? {})), say(`alarm.${stateKey(row.state)}`), shown(row.value), byWhom(row.acknowledged_by)])));
 }
 
 export function scorecardView() {
@@ -115,11 +113,9 @@ function scores({ start, end, card, warnings }, unit) {
   return h("div", {}, h("h3", {}, `${moment(start).slice(0, 10)} – ${moment(end).slice(0, 10)}`),
     h("dl", { class: "facts" }, [["hits", warnings.hits], ["misses", warnings.misses], ["false_alarms", warnings.false_alarms], ["lead", duration(warnings.lead)]]
       .map(([key, found]) => fact(explained(`score.${key}`), h("b", {}, String(found))))),
-    h("div", { class: "scroll", tabindex: "0" }, h("table", {},
-      h("thead", {}, h("tr", {}, [say("score.horizon"), say("score.error"), say("score.persistence"), say("score.against"), say("word.coverage"), say("score.count")].map((text, place) => h("th", { scope: "col", class: place ? "number" : null }, text)))),
-      h("tbody", {}, card.forecasts.map((each) => h("tr", {}, h("th", { scope: "row" }, withUnit(number(each.horizon / 60, 0), "min")),
-        h("td", { class: "number" }, each.count ? withUnit(number(each.mae, 2), unit) : "–"), h("td", { class: "number" }, each.count ? withUnit(number(each.persistence_mae, 2), unit) : "–"),
-        h("td", { class: "number" }, each.count ? better(each.mae, each.persistence_mae) : "–"), h("td", { class: "number" }, each.count ? `${number(100 * each.coverage90, 0)} %` : "–"), h("td", { class: "number" }, each.count)))))),
+    grid([say("score.horizon"), say("score.error"), say("score.persistence"), say("score.against"), say("word.coverage"), say("score.count")],
+      card.forecasts.map(({ horizon, count, mae, persistence_mae, coverage90 }) => [withUnit(number(horizon / 60, 0), "min"),
+        ...(count ? [withUnit(number(mae, 2), unit), withUnit(number(persistence_mae, 2), unit), better(mae, persistence_mae), `${number(100 * coverage90, 0)} %`] : ["–", "–", "–", "–"]), count])),
     h("dl", { class: "facts" },
       [["score.one_step", card.one_step], ["score.free_run", card.free_run]].map(([key, error]) => fact(explained(key), error.count ? withUnit(number(error.mae, 2), unit) : "–")),
       blocks.length > 0 && fact(say("score.blocks"), blocks.map(([verdict, count]) => h("div", {}, `${say(`verdict.${stateKey(verdict)}`)}: ${count}`)))));
