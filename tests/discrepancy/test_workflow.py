@@ -23,26 +23,29 @@ from sim.lab.learning.structure import LearningError
 from sim.sha.automaton import Effect, Flow
 from tests.discrepancy.plants import PERIOD, model, plant, random_model, simulated
 
+COARSE_S = 60.0
+"""A row each so many seconds, where what is asked shows as well: a diagnosis is done in less than half the time."""
+
 
 @pytest.fixture(scope="module")
 def pumped() -> DiagnosisOutcome:
-    return diagnose(model(), [plant(3, days=2, pump=2e-4)], seed=0)
+    return diagnose(model(), [plant(3, days=2, pump=2e-4, period=COARSE_S)], seed=0)
 
 
 @pytest.fixture(scope="module")
 def churned() -> DiagnosisOutcome:
-    return diagnose(model(), [plant(7, days=2, churning=0.006)], seed=0)
+    return diagnose(model(), [plant(7, days=2, churning=0.006, period=COARSE_S)], seed=0)
 
 
 def test_nothing_is_named_where_nothing_is_missing() -> None:
     """`python -m benchmarks.discrepancy` counts over many plants what is named and is not there."""
-    found = diagnose(model(), [plant(1, days=2)], seed=0).diagnosis
+    found = diagnose(model(), [plant(1, days=2, period=COARSE_S)], seed=0).diagnosis
     assert found.verdict == "agree", found.sentence
     assert found.effects == ()
 
 
 def test_moved_parameters_are_a_shift_and_no_missing_effect() -> None:
-    found = diagnose(model(shift=0.06), [plant(4, days=2)], seed=0).diagnosis
+    found = diagnose(model(shift=0.06), [plant(4, days=2, period=COARSE_S)], seed=0).diagnosis
     assert found.verdict == "agree"
     assert {one.location for one in found.shifts if one.parameter == "target"} >= {"LOW", "HIGH"}
     assert all(one.change < 0 for one in found.shifts if one.parameter == "target" and one.location != "OFF")
@@ -73,7 +76,7 @@ def test_the_augmented_model_runs_as_the_diagnosis_ran(pumped: DiagnosisOutcome)
     fitted = pumped.fitted
     made = augment_model(fitted, name="augmented")
     assert [effect.kind for effect in made.sha.effects] == ["pump-cooling"]
-    trace = plant(3, days=2, pump=2e-4)
+    trace = plant(3, days=2, pump=2e-4, period=COARSE_S)
     record = fitted.frame.record
     cut = trace.between(float(record.runs.time[0]), float(record.runs.time[-1]) + 1.0)
     start = float(fitted.state.course[0])
@@ -88,7 +91,7 @@ def test_an_augmented_model_is_diagnosed_again_and_then_agrees(pumped: Diagnosis
     assert pumped.fitted is not None
     made = augment_model(pumped.fitted)
     assert [one.entry.name for one in model_effects(made)] == ["pump-cooling"]
-    again = diagnose(made, [plant(5, days=2, pump=2e-4)], seed=0).diagnosis
+    again = diagnose(made, [plant(5, days=2, pump=2e-4, period=COARSE_S)], seed=0).diagnosis
     assert again.verdict == "agree", again.sentence
 
 
@@ -158,7 +161,7 @@ def test_a_feed_that_acts_by_itself_and_not_by_the_difference_from_the_bearing_i
 
 
 def test_a_room_that_counts_for_more_while_the_machine_runs_is_told_with_its_share_at_rest() -> None:
-    outcome = diagnose(model(), [plant(6, days=2, room=0.5)], seed=0)
+    outcome = diagnose(model(), [plant(6, days=2, room=0.5, period=COARSE_S)], seed=0)
     found = outcome.diagnosis
     assert (found.verdict, [one.name for one in found.effects]) == ("named", ["ambient-coupling"])
     # Heat is lost at 1/3600 s at rest and at 1/1500 s running.
@@ -180,7 +183,7 @@ def test_what_the_held_out_gap_is_made_of_is_named_however_little_it_does_to_the
     for module in (evidence, judging):
         monkeypatch.setattr(module, "immaterial", lambda _step: True)
     rules = DecisionRules(gap_itself_least_share=share)
-    found = diagnose(model(), [plant(3, days=2, pump=2e-4)], seed=0, rules=rules).diagnosis
+    found = diagnose(model(), [plant(3, days=2, pump=2e-4, period=COARSE_S)], seed=0, rules=rules).diagnosis
     assert found.verdict == verdict
     assert [one.name for one in found.effects] == ["pump-cooling"] * (verdict == "named")
     assert [one.name for one in found.traces] == ["pump-cooling"] * (verdict != "named")
@@ -190,7 +193,7 @@ def test_what_the_held_out_gap_is_made_of_is_named_though_the_fitted_cycles_cont
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(path, "dubious", lambda _step: "does not carry over from cycle to cycle")
-    found = diagnose(model(), [plant(3, days=2, pump=2e-4)], seed=0).diagnosis
+    found = diagnose(model(), [plant(3, days=2, pump=2e-4, period=COARSE_S)], seed=0).diagnosis
     assert (found.verdict, [one.name for one in found.effects]) == ("named", ["pump-cooling"])
 
 
@@ -203,19 +206,19 @@ def test_what_names_leave_of_held_out_cycles_bounds_the_floor(monkeypatch: pytes
         return replace(floor, error=20 * floor.error, interval=(20 * low, 20 * high), per_cycle=20 * floor.per_cycle)
 
     monkeypatch.setattr(proving, "noise_floor", too_high)
-    found = diagnose(model(), [plant(3, days=2, pump=2e-4)], seed=0).diagnosis
+    found = diagnose(model(), [plant(3, days=2, pump=2e-4, period=COARSE_S)], seed=0).diagnosis
     assert (found.verdict, [one.name for one in found.effects]) == ("named", ["pump-cooling"])
     held, floor = found.held_out, found.floor
     assert held is not None and floor is not None
     assert held.rmse_after == pytest.approx(held.noise_floor) == pytest.approx(floor.error)
     assert held.rmse_before > floor.interval[1] > floor.error > floor.interval[0]
     assert floor.source == "what the names leave of the held-out cycles"
-    clean = diagnose(model(), [plant(3, days=2)], seed=0).diagnosis
+    clean = diagnose(model(), [plant(3, days=2, period=COARSE_S)], seed=0).diagnosis
     assert clean.verdict != "named" and clean.floor is not None and clean.floor.source != floor.source
 
 
 def test_a_machine_that_runs_on_is_diagnosed_by_pieces_of_its_run() -> None:
-    found = diagnose(model(), [plant(3, days=2, pump=2e-4, runs_on=True)], seed=0).diagnosis
+    found = diagnose(model(), [plant(3, days=2, pump=2e-4, runs_on=True, period=COARSE_S)], seed=0).diagnosis
     assert (found.verdict, [one.name for one in found.effects]) == ("named", ["pump-cooling"])
     assert found.effects[0].params["loss"] == pytest.approx(2e-4, rel=0.25)
     # Its evidence is in pieces; of cycles there is one, and that is what is counted as one.
@@ -258,7 +261,7 @@ def test_missing_signals_take_their_effects_off_the_table_and_the_report_says_wh
 
 
 def test_the_same_seed_gives_the_same_diagnosis(churned: DiagnosisOutcome) -> None:
-    again = diagnose(model(), [plant(7, days=2, churning=0.006)], seed=0).diagnosis
+    again = diagnose(model(), [plant(7, days=2, churning=0.006, period=COARSE_S)], seed=0).diagnosis
     assert again.effects == churned.diagnosis.effects
     assert again.held_out == churned.diagnosis.held_out
 

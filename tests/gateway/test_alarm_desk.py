@@ -24,8 +24,8 @@ from gateway.plant.status import snapshot
 from gateway.settings.config import Config, load_plant
 from gateway.store import read
 from gateway.store.audit import verify
-from tests.gateway.support import EPOCH, MAP, TEMPERATURE, Bench, JumpClock, config_in, scan_of
-from tests.gateway.test_app import Patient, go
+from tests.gateway.support import EPOCH, MAP, TEMPERATURE, Bench, JumpClock, PacedClock, config_in, scan_of
+from tests.gateway.test_app import go
 from tests.gateway.test_notify import until
 
 OTHER = "TCuscinettiAlimentazione"
@@ -307,7 +307,7 @@ def test_a_machines_own_rows_go_over_those_that_all_have(tmp_path: Path) -> None
 async def test_a_reload_keeps_what_a_person_did_a_moment_ago(tmp_path: Path) -> None:
     config = config_in(tmp_path, QUICK)
     other = config_in(tmp_path, QUICK + "deadband = 3.0\n")
-    bench = Bench(config, Patient())
+    bench = Bench(config, PacedClock())
     for read_ in range(10, 30):
         bench.plan[read_] = {TEMPERATURE: min(25.0 + 4.0 * (read_ - 9), 85.0)}
     running = asyncio.create_task(go(config, bench, 1_000_000, read_anew=lambda: [other]))
@@ -334,7 +334,7 @@ async def test_a_reload_keeps_what_a_person_did_a_moment_ago(tmp_path: Path) -> 
 
 def test_the_commands_speak_to_the_running_gateway_and_to_its_records(tmp_path: Path) -> None:
     config = config_in(tmp_path, QUICK)
-    bench = Bench(config, Patient())
+    bench = Bench(config, PacedClock())
     for read_ in range(10, 30):
         bench.plan[read_] = {TEMPERATURE: min(25.0 + 4.0 * (read_ - 9), 85.0)}
     # In a thread, as the commands take signals, which only the main thread may.
