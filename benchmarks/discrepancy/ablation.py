@@ -28,6 +28,9 @@ from sim.lab.discrepancy.rules import RULES, DecisionRules
 
 OFF: Mapping[str, Any] = {
     "least_cycles": 2, "first_name_least_cycles": 0, "each_name_least_cycles": 1,
+    "turning_least_load_share": 0.0, "contradicted_least_share": 0.0, "by_load_most_error_share": inf,
+    "still_usual_least_moved_share": 0.0, "still_least_usual": 1, "still_least_lasted_share": 0.0,
+    "still_least_way_share": 0.0, "still_least_way_steps": 0,
     "follows_least_share": inf, "follows_most_lead_share": inf,
     "least_gain_nats": 0.0, "same_least_cosine": inf, "near_least_cosine": 0.0, "margin_nats": 0.0,
     "margin_share": 0.0, "invisible_most_share": 0.0, "told_apart_times": 0.0, "strength_least_sigmas": 0.0,

@@ -22,6 +22,7 @@ from sim.lab.discrepancy.diagnosis import GapBeginning, ProposedExperiment
 from sim.lab.discrepancy.experiment import (
     ExperimentSchedule,
     barred_loads,
+    closer_rows,
     machine_operation,
     propose_experiment,
     rivals_to_tell,
@@ -201,6 +202,28 @@ def test_a_pair_that_no_experiment_tells_apart_is_said_with_what_is_expected(pro
         f"no experiment within the machine's ranges and two days tells {pair.one} from {pair.other}: 0.3 nats" in said
     )
     assert "may have to be made again" in experiment_lines(replace(proposed, pairs=(twins, weak)))[-1]
+
+
+def test_what_may_be_too_short_for_the_rows_is_promised_only_in_closer_ones(proposed: ProposedExperiment) -> None:
+    """82 nats were promised between a delay and a lag that the experiment showed to be shorter than two rows."""
+    assert not any(pair.rows for pair in proposed.pairs), "the time of the heat is no shape that is refused"
+    late = Effect("dead-time", {"delay": 66.0}, {}, ())
+    trace = simulated(random_model(2e-4, 400.0, 1e-6, late), 3, days=1)  # two rows are 60 s
+    record = build_record(GIVEN, [trace], ())
+    entries = [entry for entry in catalogue() if entry.name in ("dead-time", "sensor-lag")]
+    found = step(fit(move_frame(build_frame(record), record)), entries, {}, rules=RULES)
+    twins = replace(found, evidence=tuple(replace(each, gain=100.0) for each in found.evidence))
+    twins_path = NamingResult(found.before, found.before, ((twins, "is not told from its rival"),))
+    experiment = propose_experiment(twins_path, [trace], ROLES)
+    assert experiment is not None
+    (pair,) = experiment.pairs
+    assert pair.rows == 20.0 and pair.nats >= experiment.needed and not experiment.enough
+    assert "only where days and experiment are recorded in rows of 20 s or less" in experiment_lines(experiment)[-1]
+    delayed = next(each.fitted for each in found.evidence if each.entry.name == "dead-time")
+    assert delayed is not None
+    for delay, rows in ((120.0, None), (66.0, 20.0), (45.0, 10.0)):
+        named = replace(delayed.state.named[-1], params={"delay": delay, "blur": 0.0})
+        assert closer_rows(replace(delayed, state=replace(delayed.state, named=(named,)))) == rows
 
 
 @pytest.mark.parametrize("long", [1, 2])

@@ -25,7 +25,16 @@ def with_column(trace: Trace, name: str, column: Array) -> Trace:
 
 
 def found(trace: Trace) -> MuteSwitch | None:
-    return find_mute_switch(build_layout(model(), [trace], [], ROLES, RULES))
+    return find_mute_switch(build_layout(model(), [trace], [], ROLES, RULES), RULES)
+
+
+def test_rules_say_from_when_a_switch_is_not_asked() -> None:
+    layout = build_layout(model(), [plant(7, days=1, period=ROW_S)], [], ROLES, RULES)
+    no_time, any_error = replace(RULES, contradicted_least_share=0.0), replace(RULES, by_load_most_error_share=np.inf)
+    neither = replace(no_time, by_load_most_error_share=np.inf)
+    assert [find_mute_switch(layout, rules) is None for rules in (RULES, no_time, any_error, neither)] == [
+        True, True, True, False,
+    ]  # fmt: skip
 
 
 def from_half_way(value: float) -> Callable[[Array], Array]:
@@ -72,7 +81,7 @@ def test_a_machine_that_runs_on_or_idles_or_is_read_a_little_late_has_no_mute_sw
 
 
 def chattering(trace: Trace) -> ChatteringSwitch | None:
-    return find_chatter(build_layout(model(), [trace], [], ROLES, RULES))
+    return find_chatter(build_layout(model(), [trace], [], ROLES, RULES), RULES)
 
 
 def with_turns(trace: Trace, share: float) -> Trace:
@@ -91,8 +100,8 @@ def test_single_rows_of_a_switch_are_what_the_load_says() -> None:
     count = int((turned.signals[SWITCH] != trace.signals[SWITCH]).sum())
     chatter = chattering(turned)
     assert count > 5 and chatter is not None and chatter.rows == count
-    np.testing.assert_array_equal(chatter.settle(turned).signals[SWITCH], trace.signals[SWITCH])
-    assert chatter.settle(trace) is trace
+    np.testing.assert_array_equal(chatter.settle(turned, RULES).signals[SWITCH], trace.signals[SWITCH])
+    assert chatter.settle(trace, RULES) is trace
 
 
 def test_a_switch_that_chatters_brings_no_name() -> None:

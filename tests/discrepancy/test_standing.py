@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from sim.lab.discrepancy.fitting import build_record, patiently
+from sim.lab.discrepancy.rules import RULES, DecisionRules
 from sim.lab.discrepancy.standing import StillReading, find_still_reading
 from sim.lab.discrepancy.workflow import diagnose
 from sim.sha.trace import Trace
@@ -27,8 +28,9 @@ def stuck(trace: Trace, first: int, last: int) -> Trace:
     return replace(trace, signals={**trace.signals, "T": reading}, events=())
 
 
-def found(trace: Trace) -> StillReading | None:
-    return find_still_reading(build_record(model(), [patiently(trace, model().alphabet)], ("Assorbimento",)))
+def found(trace: Trace, rules: DecisionRules = RULES) -> StillReading | None:
+    record = build_record(model(), [patiently(trace, model().alphabet)], ("Assorbimento",))
+    return find_still_reading(record, rules)
 
 
 def test_a_sensor_that_stands_still_through_runs_and_rests_is_found_with_its_time() -> None:
@@ -38,6 +40,15 @@ def test_a_sensor_that_stands_still_through_runs_and_rests_is_found_with_its_tim
     assert still is not None and still.visits == 4
     assert (still.begin, still.end) == (trace.times[first], trace.times[last - 1])
     assert still.value == trace.signals["T"][first]
+
+
+@pytest.mark.parametrize(
+    "name", ["still_usual_least_moved_share", "still_least_usual", "still_least_way_share", "still_least_way_steps"]
+)
+def test_rules_say_from_when_a_reading_stands_still(name: str) -> None:
+    trace = plant(8, days=3, period=ROW_S)
+    trace = stuck(trace, starts(trace)[4] - 3, starts(trace)[6] + 3)
+    assert found(trace) is not None and found(trace, replace(RULES, **{name: 1000})) is None
 
 
 @pytest.mark.parametrize("step", [0.1, 0.5, 2.0])

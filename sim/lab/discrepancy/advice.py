@@ -4,7 +4,15 @@ import re
 from collections.abc import Sequence
 from itertools import combinations
 
-from sim.lab.discrepancy.diagnosis import CANNOT_TELL, CandidateLaw, Diagnosis, HeatPlace, ProposedExperiment, Shift
+from sim.lab.discrepancy.diagnosis import (
+    CANNOT_TELL,
+    CandidateLaw,
+    Diagnosis,
+    HeatPlace,
+    PairOfRivals,
+    ProposedExperiment,
+    Shift,
+)
 from sim.lab.discrepancy.fitting import catalogue, rivals
 from sim.lab.discrepancy.heat_maps import span
 from sim.sha import display_unit
@@ -106,7 +114,7 @@ def experiment_lines(proposed: ProposedExperiment) -> tuple[str, ...]:
             lines.append(f"  {number}. {', '.join(settings)}; for {each.seconds / 60.0:.0f} min")
             settings = []
     told = [pair for pair in proposed.pairs if pair not in proposed.inseparable]
-    lines += [f"  tells {pair.one} from {pair.other} by {pair.nats:.0f} nats" for pair in told]
+    lines += [f"  tells {pair.one} from {pair.other} by {pair.nats:.0f} nats{_only_in_rows(pair)}" for pair in told]
     lines += [
         f"  no experiment within the machine's ranges and two days tells {pair.one} from {pair.other}: "
         f"{pair.most:.1f} nats are expected at most, and a name needs {proposed.least:.0f}"
@@ -115,6 +123,16 @@ def experiment_lines(proposed: ProposedExperiment) -> tuple[str, ...]:
     if any(pair.nats < proposed.needed for pair in told):
         lines.append(f"  a name can be counted on from {proposed.needed:.0f} nats on: it may have to be made again")
     return tuple(lines)
+
+
+def _only_in_rows(pair: PairOfRivals) -> str:
+    """Where rows such as those of the traces would show nothing of a pair: which would; else ""."""
+    if pair.rows is None:
+        return ""
+    return (
+        f" only where days and experiment are recorded in rows of {pair.rows:g} s or less: in rows as now one of the "
+        "two may be too short to be named, whatever the experiment"
+    )
 
 
 def in_words(expression: str) -> str:

@@ -252,13 +252,15 @@ class ExperimentStep:
 class PairOfRivals:
     """Two effects that the measured traces cannot tell apart, and the nats by which an experiment is expected to.
 
-    `most` are those of the best of all schedules for this pair, made as long as an experiment may be.
+    `most` are those of the best of all schedules for this pair, made as long as an experiment may be. `rows` (s) is
+    None, or how close the rows must lie for them: in those of the record one of the two may be too short for a name.
     """
 
     one: str
     other: str
     nats: float
     most: float
+    rows: float | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -281,8 +283,8 @@ class ProposedExperiment:
 
     @property
     def enough(self) -> bool:
-        """Whether every pair is expected to be told apart."""
-        return all(pair.nats >= self.needed for pair in self.pairs)
+        """Whether every pair is expected to be told apart, recorded in rows such as those of the traces."""
+        return all(pair.nats >= self.needed and pair.rows is None for pair in self.pairs)
 
     @property
     def inseparable(self) -> tuple[PairOfRivals, ...]:

@@ -10,7 +10,7 @@ the sensitivities of the rival that is wrong and N what the measured traces say 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, pairwise
-from math import ceil, inf, sqrt
+from math import ceil, floor, hypot, inf, log10, sqrt
 
 import numpy as np
 
@@ -34,6 +34,7 @@ from sim.lab.discrepancy.fitting import (
 from sim.lab.discrepancy.judging import NamingResult
 from sim.lab.discrepancy.naming import EffectEvidence, confirm, margin_of_class
 from sim.lab.discrepancy.rules import DecisionRules
+from sim.lab.discrepancy.screen import MIN_VISIBLE_ROWS, TIME_PARAMETERS, shortest_visible
 from sim.lab.learning import LearningError, first_switch
 from sim.sha import Array, Bins, Mask, Model, Trace
 
@@ -62,6 +63,10 @@ MAX_ROWS = 20_000
 """Rows of a schedule at most; beyond, they lie further apart than those of the record."""
 SURE_SIGMAS = 1.64
 """Standard deviations of the gain by which its mean lies above what a name needs: it is then had in 95 %."""
+LEAST_TIME_SHARE = 0.25
+"""Of a time as it was fitted, that it is taken to be at least where it is hardly known."""
+ROWS = (1.0, 2.0, 5.0)
+"""Intervals of recorders, and ten times, a tenth of these."""
 EDGE_SHARE = 0.05
 """Of its range, by which a load keeps away from where the model's bins meet: it trembles, and would be in both."""
 DAY_S = 86400.0
@@ -497,7 +502,8 @@ def propose_experiment(
     path: NamingResult, traces: Sequence[Trace], roles: Mapping[str, str]
 ) -> ProposedExperiment | None:
     """The experiment that soonest gains enough over each pair of rivals, with cycles left to prove it, repeated until
-    it does; where none does, that of the greatest least gain an hour.
+    it does; where none does, that of the greatest least gain an hour. Pairs for which the rows must lie closer have no
+    say in it beside others.
 
     `traces` are those that were diagnosed, `roles` the signals of the roles. None where nothing is to be told apart or
     nothing can be set.
@@ -528,8 +534,11 @@ def propose_experiment(
     least, needed = _least(rivals, rules), _needed_nats(rivals, rules)
     # What a rival follows it follows the better the longer it lasts: no longer experiment gives more an hour.
     most = {pair: max(nats[pair] * _longest(plan) / repeats for plan, repeats, nats in tried) for pair in pairs}
-    # A pair that nothing tells apart has no say in the choice, and is reported.
-    told = [pair for pair in pairs if most[pair] >= least] or pairs
+    closer = {each.name: closer_rows(each.fitted) for each in alternatives}
+    rows = {pair: min((each for name in pair if (each := closer[name]) is not None), default=None) for pair in pairs}
+    # A pair that nothing tells apart, or nothing in such rows, has no say in the choice, and is reported.
+    apart = [pair for pair in pairs if most[pair] >= least]
+    told = [pair for pair in apart if rows[pair] is None] or apart or pairs
 
     def seconds(trial: tuple[ExperimentSchedule, int, Mapping[tuple[str, str], float]]) -> float:
         schedule, repeats, nats = trial
@@ -551,11 +560,31 @@ def propose_experiment(
         steps=schedule_steps(schedule),
         repeats=repeats,
         seconds=repeats * schedule.seconds,
-        pairs=tuple(PairOfRivals(*pair, each, max(each, most[pair])) for pair, each in nats.items()),
+        pairs=tuple(PairOfRivals(*pair, each, max(each, most[pair]), rows[pair]) for pair, each in nats.items()),
         needed=needed,
         least=least,
         trace=schedule_trace(schedule.repeat(repeats), operation, operation.end + REST_S),
     )
+
+
+def closer_rows(fitted: Fitted) -> float | None:
+    """s, how close rows must lie for the last effect of a fit to be seen in them, for certain; None where they do.
+
+    That is of a time which is fitted with the parameters: no shape is looked for at one that is shorter than visible.
+    """
+    record, named = fitted.frame.record, fitted.state.named[-1]
+    if not set(named.free) & set(TIME_PARAMETERS):
+        return None
+    time, error = fitted.strength(named.entry.name)
+    shortest = shortest_visible(record)
+    # All switches are known late by one and the same part of a row: what is taken for the time is off by that, too.
+    row = shortest / MIN_VISIBLE_ROWS
+    least = time - SURE_SIGMAS * hypot(error, row / sqrt(12.0))
+    if least >= shortest or time <= 0:
+        return None
+    wanted = max(least, LEAST_TIME_SHARE * time) / MIN_VISIBLE_ROWS
+    decade = 10.0 ** floor(log10(wanted))
+    return max(each * decade for each in ROWS if each * decade <= wanted)
 
 
 def _longest(schedule: ExperimentSchedule) -> int:

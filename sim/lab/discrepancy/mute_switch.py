@@ -12,15 +12,9 @@ import numpy as np
 
 from sim.lab.discrepancy.fitting import build_frame, build_record, model_effects, patiently, run_frame
 from sim.lab.discrepancy.layout import DataLayout, required_signals
+from sim.lab.discrepancy.rules import DecisionRules
 from sim.lab.learning import Indices, LearningError, first_switch
 from sim.sha import Array, Bins, Mask, Trace
-
-STOPPED_SHARE = 0.02
-"""Of what the load usually is at most, below which nothing turns."""
-LEAST_CONTRADICTED_SHARE = 0.1
-"""Of all time, in which switch and load contradict each other at least: one that comes a little late does not."""
-MOST_ERROR_SHARE = 0.5
-"""Of the given model's error, that is left where the load takes the switch's place."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,15 +42,15 @@ class MuteSwitch:
         )
 
 
-def find_mute_switch(layout: DataLayout) -> MuteSwitch | None:
+def find_mute_switch(layout: DataLayout, rules: DecisionRules) -> MuteSwitch | None:
     """The model's switch where a load contradicts it often and foresees the temperature by far better."""
     model = layout.model
     switch = first_switch(model.alphabet)
     if switch is None:
         return None
     for load in _loads(layout):
-        turns = [_turns_by_load(trace, load) for trace in layout.traces]
-        if not _contradicts(layout.traces, turns, switch.signal):
+        turns = [_turns_by_load(trace, load, rules) for trace in layout.traces]
+        if not _contradicts(layout.traces, turns, switch.signal, rules):
             continue
         error, by_load = (
             _given_error(layout, traces)
@@ -68,7 +62,7 @@ def find_mute_switch(layout: DataLayout) -> MuteSwitch | None:
                 ],
             )
         )
-        if by_load <= MOST_ERROR_SHARE * error:
+        if by_load <= rules.by_load_most_error_share * error:
             known = np.concatenate([trace.signals[switch.signal] for trace in layout.traces])
             known = known[np.isfinite(known)]
             value = float(known[0]) if np.ptp(known) == 0.0 else None
@@ -92,24 +86,24 @@ class ChatteringSwitch:
             f"counts as {self.load} says."
         )
 
-    def settle(self, trace: Trace) -> Trace:
+    def settle(self, trace: Trace, rules: DecisionRules) -> Trace:
         """The trace with the switch as the load says in these rows; as it is where there are none."""
-        rows = _contradicted_rows(trace, self.switch, self.load)
+        rows = _contradicted_rows(trace, self.switch, self.load, rules)
         if not rows.size:
             return trace
         column = trace.signals[self.switch].astype(float)
-        column[rows] = _turns_by_load(trace, self.load)[rows]
+        column[rows] = _turns_by_load(trace, self.load, rules)[rows]
         return replace(trace, signals={**trace.signals, self.switch: column}, events=())
 
 
-def find_chatter(layout: DataLayout) -> ChatteringSwitch | None:
+def find_chatter(layout: DataLayout, rules: DecisionRules) -> ChatteringSwitch | None:
     """The model's switch where it turned for single rows in which a load goes on: each would be a stop and a start, and
     a model that enters its bins as the load moves would have lost its place until it moves again."""
     switch = first_switch(layout.model.alphabet)
     if switch is None:
         return None
     for load in _loads(layout):
-        rows = sum(_contradicted_rows(trace, switch.signal, load).size for trace in layout.traces)
+        rows = sum(_contradicted_rows(trace, switch.signal, load, rules).size for trace in layout.traces)
         if rows:
             return ChatteringSwitch(switch.signal, load, rows)
     return None
@@ -122,22 +116,23 @@ def _loads(layout: DataLayout) -> Sequence[str]:
     return tuple(dict.fromkeys(loads))
 
 
-def _contradicted_rows(trace: Trace, switch: str, load: str) -> Indices:
+def _contradicted_rows(trace: Trace, switch: str, load: str, rules: DecisionRules) -> Indices:
     """The single rows in which the switch says something else than the load, which says in them what both say in the
     rows on either side."""
     if switch not in trace.signals or load not in trace.signals or trace.times.size < 3:
         return np.empty(0, dtype=np.intp)
-    turns = _turns_by_load(trace, load)
+    turns = _turns_by_load(trace, load, rules)
     apart = turns != (_hold_values(trace.signals[switch]) > 0.5)
     alone = apart[1:-1] & ~apart[:-2] & ~apart[2:]
     return np.flatnonzero(alone & (turns[1:-1] == turns[:-2]) & (turns[1:-1] == turns[2:])) + 1
 
 
-def _turns_by_load(trace: Trace, load: str) -> Mask:
+def _turns_by_load(trace: Trace, load: str, rules: DecisionRules) -> Mask:
     """(n,) whether the machine turns, by its load; as before where that was not read."""
     column = np.abs(trace.signals.get(load, np.full(trace.times.size, np.nan)))
     seen = column[np.isfinite(column)]
-    return _hold_values(np.where(np.isfinite(column), column > STOPPED_SHARE * np.max(seen, initial=0.0), np.nan)) > 0.5
+    turns = column > rules.turning_least_load_share * np.max(seen, initial=0.0)
+    return _hold_values(np.where(np.isfinite(column), turns, np.nan)) > 0.5
 
 
 def _hold_values(column: Array) -> Array:
@@ -146,7 +141,7 @@ def _hold_values(column: Array) -> Array:
     return np.where(last < 0, 0.0, column[last])
 
 
-def _contradicts(traces: Sequence[Trace], turns: Sequence[Mask], switch: str) -> bool:
+def _contradicts(traces: Sequence[Trace], turns: Sequence[Mask], switch: str, rules: DecisionRules) -> bool:
     """Whether the switch says something else than these for much of the time, and these show both."""
     apart, whole, seen = 0.0, 0.0, set[bool]()
     for trace, turning in zip(traces, turns, strict=True):
@@ -156,7 +151,7 @@ def _contradicts(traces: Sequence[Trace], turns: Sequence[Mask], switch: str) ->
         apart += float(lasted[(turning != (_hold_values(trace.signals[switch]) > 0.5))[:-1]].sum())
         whole += float(lasted.sum())
         seen |= set(turning.tolist())
-    return len(seen) == 2 and apart >= LEAST_CONTRADICTED_SHARE * whole > 0.0
+    return len(seen) == 2 and whole > 0.0 and apart >= rules.contradicted_least_share * whole
 
 
 def _given_error(layout: DataLayout, traces: Sequence[Trace]) -> float:

@@ -24,6 +24,27 @@ class DecisionRules:
     each_name_least_cycles: int = 4
     """Such cycles for each of several names."""
 
+    # ---- which signals do not say what they should
+    turning_least_load_share: float = 0.02
+    """Of a load's greatest value, above which the machine turns, where its load is asked in place of its switch."""
+    contradicted_least_share: float = 0.1
+    """Of all time, that switch and load contradict each other where the switch is asked no more: one that comes a
+    little late does less."""
+    by_load_most_error_share: float = 0.5
+    """Of the given model's error, up to which is left where the load takes the place of a switch that says nothing."""
+    still_usual_least_moved_share: float = 0.5
+    """Of what the temperature varies by (rms about its mean), that the median run or rest moves it by where one that
+    moves it by nothing stands out."""
+    still_least_usual: int = 3
+    """Runs, or rests, that moved it: of fewer nothing is usual."""
+    still_least_lasted_share: float = 0.5
+    """Of the time that the median one takes, from which one would have moved it."""
+    still_least_way_share: float = 0.3
+    """Of what the median one moves it by, that one begins away from where those like it end: what begins nearer, as a
+    rest after a start that was broken off, has nowhere to go."""
+    still_least_way_steps: int = 3
+    """Of the reading's least steps, the same."""
+
     # ---- which signals are consequences
     follows_least_share: float = 0.6
     """Of the variance of a signal's changes that the temperature's past foresees where it follows. A room that is

@@ -6,19 +6,9 @@ import numpy as np
 
 from sim.effects import moment_words
 from sim.lab.discrepancy.fitting import Record
+from sim.lab.discrepancy.rules import DecisionRules
 from sim.lab.learning import Indices
 from sim.sha import Array
-
-LEAST_MOVED_SHARE = 0.5
-"""Of what the temperature varies by (rms) that a run or a rest usually moves it by, where one that does not stands
-out."""
-LEAST_LASTED_SHARE = 0.5
-"""Of the time that the usual one takes, from which one would have moved it."""
-LEAST_WAY_SHARE, LEAST_WAY_STEPS = 0.3, 3
-"""Of what the usual one moves it by, and how many of the reading's least steps, a run or a rest begins away from where
-those like it end; one that begins nearer, as a rest after a start that was broken off, has nowhere to go."""
-LEAST_MOVED = 3
-"""Runs, or rests, that moved it: of fewer nothing is usual."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +30,7 @@ class StillReading:
         )
 
 
-def find_still_reading(record: Record) -> StillReading | None:
+def find_still_reading(record: Record, rules: DecisionRules) -> StillReading | None:
     """The longest stretch of one reading that holds a whole run or a whole rest of about the usual length that had
     some way to go, where such a one moves the temperature by much; None where there is none."""
     reading, time = record.runs.reading[record.rows], record.runs.time[record.rows]
@@ -55,14 +45,16 @@ def find_still_reading(record: Record) -> StillReading | None:
     still = np.zeros(firsts.size, dtype=bool)
     for kind in (True, False):
         usual = whole & (on == kind) & (moved > 0)
-        if usual.sum() < LEAST_MOVED or np.median(moved[usual]) <= LEAST_MOVED_SHARE * np.std(reading):
+        least_moved = rules.still_usual_least_moved_share * np.std(reading)
+        if usual.sum() < rules.still_least_usual or np.median(moved[usual]) <= least_moved:
             continue
-        long = np.flatnonzero(whole & (on == kind) & (lasted >= LEAST_LASTED_SHARE * np.median(lasted[usual])))
+        least_lasted = rules.still_least_lasted_share * np.median(lasted[usual])
+        long = np.flatnonzero(whole & (on == kind) & (lasted >= least_lasted))
         begun, ended = reading[firsts[long]], reading[lasts[long]]
         rise = np.median(reading[lasts[usual]] - reading[firsts[usual]])
         # Where all end, and where the one before did: the surroundings are not always as warm.
         ways = np.sign(rise) * (np.stack([np.full(long.size, np.median(ended)), np.r_[ended[:1], ended[:-1]]]) - begun)
-        least_way = max(LEAST_WAY_SHARE * np.median(moved[usual]), LEAST_WAY_STEPS * least_step)
+        least_way = max(rules.still_least_way_share * np.median(moved[usual]), rules.still_least_way_steps * least_step)
         still[long] |= (moved[long] == 0) & (ways.min(axis=0) > least_way)
     if not still.any():
         return None

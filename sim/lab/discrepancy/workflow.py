@@ -84,11 +84,11 @@ def diagnose(
     roles = {**roles, **own_roles(lines)}
     layout = build_layout(model, traces, experiments, roles, rules)
     count = int(layout.cycles.size)
-    if (mute := find_mute_switch(layout)) is not None:
+    if (mute := find_mute_switch(layout, rules)) is not None:
         said = mute.sentence(display_unit(layout.model.unit))
         return DiagnosisOutcome(_too_little(layout.model, count, mute.reason(), said), (), None, None)
-    if (chatter := find_chatter(layout)) is not None:
-        traces, experiments = ([chatter.settle(trace) for trace in those] for those in (traces, experiments))
+    if (chatter := find_chatter(layout, rules)) is not None:
+        traces, experiments = ([chatter.settle(trace, rules) for trace in those] for those in (traces, experiments))
         layout = build_layout(model, traces, experiments, roles, rules)
         count = int(layout.cycles.size)
     if count < rules.least_cycles:
@@ -169,7 +169,7 @@ def describe(
     moved = shifts(told.after, rules)
     unexplained = remaining if unnamed or (kept and systematic(found.judged.ceiling, rules)) else ()
     described = description(path) if unnamed else ""
-    still = find_still_reading(layout.record)
+    still = find_still_reading(layout.record, rules)
     return Diagnosis(
         verdict=found.verdict,
         sentence=verdict_sentence(

@@ -115,7 +115,8 @@ def _experiment(proposed: ProposedExperiment) -> dict[str, Any]:
         "repeats": proposed.repeats,
         "seconds": proposed.seconds,
         "nats": [
-            {"pair": [pair.one, pair.other], "expected": pair.nats, "at_most": pair.most} for pair in proposed.pairs
+            {"pair": [pair.one, pair.other], "expected": pair.nats, "at_most": pair.most, "needs_rows_of_s": pair.rows}
+            for pair in proposed.pairs
         ],
         "needed_nats": proposed.needed,
         "least_nats": proposed.least,
