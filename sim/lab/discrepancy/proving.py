@@ -183,7 +183,9 @@ def prove(
     floor = judged.floor if kept else floor
     gap = is_gap(told.held, floor, sensor, rules)
     covered = told.held.rmse_before <= rules.covered_most_times * floor.error
-    evidence = gap_evidence(path, search.ceiling, proof.before, covered=covered)
+    # For a gap speaks what an experiment's repetitions tell of one another, too; against names it would say too much.
+    whole = ceiling(base, seed) if np.isfinite(layout.first_made) else search.ceiling
+    evidence = gap_evidence(path, whole, proof.before, covered=covered)
     material = matters(told.held, sensor, rules) and (gap or kept or bool(evidence))
     # What has no name need not act while the last cycles run: a greasing fades, a neighbour comes and goes.
     material = material or bool(description(judged.path))
