@@ -838,11 +838,16 @@ class ModbusDriver:
         Raises DriverError where it is not known: it does not answer, or hangs up between its answers.
         """
         for _ in range(_MOST_ROUNDS):
+            _, unanswered = self._line.proof
             reason, proofs = await self._marks(marks, urgent=urgent)
-            # Answers that came over several connections may be several devices'.
-            if reason or len({connects for connects, _ in proofs}) == 1:
+            # Answers that came over several connections, or around a silence, may be several devices'. A connection
+            # that ended before the first one does not matter: nothing that was asked over it is answered over the next.
+            if reason or (len(set(proofs)) == 1 and proofs[0][1] == unanswered):
                 return reason, proofs[-1]
-        raise ReplyMismatch("the device hangs up between the questions for its marks: pin one that tells it alone")
+        raise ReplyMismatch(
+            "the device hangs up, or leaves a question unanswered, before all its marks are told: pin one that tells "
+            "it alone"
+        )
 
     async def _marks(self, marks: Sequence[PinnedMark], *, urgent: bool) -> tuple[str, list[tuple[int, int]]]:
         unit, heard, proofs = self._settings.unit, dict[str, str](), list[tuple[int, int]]()
@@ -852,40 +857,42 @@ class ModbusDriver:
                 try:
                     if mark.object < 0:
                         request = mark_request(mark, unit) if mark.count else server_id_request(unit)
-                        said = mark.found((await self._request_identity(request, urgent=urgent)).words)
+                        said = mark.found((await self._request_identity(request, proofs, urgent=urgent)).words)
                     else:
                         if mark.name not in heard:
-                            heard |= await self._objects(mark, urgent=urgent)
+                            heard |= await self._objects(mark, proofs, urgent=urgent)
                         said = heard.get(mark.name)
                 except DeviceException as error:
                     if error.code not in _SAYS_NOTHING:
                         raise
                     said = None
-                proofs.append(self._line.proof)
                 if reason := stranger(mark, said, f"{self._settings.place} unit {unit}"):
                     return reason, proofs
         return "", proofs
 
-    async def _objects(self, mark: PinnedMark, *, urgent: bool) -> Mapping[str, str]:
+    async def _objects(self, mark: PinnedMark, proofs: list[tuple[int, int]], *, urgent: bool) -> Mapping[str, str]:
         """The objects of an identification (function 43) up to the one that is wanted."""
         heard: dict[str, str] = {}
         after = 0
         for _ in range(MOST_PARTS):
             request = object_request(self._settings.unit, after, mark.object)
-            part, after = identification((await self._request_identity(request, urgent=urgent)).words)
+            part, after = identification((await self._request_identity(request, proofs, urgent=urgent)).words)
             heard |= part
             if not after or mark.name in heard:
                 break
         return heard
 
-    async def _request_identity(self, request: ModbusPDU, *, urgent: bool) -> WireReply:
-        """Ask who the device is, as often as a reading is asked for."""
-        for _ in range(self._settings.attempts - 1):
-            try:
-                return await self._while_busy(lambda: self._line.ask(request, urgent=urgent), _BUSY)
-            except (ReplyTimeout, ReplyMismatch):
-                continue
-        return await self._while_busy(lambda: self._line.ask(request, urgent=urgent), _BUSY)
+    async def _request_identity(self, request: ModbusPDU, proofs: list[tuple[int, int]], *, urgent: bool) -> WireReply:
+        """Ask who the device is, as often as a reading is asked for; `proofs` gets the line's as it has answered."""
+        try:
+            for _ in range(self._settings.attempts - 1):
+                try:
+                    return await self._while_busy(lambda: self._line.ask(request, urgent=urgent), _BUSY)
+                except (ReplyTimeout, ReplyMismatch):
+                    continue
+            return await self._while_busy(lambda: self._line.ask(request, urgent=urgent), _BUSY)
+        finally:
+            proofs.append(self._line.proof)
 
 
 class PinnedDriver(ModbusDriver):

@@ -13,12 +13,14 @@ import pytest
 from drivers.connections import Connections
 from drivers.driver import Complains
 from drivers.errors import AddressError, DeviceException, DriverError, LinkDown
+from drivers.modbus.address import Area
 from drivers.modbus.ascii import AsciiStream, ascii_frame
 from drivers.modbus.driver import PinnedDriver, open_modbus
 from drivers.modbus.identity import pinned_marks, stranger, text_of_server_id
 from drivers.modbus.rtu import crc
 from drivers.modbus.settings import connection_place, read_settings
 from drivers.modbus.survey import open_survey
+from drivers.modbus.wire import read_request
 from drivers.tag import DType, Order, Quality, Sample, Tag
 
 TAGS = [Tag(f"T{number}", f"holding:{number}", DType.INT16, writable=True) for number in range(8)]
@@ -217,6 +219,110 @@ async def test_a_write_is_not_sent_over_a_connection_on_which_the_device_has_not
             await driver.write([(TAGS[0], 7)], before_sending=swapped_in_the_last_moment)
         await read_until(driver, lambda samples: bool(driver.complaints()))
         assert not [row for row in stranger.asked if row[0] == 16]
+
+
+def swapped_at(own: Device, plug: Socket, stranger: Device, question: bytes, count: int = 1) -> None:
+    """Put the stranger in, over the same connection, once its own device has answered the question so often."""
+    answer, left = own.answer, count
+
+    def answer_and_go(pdu: bytes) -> bytes | None:
+        nonlocal left
+        said = answer(pdu)
+        if pdu.startswith(question):
+            left -= 1
+            if not left:
+                plug.swap(stranger, cable=False)
+        return said
+
+    own.answer = answer_and_go  # type: ignore[method-assign]
+
+
+SERIAL_ASKED = bytes((3, 0, 40, 0, 8))
+
+
+@pytest.mark.parametrize("shown_by", ["silence", "a gateway"])
+async def test_marks_that_are_told_before_and_after_a_silence_are_not_one_devices(shown_by: str) -> None:
+    own, pinned = Device(objects=FIRST), {"holding:40-47": "SN-0001", "vendor": "Maker"}
+    # Of the stranger all is the same but the mark that has been told already.
+    stranger = Device(
+        objects=FIRST, serial="SN-0002", silent_next=shown_by == "silence", unreached_next=shown_by == "a gateway"
+    )
+    async with plugged(own, identity=pinned) as (plug, driver):
+        swapped_at(own, plug, stranger, SERIAL_ASKED)
+        samples = await read_until(driver, lambda _: bool(driver.complaints()))
+        assert not any(sample.quality.is_good for sample in samples)
+        with pytest.raises(LinkDown):
+            await driver.write([(TAGS[0], 7)])
+        assert stranger.registers[0] == 0
+
+
+async def test_an_answer_that_came_to_a_question_asked_again_is_no_proof_of_who_is_there_now() -> None:
+    # It may be the late one to the first attempt, of whom was there then.
+    own, stranger = Device(silent_next=1), Device(serial="SN-0002")
+    async with plugged(own, identity={"holding:40-47": "SN-0001"}) as (plug, driver):
+        swapped_at(own, plug, stranger, SERIAL_ASKED, count=2)
+        await read_until(driver, lambda _: bool(driver.complaints()))
+        with pytest.raises(LinkDown):
+            await driver.write([(TAGS[0], 7)])
+
+
+async def test_parts_of_an_identification_before_and_after_a_silence_are_not_one_devices() -> None:
+    class InParts(Device):
+        def answer(self, pdu: bytes) -> bytes | None:
+            if pdu[0] != 43 or self.silent_next:
+                return super().answer(pdu)
+            later = pdu[3] > 0
+            objects = ((1, self.objects[1]),) if later else ((0, self.objects[0]),)
+            reply = identification_of(*objects)
+            return reply if later else reply[:4] + bytes((0xFF, 1)) + reply[6:]
+
+    own, pinned = InParts(objects=FIRST), {"product code": "P-1", "vendor": "Maker"}
+    stranger = InParts(objects=FIRST | {0: b"Others"}, silent_next=1)
+    async with plugged(own, identity=pinned) as (plug, driver):
+        assert good(await driver.read(TAGS))
+        plug.swap(own)
+        swapped_at(own, plug, stranger, bytes((43, 14, 1, 0)))
+        samples = await read_until(driver, lambda _: bool(driver.complaints()))
+        assert not any(sample.quality.is_good for sample in samples)
+
+
+@pytest.mark.parametrize("asked_by", ["another driver of the unit", "somebody who looks on", "a reading given up"])
+@pytest.mark.parametrize("shown_by", ["silence", "a gateway"])
+async def test_a_silence_of_the_unit_counts_whoever_has_asked(asked_by: str, shown_by: str) -> None:
+    plug = Socket(Device())
+    server = await asyncio.start_server(plug.serve, "127.0.0.1", 0)
+    where = {"host": "127.0.0.1", "port": server.sockets[0].getsockname()[1], **SOON}
+    connections, clock = Connections(), asyncio.get_running_loop().time
+    pinned = {**where, "identity": {"holding:40-47": "SN-0001"}}
+    driver = open_modbus(pinned, clock=clock, write_map=TAGS, connections=connections)
+    other = open_modbus(where, clock=clock, connections=connections)
+    try:
+        await driver.open()
+        await other.open()
+        assert good(await driver.read(TAGS))
+        silent = shown_by == "silence"
+        stranger = Device(serial="SN-0002", silent_next=int(silent), unreached_next=int(not silent))
+        plug.swap(stranger, cable=False)
+        if asked_by == "another driver of the unit":
+            await other.read(TAGS)
+        elif asked_by == "somebody who looks on":
+            with pytest.raises(DriverError):
+                await other.by_hand(read_request(Area.HOLDING, 0, 1, 1), 0.1)
+        else:
+            asked = asyncio.ensure_future(driver.read(TAGS))
+            async with asyncio.timeout(60):
+                while stranger.silent_next or stranger.unreached_next:
+                    await asyncio.sleep(0.005)
+            asked.cancel()
+            await asyncio.wait([asked])
+        with pytest.raises(LinkDown, match="another device"):
+            await driver.write([(TAGS[0], 7)])
+        assert stranger.registers[0] == 0
+    finally:
+        await driver.close()
+        await other.close()
+        server.close()
+        await plug.close()
 
 
 async def test_a_device_that_does_not_say_who_it_is_is_not_believed() -> None:
