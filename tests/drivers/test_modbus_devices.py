@@ -286,6 +286,59 @@ async def test_parts_of_an_identification_before_and_after_a_silence_are_not_one
         assert not any(sample.quality.is_good for sample in samples)
 
 
+async def test_who_says_a_thing_in_two_ways_over_two_replies_has_not_said_it() -> None:
+    class TwoFaced(Device):
+        def answer(self, pdu: bytes) -> bytes | None:
+            if pdu[0] != 43:
+                return super().answer(pdu)
+            if pdu[3]:
+                return identification_of((0, b"Maker"), (1, b"P-1"), count=2)
+            return bytes((43, 14, 1, 1, 0xFF, 1, 1)) + identification_of((0, b"Others"))[7:]
+
+    # Whichever is asked for first, and by whom.
+    for pinned in ({"product code": "P-1", "vendor": "Maker"}, {"vendor": "Others", "product code": "P-1"}):
+        async with plugged(TwoFaced(), identity=pinned) as (_, driver):
+            samples = await driver.read(TAGS)
+            assert not any(sample.quality.is_good for sample in samples)
+            assert "vendor is said in two ways" in samples[0].reason
+    async with plugged(TwoFaced()) as (plug, _):
+        where = {"host": "127.0.0.1", "port": plug.open[0].get_extra_info("sockname")[1], **SOON}
+        async with open_survey(where, clock=asyncio.get_running_loop().time) as survey:
+            with pytest.raises(DriverError, match="vendor is said in two ways"):
+                await survey.identity()
+
+
+async def test_a_pinned_device_is_asked_again_where_a_gateway_says_that_it_gave_no_reply() -> None:
+    async with plugged(Device(), identity={"holding:40-47": "SN-0001"}) as (plug, driver):
+        assert good(await driver.read(TAGS))
+        plug.swap(Device())
+        await read_until(driver, good)
+        plug.swap(gone := Device(unreached_next=2), cable=False)
+        # The reading and its repeat; who it is with the next one.
+        assert all(sample.quality is Quality.NO_COMMUNICATION for sample in await driver.read(TAGS))
+        assert good(await driver.read(TAGS)) and not gone.unreached_next
+        driver._proof = None
+        gone.unreached_next = 1
+        assert good(await driver.read(TAGS)), "one disturbed line is no silence of a unit that has been reached"
+        driver._proof = None
+        gone.unreached_next = 99
+        samples = await driver.read(TAGS)
+        assert all(sample.quality is Quality.NO_COMMUNICATION for sample in samples)
+        assert "exception 11" in samples[0].reason
+        left = gone.unreached_next
+        await driver.read(TAGS)
+        assert gone.unreached_next == left - 1, "a unit that is gone is asked once"
+
+
+async def test_a_pinned_device_behind_a_gateway_is_surveyed_as_any_is() -> None:
+    own = Device(unreached_next=2)
+    async with plugged(own, identity={"holding:40-47": "SN-0001"}) as (plug, _):
+        where = {"host": "127.0.0.1", "port": plug.open[0].get_extra_info("sockname")[1], **SOON}
+        pinned = {**where, "identity": {"holding:40-47": "SN-0001"}}
+        async with open_survey(pinned, clock=asyncio.get_running_loop().time) as survey:
+            assert good([raw.sample for raw in await survey.tags(TAGS)])
+
+
 @pytest.mark.parametrize("asked_by", ["another driver of the unit", "somebody who looks on", "a reading given up"])
 @pytest.mark.parametrize("shown_by", ["silence", "a gateway"])
 async def test_a_silence_of_the_unit_counts_whoever_has_asked(asked_by: str, shown_by: str) -> None:
