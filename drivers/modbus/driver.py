@@ -36,6 +36,7 @@ from drivers.modbus.identity import (
     object_request,
     server_id_request,
     stranger,
+    take_part,
 )
 from drivers.modbus.plan import (
     AddressBlock,
@@ -747,7 +748,11 @@ class ModbusDriver:
 
     async def _attempts(self, block: AddressBlock, *, urgent: bool = False) -> WireReply:
         """Read a block, again with a new transaction id if no valid reply came; each request has its own deadline."""
-        return await self._while_busy(lambda: self._tries(block, urgent=urgent), _BUSY)
+        return await self._repeat(lambda again: self._request_block(block, again=again, urgent=urgent))
+
+    async def _repeat(self, ask: Callable[[bool], Awaitable[WireReply]]) -> WireReply:
+        """Ask as often as a reading is asked for (`_tries`), and later where the device is busy."""
+        return await self._while_busy(lambda: self._tries(ask), _BUSY)
 
     async def _while_busy(self, ask: Callable[[], Awaitable[WireReply]], codes: frozenset[int]) -> WireReply:
         """Ask again after a pause what the device refuses for the moment, as long as a reading lasts at most.
@@ -765,8 +770,8 @@ class ModbusDriver:
             await asyncio.sleep(pause)
             pause *= 2
 
-    async def _tries(self, block: AddressBlock, *, urgent: bool) -> WireReply:
-        """Read a block, again with a new transaction id if no valid reply came.
+    async def _tries(self, ask: Callable[[bool], Awaitable[WireReply]]) -> WireReply:
+        """Ask, again with a new transaction id if no valid reply came; `ask` is told whether that is so.
 
         A gateway's word that its unit gave no reply (exceptions 10 and 11) is no reply, too: the line behind it may
         have been disturbed. A unit that has not answered, or not since a reading that ended so, is asked once.
@@ -775,7 +780,7 @@ class ModbusDriver:
         # After a connection that was taken and never answered, the next ones get one question each.
         for _ in range(0 if self._line.suspect else self._settings.attempts - 1):
             try:
-                return await self._request_block(block, again=again, urgent=urgent)
+                return await ask(again)
             except (ReplyTimeout, ReplyMismatch):
                 if self._line.connection is not wire:
                     raise
@@ -789,7 +794,7 @@ class ModbusDriver:
                 self._counts["retries"] += 1
                 await asyncio.sleep(_LINE_PAUSE_S)
                 again = False
-        return await self._request_block(block, again=again, urgent=urgent)
+        return await ask(again)
 
     def _request_block(self, block: AddressBlock, *, again: bool, urgent: bool = False) -> Awaitable[WireReply]:
         """Ask for a block once; where the device takes aligned reads alone, for what lies around it too."""
@@ -838,11 +843,16 @@ class ModbusDriver:
         Raises DriverError where it is not known: it does not answer, or hangs up between its answers.
         """
         for _ in range(_MOST_ROUNDS):
+            _, unanswered = self._line.proof
             reason, proofs = await self._marks(marks, urgent=urgent)
-            # Answers that came over several connections may be several devices'.
-            if reason or len({connects for connects, _ in proofs}) == 1:
+            # Answers that came over several connections, or around a silence, may be several devices'. A connection
+            # that ended before the first one does not matter: nothing that was asked over it is answered over the next.
+            if reason or (len(set(proofs)) == 1 and proofs[0][1] == unanswered):
                 return reason, proofs[-1]
-        raise ReplyMismatch("the device hangs up between the questions for its marks: pin one that tells it alone")
+        raise ReplyMismatch(
+            "the device hangs up, or leaves a question unanswered, before all its marks are told: pin one that tells "
+            "it alone"
+        )
 
     async def _marks(self, marks: Sequence[PinnedMark], *, urgent: bool) -> tuple[str, list[tuple[int, int]]]:
         unit, heard, proofs = self._settings.unit, dict[str, str](), list[tuple[int, int]]()
@@ -852,40 +862,42 @@ class ModbusDriver:
                 try:
                     if mark.object < 0:
                         request = mark_request(mark, unit) if mark.count else server_id_request(unit)
-                        said = mark.found((await self._request_identity(request, urgent=urgent)).words)
+                        said = mark.found((await self._request_identity(request, proofs, urgent=urgent)).words)
                     else:
                         if mark.name not in heard:
-                            heard |= await self._objects(mark, urgent=urgent)
+                            await self._hear(mark, heard, proofs, urgent=urgent)
                         said = heard.get(mark.name)
                 except DeviceException as error:
                     if error.code not in _SAYS_NOTHING:
                         raise
                     said = None
-                proofs.append(self._line.proof)
                 if reason := stranger(mark, said, f"{self._settings.place} unit {unit}"):
                     return reason, proofs
         return "", proofs
 
-    async def _objects(self, mark: PinnedMark, *, urgent: bool) -> Mapping[str, str]:
-        """The objects of an identification (function 43) up to the one that is wanted."""
-        heard: dict[str, str] = {}
+    async def _hear(
+        self, mark: PinnedMark, heard: dict[str, str], proofs: list[tuple[int, int]], *, urgent: bool
+    ) -> None:
+        """Ask for the objects of an identification (function 43) up to the one that is wanted."""
         after = 0
         for _ in range(MOST_PARTS):
             request = object_request(self._settings.unit, after, mark.object)
-            part, after = identification((await self._request_identity(request, urgent=urgent)).words)
-            heard |= part
+            part, after = identification((await self._request_identity(request, proofs, urgent=urgent)).words)
+            take_part(heard, part)
             if not after or mark.name in heard:
-                break
-        return heard
+                return
 
-    async def _request_identity(self, request: ModbusPDU, *, urgent: bool) -> WireReply:
-        """Ask who the device is, as often as a reading is asked for."""
-        for _ in range(self._settings.attempts - 1):
-            try:
-                return await self._while_busy(lambda: self._line.ask(request, urgent=urgent), _BUSY)
-            except (ReplyTimeout, ReplyMismatch):
-                continue
-        return await self._while_busy(lambda: self._line.ask(request, urgent=urgent), _BUSY)
+    async def _request_identity(self, request: ModbusPDU, proofs: list[tuple[int, int]], *, urgent: bool) -> WireReply:
+        """Ask who the device is, as often as a reading is asked for; `proofs` gets the line's as it has answered."""
+        try:
+            reply = await self._repeat(lambda again: self._line.ask(request, again=again, urgent=urgent))
+        except DeviceException as error:
+            self._reached = error.code not in NO_WAY_TO_UNIT
+            raise
+        finally:
+            proofs.append(self._line.proof)
+        self._reached = True
+        return reply
 
 
 class PinnedDriver(ModbusDriver):
@@ -950,6 +962,8 @@ class PinnedDriver(ModbusDriver):
             return Quality.TIMEOUT, f"{_NOT_KNOWN}: {error}"
         except LinkDown as error:
             return Quality.NOT_CONNECTED, str(error)
+        except DeviceException as error:
+            return exception_quality(error.code), f"{_NOT_KNOWN}: {error}"
         except DriverError as error:
             return Quality.COMMUNICATION_ERROR, f"{_NOT_KNOWN}: {error}"
         if self._stranger:

@@ -198,6 +198,13 @@ def identification(said: Sequence[int]) -> tuple[dict[str, str], int]:
     return identity, following if more == 0xFF else 0
 
 
+def take_part(heard: dict[str, str], part: Mapping[str, str]) -> None:
+    """Add what another reply says. Raises ReplyMismatch where it says in another way what has been said."""
+    for name, text in part.items():
+        if heard.setdefault(name, text) != text:
+            raise ReplyMismatch(f"the identification cannot be told: {name} is said in two ways")
+
+
 def stranger(mark: PinnedMark, said: str | tuple[int, ...] | None, place: str) -> str:
     """That the device is another one than the pinned one, in words; "" where it says what is expected."""
     if said == mark.expected:

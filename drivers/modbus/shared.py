@@ -15,6 +15,7 @@ pays back out of its share of the time, resting meanwhile.
 
 import asyncio
 import random
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 
@@ -70,6 +71,8 @@ class SharedLink:
         self.supervisor = Supervisor()
         self._adopt(settings)
         self.health: dict[int, UnitHealth] = {}
+        # Questions to each unit, whoever asked, that had no answer of its own; kept while the unit is in no use, too.
+        self.unanswered = Counter[int]()
         self.renewing = False
         self._lines: list[UnitLine] = []
         self._turns = Turns(settings.outstanding)
@@ -183,7 +186,11 @@ class SharedLink:
             self._under_way += 1
             try:
                 reply = await wire.ask(request, patience, before_sending, again=again, most_open=most_open)
+            except asyncio.CancelledError:
+                self.unanswered[settings.unit] += 1
+                raise
             except (ReplyTimeout, ReplyMismatch) as error:
+                self.unanswered[settings.unit] += 1
                 line.counts["timeouts" if isinstance(error, ReplyTimeout) else "mismatches"] += 1
                 waited = _now() - started
                 if wire.fault is LinkFault.CUT:
@@ -197,7 +204,7 @@ class SharedLink:
                 raise
             except DeviceException as error:
                 line.counts["exceptions"] += 1
-                line.unreached += error.code in NO_WAY_TO_UNIT
+                self.unanswered[settings.unit] += error.code in NO_WAY_TO_UNIT
                 self.link.note_answer(wire)
                 if error.code in NO_WAY_TO_UNIT and len(self.health) > 1:
                     self._note_life(settings)
@@ -233,12 +240,17 @@ class SharedLink:
             line.counts["requests"] += 1
             try:
                 reply = await wire.ask(request, deadline, again=again, most_open=_MAX_OPEN_MANUAL_QUESTIONS)
+            except asyncio.CancelledError:
+                self.unanswered[request.dev_id] += 1
+                raise
             except DeviceException as error:
                 line.counts["exceptions"] += 1
+                self.unanswered[request.dev_id] += error.code in NO_WAY_TO_UNIT
                 self.link.note_answer(wire)
                 self._answered_at = _now()
                 raise explain(error, wire) from None
             except (ReplyTimeout, ReplyMismatch) as error:
+                self.unanswered[request.dev_id] += 1
                 line.counts["timeouts" if isinstance(error, ReplyTimeout) else "mismatches"] += 1
                 raise
             except LinkDown as error:
@@ -474,8 +486,6 @@ class UnitLine:
     def __init__(self, shared: SharedLink, settings: ModbusSettings) -> None:
         self._shared, self.settings = shared, settings
         self.counts = dict.fromkeys(("requests", "timeouts", "mismatches", "exceptions"), 0)
-        # Of the exceptions those by which a gateway says that the unit does not answer.
-        self.unreached = 0
 
     async def open(self) -> None:
         """Take part, and connect if nobody has yet. Raises LinkDown if the first attempt fails (it goes on trying)."""
@@ -548,8 +558,8 @@ class UnitLine:
 
     @property
     def proof(self) -> tuple[int, int]:
-        """It changes with each connection, and with each question to the unit that has had no answer."""
-        return self._shared.link.connects, self.counts["timeouts"] + self.counts["mismatches"] + self.unreached
+        """It changes with each connection, and with each question to the unit, whoever's, that has had no answer."""
+        return self._shared.link.connects, self._shared.unanswered[self.settings.unit]
 
     @property
     def ends_connections(self) -> bool:

@@ -16,7 +16,14 @@ from drivers.driver import Clock
 from drivers.errors import NO_WAY_TO_UNIT, AddressError, DeviceException, DriverError, LinkDown, ReplyTimeout
 from drivers.modbus.address import Area, locate
 from drivers.modbus.driver import ModbusDriver, make_modbus
-from drivers.modbus.identity import MOST_PARTS, identification, object_request, server_id_request, text_of_server_id
+from drivers.modbus.identity import (
+    MOST_PARTS,
+    identification,
+    object_request,
+    server_id_request,
+    take_part,
+    text_of_server_id,
+)
 from drivers.modbus.settings import ModbusSettings, read_settings
 from drivers.modbus.wire import WireReply, read_request
 from drivers.survey import Raw, ReadWords
@@ -97,8 +104,10 @@ class ModbusSurvey:
         """
         said = await self._objects(0, unit)
         if any(said.values()):
+            regular = dict[str, str]()
             with suppress(DriverError):
-                said |= {name: text for name, text in (await self._objects(_REGULAR_OBJECT_ID, unit)).items() if text}
+                regular = await self._objects(_REGULAR_OBJECT_ID, unit)
+            take_part(said, {name: text for name, text in regular.items() if text})
         return said
 
     async def _objects(self, wanted: int, unit: int | None) -> dict[str, str]:
@@ -106,7 +115,7 @@ class ModbusSurvey:
         after = 0
         for _ in range(MOST_PARTS):
             part, after = identification((await self._exchange(object_request(self._unit(unit), after, wanted))).words)
-            identity |= part
+            take_part(identity, part)
             if not after:
                 break
         return identity

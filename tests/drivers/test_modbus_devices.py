@@ -13,12 +13,14 @@ import pytest
 from drivers.connections import Connections
 from drivers.driver import Complains
 from drivers.errors import AddressError, DeviceException, DriverError, LinkDown
+from drivers.modbus.address import Area
 from drivers.modbus.ascii import AsciiStream, ascii_frame
 from drivers.modbus.driver import PinnedDriver, open_modbus
 from drivers.modbus.identity import pinned_marks, stranger, text_of_server_id
 from drivers.modbus.rtu import crc
 from drivers.modbus.settings import connection_place, read_settings
 from drivers.modbus.survey import open_survey
+from drivers.modbus.wire import read_request
 from drivers.tag import DType, Order, Quality, Sample, Tag
 
 TAGS = [Tag(f"T{number}", f"holding:{number}", DType.INT16, writable=True) for number in range(8)]
@@ -217,6 +219,163 @@ async def test_a_write_is_not_sent_over_a_connection_on_which_the_device_has_not
             await driver.write([(TAGS[0], 7)], before_sending=swapped_in_the_last_moment)
         await read_until(driver, lambda samples: bool(driver.complaints()))
         assert not [row for row in stranger.asked if row[0] == 16]
+
+
+def swapped_at(own: Device, plug: Socket, stranger: Device, question: bytes, count: int = 1) -> None:
+    """Put the stranger in, over the same connection, once its own device has answered the question so often."""
+    answer, left = own.answer, count
+
+    def answer_and_go(pdu: bytes) -> bytes | None:
+        nonlocal left
+        said = answer(pdu)
+        if pdu.startswith(question):
+            left -= 1
+            if not left:
+                plug.swap(stranger, cable=False)
+        return said
+
+    own.answer = answer_and_go  # type: ignore[method-assign]
+
+
+SERIAL_ASKED = bytes((3, 0, 40, 0, 8))
+
+
+@pytest.mark.parametrize("shown_by", ["silence", "a gateway"])
+async def test_marks_that_are_told_before_and_after_a_silence_are_not_one_devices(shown_by: str) -> None:
+    own, pinned = Device(objects=FIRST), {"holding:40-47": "SN-0001", "vendor": "Maker"}
+    # Of the stranger all is the same but the mark that has been told already.
+    stranger = Device(
+        objects=FIRST, serial="SN-0002", silent_next=shown_by == "silence", unreached_next=shown_by == "a gateway"
+    )
+    async with plugged(own, identity=pinned) as (plug, driver):
+        swapped_at(own, plug, stranger, SERIAL_ASKED)
+        samples = await read_until(driver, lambda _: bool(driver.complaints()))
+        assert not any(sample.quality.is_good for sample in samples)
+        with pytest.raises(LinkDown):
+            await driver.write([(TAGS[0], 7)])
+        assert stranger.registers[0] == 0
+
+
+async def test_an_answer_that_came_to_a_question_asked_again_is_no_proof_of_who_is_there_now() -> None:
+    # It may be the late one to the first attempt, of whom was there then.
+    own, stranger = Device(silent_next=1), Device(serial="SN-0002")
+    async with plugged(own, identity={"holding:40-47": "SN-0001"}) as (plug, driver):
+        swapped_at(own, plug, stranger, SERIAL_ASKED, count=2)
+        await read_until(driver, lambda _: bool(driver.complaints()))
+        with pytest.raises(LinkDown):
+            await driver.write([(TAGS[0], 7)])
+
+
+async def test_parts_of_an_identification_before_and_after_a_silence_are_not_one_devices() -> None:
+    class InParts(Device):
+        def answer(self, pdu: bytes) -> bytes | None:
+            if pdu[0] != 43 or self.silent_next:
+                return super().answer(pdu)
+            later = pdu[3] > 0
+            objects = ((1, self.objects[1]),) if later else ((0, self.objects[0]),)
+            reply = identification_of(*objects)
+            return reply if later else reply[:4] + bytes((0xFF, 1)) + reply[6:]
+
+    own, pinned = InParts(objects=FIRST), {"product code": "P-1", "vendor": "Maker"}
+    stranger = InParts(objects=FIRST | {0: b"Others"}, silent_next=1)
+    async with plugged(own, identity=pinned) as (plug, driver):
+        assert good(await driver.read(TAGS))
+        plug.swap(own)
+        swapped_at(own, plug, stranger, bytes((43, 14, 1, 0)))
+        samples = await read_until(driver, lambda _: bool(driver.complaints()))
+        assert not any(sample.quality.is_good for sample in samples)
+
+
+async def test_who_says_a_thing_in_two_ways_over_two_replies_has_not_said_it() -> None:
+    class TwoFaced(Device):
+        def answer(self, pdu: bytes) -> bytes | None:
+            if pdu[0] != 43:
+                return super().answer(pdu)
+            if pdu[3]:
+                return identification_of((0, b"Maker"), (1, b"P-1"), count=2)
+            return bytes((43, 14, 1, 1, 0xFF, 1, 1)) + identification_of((0, b"Others"))[7:]
+
+    # Whichever is asked for first, and by whom.
+    for pinned in ({"product code": "P-1", "vendor": "Maker"}, {"vendor": "Others", "product code": "P-1"}):
+        async with plugged(TwoFaced(), identity=pinned) as (_, driver):
+            samples = await driver.read(TAGS)
+            assert not any(sample.quality.is_good for sample in samples)
+            assert "vendor is said in two ways" in samples[0].reason
+    async with plugged(TwoFaced()) as (plug, _):
+        where = {"host": "127.0.0.1", "port": plug.open[0].get_extra_info("sockname")[1], **SOON}
+        async with open_survey(where, clock=asyncio.get_running_loop().time) as survey:
+            with pytest.raises(DriverError, match="vendor is said in two ways"):
+                await survey.identity()
+
+
+async def test_a_pinned_device_is_asked_again_where_a_gateway_says_that_it_gave_no_reply() -> None:
+    async with plugged(Device(), identity={"holding:40-47": "SN-0001"}) as (plug, driver):
+        assert good(await driver.read(TAGS))
+        plug.swap(Device())
+        await read_until(driver, good)
+        plug.swap(gone := Device(unreached_next=2), cable=False)
+        # The reading and its repeat; who it is with the next one.
+        assert all(sample.quality is Quality.NO_COMMUNICATION for sample in await driver.read(TAGS))
+        assert good(await driver.read(TAGS)) and not gone.unreached_next
+        driver._proof = None
+        gone.unreached_next = 1
+        assert good(await driver.read(TAGS)), "one disturbed line is no silence of a unit that has been reached"
+        driver._proof = None
+        gone.unreached_next = 99
+        samples = await driver.read(TAGS)
+        assert all(sample.quality is Quality.NO_COMMUNICATION for sample in samples)
+        assert "exception 11" in samples[0].reason
+        left = gone.unreached_next
+        await driver.read(TAGS)
+        assert gone.unreached_next == left - 1, "a unit that is gone is asked once"
+
+
+async def test_a_pinned_device_behind_a_gateway_is_surveyed_as_any_is() -> None:
+    own = Device(unreached_next=2)
+    async with plugged(own, identity={"holding:40-47": "SN-0001"}) as (plug, _):
+        where = {"host": "127.0.0.1", "port": plug.open[0].get_extra_info("sockname")[1], **SOON}
+        pinned = {**where, "identity": {"holding:40-47": "SN-0001"}}
+        async with open_survey(pinned, clock=asyncio.get_running_loop().time) as survey:
+            assert good([raw.sample for raw in await survey.tags(TAGS)])
+
+
+@pytest.mark.parametrize("asked_by", ["another driver of the unit", "somebody who looks on", "a reading given up"])
+@pytest.mark.parametrize("shown_by", ["silence", "a gateway"])
+async def test_a_silence_of_the_unit_counts_whoever_has_asked(asked_by: str, shown_by: str) -> None:
+    plug = Socket(Device())
+    server = await asyncio.start_server(plug.serve, "127.0.0.1", 0)
+    where = {"host": "127.0.0.1", "port": server.sockets[0].getsockname()[1], **SOON}
+    connections, clock = Connections(), asyncio.get_running_loop().time
+    pinned = {**where, "identity": {"holding:40-47": "SN-0001"}}
+    driver = open_modbus(pinned, clock=clock, write_map=TAGS, connections=connections)
+    other = open_modbus(where, clock=clock, connections=connections)
+    try:
+        await driver.open()
+        await other.open()
+        assert good(await driver.read(TAGS))
+        silent = shown_by == "silence"
+        stranger = Device(serial="SN-0002", silent_next=int(silent), unreached_next=int(not silent))
+        plug.swap(stranger, cable=False)
+        if asked_by == "another driver of the unit":
+            await other.read(TAGS)
+        elif asked_by == "somebody who looks on":
+            with pytest.raises(DriverError):
+                await other.by_hand(read_request(Area.HOLDING, 0, 1, 1), 0.1)
+        else:
+            asked = asyncio.ensure_future(driver.read(TAGS))
+            async with asyncio.timeout(60):
+                while stranger.silent_next or stranger.unreached_next:
+                    await asyncio.sleep(0.005)
+            asked.cancel()
+            await asyncio.wait([asked])
+        with pytest.raises(LinkDown, match="another device"):
+            await driver.write([(TAGS[0], 7)])
+        assert stranger.registers[0] == 0
+    finally:
+        await driver.close()
+        await other.close()
+        server.close()
+        await plug.close()
 
 
 async def test_a_device_that_does_not_say_who_it_is_is_not_believed() -> None:
