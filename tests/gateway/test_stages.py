@@ -146,7 +146,7 @@ async def test_a_forecast_far_from_what_came_after_like_moments_is_flagged_and_a
     loaded = load_model(config)
     assert loaded is not None
     # While this machine ran it was never warm, and at rest always.
-    known = [["on", 0, 10.0, 20, 10.0, 19.0], ["off", 0, 10.0, 20, 30.0, 19.0]]
+    known = [["on", 0, 10.0, 20, 20, 10.0, 19.0], ["off", 0, 10.0, 20, 20, 30.0, 19.0]]
     with stored(config) as (historian, log):
         unit = ModelUnit(config, loaded, (), historian=historian, log=log)
         unit.guards.restore({PAST: known})

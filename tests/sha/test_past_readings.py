@@ -42,10 +42,33 @@ def test_a_median_beyond_three_deviations_of_what_came_after_like_moments_is_fla
         (held,) = like.hold(now, {HORIZON: mean + off * sigma})
         assert held is not None and held.flagged is flagged and held.moments == MIN_MOMENTS
         assert (held.mean, held.sigma, held.deviations) == pytest.approx((mean, sigma, off))
-    # What is usual while the machine runs says nothing of one that stands: begun before the stay, it is of that.
-    (rest,) = like.hold(now - 1.0, {HORIZON: 60.0})
+    # What is usual while the machine runs says nothing of one that stands: begun before the rest, it is of the run.
+    like.follow(now + 380.0, "on", None)
+    like.follow(now + STAY, "off", None)
+    (run,), (rest,) = (like.hold(now + begun, {HORIZON: 60.0}) for begun in (390.0, STAY))
+    assert run is not None and not run.flagged and run.mean > 30.0
     assert rest is not None and rest.flagged and rest.mean == pytest.approx(20.0)
     assert rest.sigma == 0.05, "of the sensor, where nothing varies"
+
+
+def test_on_ordinary_days_what_really_comes_is_hardly_ever_flagged_and_a_hot_bearing_is() -> None:
+    """A stay's first moments said nothing of its later ones: a machine that had cooled was flagged all night."""
+    horizons, rng = (300.0, 900.0), np.random.default_rng(0)
+    rows, warm = list[tuple[float, str, float]](), 20.0
+    for time in np.arange(0.0, 30 * 86_400.0, 60.0).tolist():
+        on = time % 43_200.0 < 14_400.0
+        if time % 43_200.0 == 0.0:
+            heated = 60.0 + 2.0 * rng.standard_normal()
+        warm += ((heated if on else 20.0) - warm) * 60.0 / 3600.0
+        rows.append((time, "on" if on else "off", warm + 0.1 * rng.standard_normal()))
+    like, found = LikeMoments(horizons, 0.1, 5.0), dict[float, list[bool]]()
+    for at, (time, location, value) in enumerate(rows[:-15]):
+        like.follow(time, location, value)
+        for hotter in (0.0, 15.0) if at % 10 == 0 else ():
+            held = like.hold(time, {each: rows[at + int(each / 60.0)][2] + hotter for each in horizons})
+            found.setdefault(hotter, []).extend(each.flagged for each in held if each is not None)
+    assert len(found[0.0]) > 4000
+    assert np.mean(found[0.0]) < 0.02 and np.mean(found[15.0]) > 0.5, {at: np.mean(each) for at, each in found.items()}
 
 
 def test_fewer_moments_and_a_place_that_is_not_known_tell_nothing() -> None:
