@@ -28,7 +28,8 @@ from sim.engine.simulation import simulate
 from sim.engine.tracker import compile_model
 from sim.forecast.fan import Forecast, forecast
 from sim.lab.checking.smc.answers import prepare_question
-from sim.lab.checking.smc.runs import LARGEST, sampler
+from sim.lab.checking.smc.chunks import LARGEST
+from sim.lab.checking.smc.runs import sampler
 from sim.sha.automaton import Distribution, Effect, Flow
 from sim.sha.model import Model
 from sim.sha.trace import Array, Event

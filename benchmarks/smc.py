@@ -9,6 +9,7 @@ stand in its place, and the row says so. Ours draws normals by numpy's generator
 without anything else, is a figure of its own.
 """
 
+import os
 import shutil
 import subprocess
 import tempfile
@@ -18,7 +19,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
-from time import process_time
+from time import perf_counter, process_time
 
 import click
 import numpy as np
@@ -29,9 +30,12 @@ from benchmarks.figures import Figure, give
 from benchmarks.simulation import EVENTS, ROWS, SECONDS, SYMBOLS, plant
 from sim.lab.checking.query.tree import Compare, Eventually, Number, Probability, Quantity, TimeSpan
 from sim.lab.checking.smc.answers import Answer, QuerySettings, Start, answer, prepare_question
+from sim.lab.checking.smc.chunks import LARGEST
+from sim.lab.checking.smc.monitors import PreparedPath
 from sim.lab.checking.smc.paths.known_events import Known
-from sim.lab.checking.smc.runs import LARGEST, Sampler, sampler
+from sim.lab.checking.smc.runs import Sampler, sampler
 from sim.lab.checking.smc.start import initial
+from sim.lab.workers import threads
 from sim.sha.automaton import SHA, Distribution, Edge, Flow, Location
 from sim.sha.events import Alphabet
 from sim.sha.model import Model
@@ -163,7 +167,18 @@ def speeds(runs: int, repeats: int) -> list[Figure]:
                 figures.append(Figure(f"{name}: {steps} steps a run", own, "runs/s", "scalar C, measured now", speed))
                 figures.append(Figure(f"{name}: share of successes", float(share), "", "scalar C", hits))
         figures += passage_speeds(program, runs, repeats)
-    return figures
+    return [*figures, shared(start, one, runs)]
+
+
+def shared(start: Start, path: PreparedPath, runs: int) -> Figure:
+    """How many times sooner a thread on each core has these runs than one alone, by the wall clock."""
+    cores, walls = len(os.sched_getaffinity(0)), []
+    for count in (1, cores):
+        with threads(count) as helpers:
+            begin = perf_counter()
+            sampler(start.world, (path,), 1, helpers, runs).draw(runs)
+            walls.append(perf_counter() - begin)
+    return Figure("dense: time of one thread, of that of all cores", walls[0] / walls[1], "", "cores", cores)
 
 
 def relaxing_start(known: bool) -> Start:
@@ -201,11 +216,12 @@ def passage_speeds(program: Path | None, runs: int, repeats: int) -> list[Figure
 
 
 def memory(runs: int) -> Figure:
-    """Megabytes at the most while `runs` runs are made, against those of a tenth of them."""
+    """Megabytes at the most while `runs` runs are made on all cores, against those of a tenth of them."""
     start, sizes = speed_start(0.004), []
     for some in (runs // 10, runs):
         tracemalloc.start()
-        answer(question(32.0, SECONDS, SECONDS), start, QuerySettings(rule="fixed", runs=some))
+        with threads(len(os.sched_getaffinity(0))) as helpers:
+            answer(question(32.0, SECONDS, SECONDS), start, QuerySettings(rule="fixed", runs=some), threads=helpers)
         sizes.append(tracemalloc.get_traced_memory()[1] / 1e6)
         tracemalloc.stop()
     return Figure(f"events: memory of {runs:,} runs", sizes[1], "MB", f"of {runs // 10:,}", sizes[0])

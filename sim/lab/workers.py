@@ -1,15 +1,18 @@
 """Work for several processes, on this computer or on a Dask cluster: who does it, in which order, what a kill costs.
 
+Threads of this process share work whose time goes into large arrays, in which numpy lets go of the interpreter.
+
 What is done depends on the item alone, so that results do not depend on the number of workers or on where they run.
 """
 
 import logging
 import re
 from collections.abc import Callable, Generator, Iterator, Sequence
-from concurrent.futures import CancelledError
+from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from importlib import import_module
+from threading import Event
 from typing import Any, Protocol, TypeVar
 from warnings import catch_warnings, simplefilter
 
@@ -96,6 +99,41 @@ def _close_quietly(results: Generator[R, None, None]) -> Iterator[Generator[R, N
         with catch_warnings():
             simplefilter("ignore", UserWarning)
             results.close()
+
+
+class Threads:
+    """`count` threads of a `with threads(...)` block; work that runs long asks now and then whether it is `wanted`."""
+
+    def __init__(self, count: int, pool: ThreadPoolExecutor) -> None:
+        self.count = count
+        self._pool = pool
+        self._over = Event()
+
+    def wanted(self) -> bool:
+        """Whether the block still goes on."""
+        return not self._over.is_set()
+
+    def submit(self, make: Callable[[int], R], number: int) -> "Future[R]":
+        """`make(number)` in the next thread that is free."""
+        return self._pool.submit(make, number)
+
+    def end(self) -> None:
+        """Begin nothing more; wait for what is under way, which is no longer wanted."""
+        self._over.set()
+        self._pool.shutdown(cancel_futures=True)
+
+
+@contextmanager
+def threads(count: int) -> Iterator[Threads | None]:
+    """So many threads for the block, none of which is left after it, whatever ends it; None where `count` is 1."""
+    if count == 1:
+        yield None
+        return
+    made = Threads(count, ThreadPoolExecutor(count, thread_name_prefix="worker"))
+    try:
+        yield made
+    finally:
+        made.end()
 
 
 @contextmanager

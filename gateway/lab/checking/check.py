@@ -1,5 +1,6 @@
 """`decanter model check`: a query put to a model, answered by runs or decided over its locations."""
 
+import os
 from collections.abc import Iterator
 from math import inf, isfinite, nan, nextafter
 from pathlib import Path
@@ -23,6 +24,7 @@ from sim.lab.checking.language import parse_query
 from sim.lab.checking.query import Simulation, Symbolic
 from sim.lab.checking.smc import Answer, QuerySettings, Rule, Start, answer, believed_start, decide_symbolic, initial
 from sim.lab.formats import FoundModel, find_model
+from sim.lab.workers import threads
 from sim.sha import DEFAULT_UNIT, Model, Trace, display_unit, encode_trace
 
 HISTORY_S = 24 * 3600.0
@@ -127,7 +129,8 @@ def answer_query(
     if isinstance(query, Symbolic):
         return decide_symbolic(query, found_model.structure)
     start = _start(found_model.runnable(), trace, origin=origin, future=future, machine=machine)
-    return answer(query, start, settings, report)
+    with threads(len(os.sched_getaffinity(0))) as helpers:
+        return answer(query, start, settings, report, helpers)
 
 
 def _start(model: Model, trace: Trace | None, *, origin: str, future: str | None, machine: str | None) -> Start:

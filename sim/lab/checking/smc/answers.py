@@ -14,6 +14,7 @@ import scipy
 
 from sim.lab.checking.query import decide
 from sim.lab.checking.query import tree as q
+from sim.lab.checking.smc.chunks import Threads
 from sim.lab.checking.smc.monitors import PreparedPath, Totals, approximations, cuts, prepare_path
 from sim.lab.checking.smc.rules import (
     Draw,
@@ -101,11 +102,12 @@ def answer(
     start: Start,
     settings: QuerySettings | None = None,
     report: Progress = lambda _what, _share: None,
+    threads: Threads | None = None,
 ) -> Answer:
     """The answer to a query about runs from `start` (`initial`, `believed`).
 
-    Equal arguments give equal answers. Raises ValueError for what cannot be answered, with the reason, and for symbolic
-    queries, which need no runs (`decide_symbolic`).
+    Equal arguments give equal answers, whatever `threads` help with many runs. Raises ValueError for what cannot be
+    answered, with the reason, and for symbolic queries, which need no runs (`decide_symbolic`).
     """
     chosen = settings or QuerySettings()
     if isinstance(query, q.Symbolic):
@@ -127,13 +129,13 @@ def answer(
             raise ValueError(f"the last answer is due after {last:g} s, and runs are followed for 1e9 s at most")
     match query:
         case q.Probability():
-            return _probability(query, start, chosen, report)
+            return _probability(query, start, chosen, report, threads)
         case q.Hypothesis():
-            return _hypothesis(query, start, chosen, report)
+            return _hypothesis(query, start, chosen, report, threads)
         case q.PairedComparison():
-            return _comparison(query, start, chosen, report)
+            return _comparison(query, start, chosen, report, threads)
         case q.Expectation():
-            return _expectation(query, start, chosen, report)
+            return _expectation(query, start, chosen, report, threads)
     return _simulation(query, start, chosen, report)
 
 
@@ -145,7 +147,9 @@ def prepare_question(question: q.Probability, start: Start) -> PreparedPath:
 # ------------------------------------------------------------------ one function for each kind of query
 
 
-def _probability(query: q.Probability, start: Start, settings: QuerySettings, report: Progress) -> Answer:
+def _probability(
+    query: q.Probability, start: Start, settings: QuerySettings, report: Progress, threads: Threads | None
+) -> Answer:
     """The probability of a path by the settings' rule, or by importance splitting.
 
     Splitting is done at once if the settings ask for it, and when a rule ended without any success (for `[]`, without
@@ -154,14 +158,16 @@ def _probability(query: q.Probability, start: Start, settings: QuerySettings, re
     path = prepare_question(query, start)
     if settings.rare:
         return _rare(query, path, start, settings, report)
-    drawn = sampler(start.world, (path,), settings.seed)
+    # Whoever asks for a number of runs gets the fixed rule.
+    fixed = bool(settings.runs or query.runs) or settings.rule == "fixed"
+    runs = (settings.runs or query.runs or hoeffding_runs(settings)) if fixed else settings.most
+    drawn = sampler(start.world, (path,), settings.seed, threads, runs)
     outcomes = _outcomes(drawn)
-    if query.runs or settings.runs or settings.rule == "fixed":  # whoever asks for a number of runs gets the fixed rule
-        runs = settings.runs or query.runs or hoeffding_runs(settings)
+    if fixed:
         outcome = fixed_run_estimate(outcomes, runs, settings.level, progress=report)
     else:
         rule = anytime if settings.rule == "anytime" else to_half_width
-        outcome = rule(outcomes, settings.epsilon, settings.level, most=settings.most, progress=report)
+        outcome = rule(outcomes, settings.epsilon, settings.level, most=runs, progress=report)
     estimate = outcome.estimate
 
     # The contrary of `[]` is what may be rare: there a share of exactly 1 says that no run has shown it.
@@ -191,11 +197,13 @@ def hoeffding_runs(settings: QuerySettings) -> int:
     return ceil(log(2.0 / settings.alpha) / (2.0 * settings.epsilon**2))
 
 
-def _hypothesis(query: q.Hypothesis, start: Start, settings: QuerySettings, report: Progress) -> Answer:
+def _hypothesis(
+    query: q.Hypothesis, start: Start, settings: QuerySettings, report: Progress, threads: Threads | None
+) -> Answer:
     """Whether a probability is at least (at most) p, by Wald's sequential test."""
-    drawn = sampler(start.world, (prepare_question(query.question, start),), settings.seed)
-    test = sprt.wald_test(query.op, query.p, settings.delta, settings.alpha, settings.alpha)
     most = settings.runs or query.question.runs or settings.most
+    drawn = sampler(start.world, (prepare_question(query.question, start),), settings.seed, threads, most)
+    test = sprt.wald_test(query.op, query.p, settings.delta, settings.alpha, settings.alpha)
     outcome = sprt.sprt(_outcomes(drawn), test, most=most, progress=report)
     word = {True: "holds", False: "does not hold", None: "undecided"}[outcome.holds]
     estimate = outcome.estimate
@@ -204,17 +212,18 @@ def _hypothesis(query: q.Hypothesis, start: Start, settings: QuerySettings, repo
     return _format_answer(query, "hypothesis", sentence, outcome=outcome, drawn=drawn, start=start)
 
 
-def _comparison(query: q.PairedComparison, start: Start, settings: QuerySettings, report: Progress) -> Answer:
+def _comparison(
+    query: q.PairedComparison, start: Start, settings: QuerySettings, report: Progress, threads: Threads | None
+) -> Answer:
     """Which of two probabilities is greater, both seen on the same runs (common random numbers)."""
-    drawn = sampler(
-        start.world, (prepare_question(query.left, start), prepare_question(query.right, start)), settings.seed
-    )
+    most = settings.runs or settings.most
+    sides = (prepare_question(query.left, start), prepare_question(query.right, start))
+    drawn = sampler(start.world, sides, settings.seed, threads, most)
 
     def pairs(runs: int) -> tuple[Array, Array]:
         left, right = drawn.draw(runs).T.astype(float)
         return left, right
 
-    most = settings.runs or settings.most
     comparison = paired.compare(pairs, settings.delta, settings.level, most=most, progress=report)
     difference = _interval(comparison.difference, comparison.low, comparison.high, settings)
     numbers = {
@@ -286,7 +295,9 @@ def _rare(query: q.Probability, path: PreparedPath, start: Start, settings: Quer
     )
 
 
-def _expectation(query: q.Expectation, start: Start, settings: QuerySettings, report: Progress) -> Answer:
+def _expectation(
+    query: q.Expectation, start: Start, settings: QuerySettings, report: Progress, threads: Threads | None
+) -> Answer:
     """The mean of a course's extreme over the runs, with a Student interval."""
     runs = settings.runs or query.runs
     statistics, totals, notes = extremes(
@@ -297,6 +308,7 @@ def _expectation(query: q.Expectation, start: Start, settings: QuerySettings, re
         seed=settings.seed,
         greatest=query.extreme == "max",
         report=report,
+        threads=threads,
     )
     mean, numbers = statistics.mean, {"mean": statistics.mean}
     sentence = f"E({query.extreme}) = {mean:.4g} (one run)"

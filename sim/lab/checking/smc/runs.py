@@ -1,13 +1,15 @@
 """Runs on demand: drawn in chunks of fixed sizes, each from a seed of its own, so that run i is always the same run."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import pairwise
 from math import inf
 
 import numpy as np
 
 from sim.lab.checking.query import Expression
+from sim.lab.checking.smc.chunks import Threads, chunk_size, in_order
 from sim.lab.checking.smc.monitors import (
     ExtremeMonitor,
     PreparedPath,
@@ -31,9 +33,6 @@ from sim.lab.checking.smc.paths import (
 from sim.lab.checking.smc.rules import Progress
 from sim.sha import Array, Mask
 
-SMALLEST, LARGEST = 64, 32768
-"""Runs of the first chunk, and of the large ones: each is twice the one before it. A chunk's rows fit the cache."""
-
 MAX_MOMENTS = 1_000_000
 """Runs whose moment of the goal is kept, for a picture."""
 
@@ -44,34 +43,60 @@ def engine(world: World, where: Cuts) -> Engine:
     return known_engine(world, where) if known else semi_markov(world, where)
 
 
-def chunk_size(number: int) -> int:
-    """Runs of chunk `number`, from 0."""
-    return min(SMALLEST << min(number, 20), LARGEST)  # beyond 20 the shift would only make a large number
-
-
 def generator(seed: int, number: int) -> np.random.Generator:
     """The generator of chunk `number` under a seed."""
     # A spawn key for each chunk: run i is the same run whatever was drawn before it, and no two streams overlap.
     return np.random.Generator(np.random.SFC64(np.random.SeedSequence(entropy=seed, spawn_key=(number,))))
 
 
+@dataclass(frozen=True, slots=True)
+class _Chunk:
+    """What is kept of a chunk of n runs on p paths: `verdicts` (n, p), `left_out` (n, p), the `moments` (n,) of the
+    first path's goal where it has any, how many runs stayed `unclear`, and what happened to them."""
+
+    verdicts: Mask
+    left_out: Indices
+    moments: Array | None
+    unclear: int
+    totals: Totals
+
+
+def _chunk(engine: Engine, paths: Sequence[PreparedPath], seed: int, threads: Threads | None, number: int) -> _Chunk:
+    """Chunk `number`. Called by several threads at once: engine and paths are only read."""
+    runs = chunk_size(number)
+    monitors = [path.start(runs) for path in paths]
+    wanted = None if threads is None else threads.wanted
+    totals = follow(engine, monitors, runs, generator(seed, number), wanted)
+    verdicts = np.stack([path.verdict(seen) for path, seen in zip(paths, monitors, strict=True)], axis=1)
+    nothing = np.zeros(runs, dtype=np.intp)
+    kept = [each.left_out if isinstance(each, ResponseMonitor) else nothing for each in monitors]
+    return _Chunk(
+        verdicts=verdicts,
+        left_out=np.where(verdicts, np.stack(kept, axis=1), 0),
+        moments=paths[0].goal_moment(monitors[0]),
+        unclear=sum(getattr(monitor, "unclear", 0) for monitor in monitors),
+        totals=totals,
+    )
+
+
 @dataclass(slots=True)
 class Sampler:
     """Verdicts of one run after another on some paths, all seen on the same runs (common random numbers).
 
-    `verdicts` are the chunks drawn and not yet handed out; `drawn` counts the runs handed out, `when` keeps the moments
-    of the first path's goal, chunk by chunk. `spare` (runs left, paths) and `left_out` (paths,) count the causes that a
-    weak response left out, in runs on which it holds: of those not yet handed out, and of those handed out.
+    `left` are the verdicts of the `chunks` drawn that are not yet handed out; `drawn` counts the runs handed out,
+    `when` keeps the moments of the first path's goal, chunk by chunk. `spare` (runs left, paths) and `left_out`
+    (paths,) count the causes that a weak response left out, in runs on which it holds: of those not yet handed out, and
+    of those handed out.
     """
 
     engine: Engine
     paths: tuple[PreparedPath, ...]
     seed: int
+    chunks: Iterator[_Chunk]
     left: Mask
     spare: Indices
     left_out: Indices
     totals: Totals
-    chunks: int = 0
     drawn: int = 0
     unclear: int = 0
     when: list[Array] = field(default_factory=list)
@@ -81,7 +106,7 @@ class Sampler:
         parts, missing = [], runs
         while missing > 0:
             if not self.left.shape[0]:
-                self._chunk()
+                self._take(next(self.chunks))
             part, self.left = self.left[:missing], self.left[missing:]
             self.left_out += self.spare[:missing].sum(axis=0)
             self.spare = self.spare[missing:]
@@ -90,33 +115,32 @@ class Sampler:
         self.drawn += runs
         return np.concatenate(parts)
 
-    def _chunk(self) -> None:
-        """Make the next chunk of runs."""
-        runs = chunk_size(self.chunks)
-        monitors = [path.start(runs) for path in self.paths]
-        self.totals += follow(self.engine, monitors, runs, generator(self.seed, self.chunks))
-        self.chunks += 1
-        self.unclear += sum(getattr(monitor, "unclear", 0) for monitor in monitors)
-        moments = self.paths[0].goal_moment(monitors[0])
-        if moments is not None and sum(part.size for part in self.when) < MAX_MOMENTS:
-            self.when.append(moments)
-        self.left = np.stack([path.verdict(seen) for path, seen in zip(self.paths, monitors, strict=True)], axis=1)
-        nothing = np.zeros(runs, dtype=np.intp)
-        kept = [each.left_out if isinstance(each, ResponseMonitor) else nothing for each in monitors]
-        self.spare = np.where(self.left, np.stack(kept, axis=1), 0)
+    def _take(self, chunk: _Chunk) -> None:
+        """The runs of the next chunk are those to be handed out."""
+        self.left, self.spare = chunk.verdicts, chunk.left_out
+        self.totals += chunk.totals
+        self.unclear += chunk.unclear
+        if chunk.moments is not None and sum(part.size for part in self.when) < MAX_MOMENTS:
+            self.when.append(chunk.moments)
 
     def passages(self) -> Array:
         """The moment (s) of the first path's goal in each run handed out (the first million of them), inf without."""
         return np.concatenate([*self.when, np.empty(0)])[: self.drawn]
 
 
-def sampler(world: World, paths: tuple[PreparedPath, ...], seed: int) -> Sampler:
-    """A sampler of runs long enough for all the paths. Raises ValueError as the engines do."""
-    none = np.zeros((0, len(paths)), dtype=np.intp)
+def sampler(
+    world: World, paths: tuple[PreparedPath, ...], seed: int, threads: Threads | None = None, most: float = inf
+) -> Sampler:
+    """A sampler of runs long enough for all the paths, of which `most` will be drawn. Raises ValueError as the engines.
+
+    The runs are the same with threads and without.
+    """
+    none, made = np.zeros((0, len(paths)), dtype=np.intp), engine(world, cuts(paths))
     return Sampler(
-        engine=engine(world, cuts(paths)),
+        engine=made,
         paths=paths,
         seed=seed,
+        chunks=in_order(partial(_chunk, made, paths, seed, threads), threads, most),
         left=none.astype(np.bool_),
         spare=none,
         left_out=none.sum(axis=0),
@@ -152,7 +176,15 @@ def _check_finite(*columns: Array) -> None:
 
 
 def extremes(
-    world: World, expression: Expression, *, bound: float, runs: int, seed: int, greatest: bool, report: Progress
+    world: World,
+    expression: Expression,
+    *,
+    bound: float,
+    runs: int,
+    seed: int,
+    greatest: bool,
+    report: Progress,
+    threads: Threads | None = None,
 ) -> tuple[RunStatistics, Totals, tuple[str, ...]]:
     """The greatest (or least) values of an expression on the runs; what happened to them; the engine's notes.
 
@@ -163,14 +195,20 @@ def extremes(
     looked = ((0.0, bound),) if factor or bent else ()
     made = engine(world, Cuts(bound, (), (), looked, MAX_PIECE_S if bent else inf))
     sign = 1.0 if greatest else -1.0
-    statistics, totals, number = RunStatistics(), Totals(), 0
-    while statistics.runs < runs:
+
+    def chunk(number: int) -> tuple[Array, Totals]:
         size = chunk_size(number)
         monitor = ExtremeMonitor(factor, rest, sign, np.full(size, -inf))
-        totals += follow(made, [monitor], size, generator(seed, number))
-        _check_finite(monitor.best)
-        statistics = statistics.add_values(sign * monitor.best[: runs - statistics.runs])
-        number += 1
+        wanted = None if threads is None else threads.wanted
+        happened = follow(made, [monitor], size, generator(seed, number), wanted)
+        return monitor.best, happened
+
+    statistics, totals, chunks = RunStatistics(), Totals(), in_order(chunk, threads, runs)
+    while statistics.runs < runs:
+        best, happened = next(chunks)
+        totals += happened
+        _check_finite(best)
+        statistics = statistics.add_values(sign * best[: runs - statistics.runs])
         report("runs", statistics.runs / runs)
     notes = ("what is not linear in the clocks is looked at each 4 s at least, at the ends of steps",) if bent else ()
     return statistics, totals, (*made.notes, *notes)

@@ -4,7 +4,7 @@ A monitor sees the pieces of n runs in the order of time. `who` are the runs (ro
 stand for. `watch` says which lines the temperature is looked at for, so that bridges are drawn for no others.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from math import inf
 from typing import Protocol
@@ -64,8 +64,17 @@ class Totals:
         return Totals(self.clamps + other.clamps, self.limited + other.limited, self.cut + other.cut)
 
 
-def follow(engine: Engine, monitors: Sequence[Monitor], runs: int, rng: np.random.Generator) -> Totals:
-    """Lead `runs` runs past the monitors from the start to the end; decided runs are left out on the way."""
+def follow(
+    engine: Engine,
+    monitors: Sequence[Monitor],
+    runs: int,
+    rng: np.random.Generator,
+    wanted: Callable[[], bool] | None = None,
+) -> Totals:
+    """Lead `runs` runs past the monitors from the start to the end; decided runs are left out on the way.
+
+    Where `wanted` is given and says no, it ends on the way: nobody looks at the monitors then.
+    """
     state, who, totals = engine.begin(runs, rng), np.arange(runs), Totals()
     with np.errstate(over="ignore", invalid="ignore"):  # a line at infinity is never reached, one at no number neither
         for row in range(engine.clock.size - 1):
@@ -73,6 +82,8 @@ def follow(engine: Engine, monitors: Sequence[Monitor], runs: int, rng: np.rando
                 show(piece, who if piece.rows is None else who[piece.rows], monitors, rng)
             if row % EVERY != EVERY - 1:
                 continue
+            if wanted is not None and not wanted():
+                break
             undecided = [monitor.open() for monitor in monitors]
             if any(mask is None for mask in undecided):
                 continue
