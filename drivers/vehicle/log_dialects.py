@@ -6,10 +6,11 @@ refused with what to do; a wrong line of times would make a wrong model.
 
 import base64
 import datetime as dt
+import math
 import re
 from collections.abc import Callable, Sequence
 from functools import partial
-from itertools import pairwise
+from itertools import pairwise, takewhile
 
 from drivers.errors import OneLineError
 
@@ -24,12 +25,19 @@ _COUNTED = re.compile(r"\s*\((\d{3}\.\d+)\)")
 _ASC_BASE = re.compile(r"\s*base\s+(?:hex|dec)\s+timestamps\s+relative\b", re.IGNORECASE)
 _ASC_TIME = re.compile(r"(\s*)(\d+\.\d+)(?=\s)")
 _BUSMASTER = re.compile(
-    r"(?P<h>\d+):(?P<m>\d+):(?P<s>\d+):(?P<part>\d{1,4})\s+[RT]x\s+(?P<bus>\d+)\s+(?P<id>(?:0x)?[0-9A-Fa-f]+)\s+"
+    r"(?P<h>\d{1,6}):(?P<m>\d{1,2}):(?P<s>\d{1,2}):(?P<part>\d{1,4})\s+[RT]x\s+(?P<bus>\d+)\s+(?P<id>(?:0x)?[0-9A-Fa-f]+)\s+"
     r"(?P<kind>[sx]r?)\s+(?P<size>\d+)\s*(?P<data>.*)"
 )
+_SESSION_BEGINS = ("***BUSMASTER", "***[START LOGGING SESSION]", "***START DATE AND TIME")
+_START = re.compile(r"\*\*\*START DATE AND TIME (\d{1,2}):(\d{1,2}):(\d{4}) (\d{1,2}):(\d{1,2}):(\d{1,2})\b")
+_MODE = re.compile(r"\*\*\*(SYSTEM|ABSOLUTE|RELATIVE) MODE\*\*\*")
+_BASE = re.compile(r"\*\*\*(HEX|DEC)\*\*\*")
 GVRET_HEADER = "Time Stamp,ID,Extended,"
 CANEDGE_HEADER = "TimestampEpoch;BusChannel;ID;IDE;DLC;DataLength;Dir;EDL;BRS;DataBytes"
 _DAY_S = 86400.0
+_LONGEST_STEP_BACK_S = 7200.0
+"""So far a time of day is behind another one at most, by order of the buses or a clock that was set; what is further
+behind is of the next day."""
 WITH_TIMES = "record it with candump -L, or print it with candump -ta"
 
 
@@ -43,7 +51,7 @@ def of_candump(head: Sequence[str]) -> Rewrite:
     Raises LogDialectError for what is printed without times, or with those of one frame after another (-td).
     """
     if any(line.startswith("***BUSMASTER") for line in head):
-        return _of_busmaster(head)
+        return _Busmaster(head).rewrite
     printed = [match for line in head if (match := _PRINTED.fullmatch(line))]
     if not printed:
         return _as_it_is
@@ -80,39 +88,94 @@ def _seconds(text: str) -> float | None:
         return None
 
 
-def _of_busmaster(head: Sequence[str]) -> Rewrite:
-    """BUSMASTER's log: a time of day, of the measurement, or since the frame before; numbers by the log's own base."""
-    relative, base = any("***RELATIVE MODE***" in line for line in head), 16
-    if any("***DEC***" in line for line in head):
-        base = 10
-    total = 0.0
-    midnights = 0
+class _Busmaster:
+    """BUSMASTER's log: a time of day, of the measurement, or since the frame before; numbers by the log's own base.
 
-    def rewrite(line: str) -> str:
-        nonlocal total, midnights
-        if not line.strip() or line.startswith("***"):
+    Times count from the first session's beginning, those of day from its midnight; those of another session in the
+    same file from there, too.
+    """
+
+    def __init__(self, head: Sequence[str]) -> None:
+        self._base, self._mode = 16, "SYSTEM"
+        # When the session began, and what the file's times count from, where they say it.
+        self._start: dt.datetime | None = None
+        self._origin: dt.datetime | None = None
+        self._session, self._begun = 0, False
+        # Seconds: where a session begins, its newest time, and of relative times their sum.
+        self._offset, self._newest, self._total = 0.0, -math.inf, 0.0
+        for line in takewhile(lambda line: _BUSMASTER.match(line.strip()) is None, head):
+            self._take_header(line.strip())
+
+    def rewrite(self, line: str) -> str:
+        """See `Rewrite`. Raises LogDialectError for a record of a later session of which nobody knows when it was."""
+        line = line.strip()
+        if not line or line.startswith("***"):
+            self._take_header(line)
             return ""
-        match = _BUSMASTER.match(line.strip())
+        match = _BUSMASTER.match(line)
         if match is None:
-            return line
-        time = 3600 * int(match["h"]) + 60 * int(match["m"]) + int(match["s"])
-        seconds = time + int(match["part"]) / 10 ** len(match["part"])
-        if not relative and total - seconds - midnights * _DAY_S > _DAY_S / 2:
-            midnights += 1
-        total = total + seconds if relative else seconds + midnights * _DAY_S
-        try:
-            number = int(match["id"], 16 if match["id"].startswith("0x") else base)
-            octets = bytes(int(part, base) for part in match["data"].split()).hex()
-        except ValueError:
-            return line
-        is_remote, size = match["kind"].endswith("r"), int(match["size"])
-        if not is_remote and len(octets) != 2 * size:
-            return line
-        name = f"{number:08X}" if match["kind"].startswith("x") else f"{number:03X}"
-        data = "R" if is_remote else ("#0" if size > 8 else "") + octets
-        return f"({total:.6f}) {match['bus']} {name}#{data}\n"
+            return line + "\n"
+        if self._session and (self._start is None or self._origin is None):
+            raise LogDialectError(
+                f"session {self._session + 1} of this file does not say when it began (START DATE AND TIME), or the "
+                "first one does not; give each its own file"
+            )
+        if not self._begun:
+            self._begin()
+        minutes, seconds = int(match["m"]), int(match["s"])
+        time = 3600 * int(match["h"]) + 60 * minutes + seconds + int(match["part"]) / 10 ** len(match["part"])
+        if minutes > 59 or seconds > 59 or (self._mode == "SYSTEM" and time >= _DAY_S):
+            return line + "\n"
+        if self._mode == "RELATIVE":
+            # It counts from the line before, whatever that is.
+            self._total += time
+        record = self._record(match)
+        if not record:
+            return line + "\n"
+        if self._mode == "SYSTEM":
+            days = math.ceil((self._newest - _LONGEST_STEP_BACK_S - time) / _DAY_S) if self._newest > -math.inf else 0
+            time += _DAY_S * days
+            self._newest = max(self._newest, time)
+        return f"({(self._offset + (self._total if self._mode == 'RELATIVE' else time)):.6f}) {record}\n"
 
-    return rewrite
+    def _take_header(self, line: str) -> None:
+        if line.startswith(_SESSION_BEGINS) and self._begun:
+            self._session, self._begun, self._start = self._session + 1, False, None
+        if match := _START.match(line):
+            day, month, year, hour, minute, second = map(int, match.groups())
+            try:
+                self._start = dt.datetime(year, month, day, hour, minute, second, tzinfo=dt.UTC)
+            except ValueError:
+                self._start = None
+        elif match := _MODE.match(line):
+            self._mode = match[1]
+        elif match := _BASE.match(line):
+            self._base = 16 if match[1] == "HEX" else 10
+
+    def _begin(self) -> None:
+        """The first record of a session: what its times count from."""
+        self._begun, self._total, self._newest, self._offset = True, 0.0, -math.inf, 0.0
+        zero = self._start
+        if zero is not None and self._mode == "SYSTEM":
+            zero = zero.replace(hour=0, minute=0, second=0)
+        if not self._session:
+            self._origin = zero
+        if zero is not None and self._origin is not None:
+            self._offset = (zero - self._origin).total_seconds()
+
+    def _record(self, match: re.Match[str]) -> str:
+        """The bus and the frame; "" for what is none."""
+        identifier, parts = match["id"], match["data"].split()
+        try:
+            number = int(identifier, 16 if identifier.startswith("0x") else self._base)
+            octets = bytes(int(part, self._base) if part.isalnum() else -1 for part in parts).hex()
+        except ValueError:
+            return ""
+        extended, is_remote, size = match["kind"].startswith("x"), match["kind"].endswith("r"), int(match["size"])
+        if number > (0x1FFFFFFF if extended else 0x7FF) or (not is_remote and len(octets) != 2 * size):
+            return ""
+        data = "R" if is_remote else ("#0" if size > 8 else "") + octets
+        return f"{match['bus']} {number:0{8 if extended else 3}X}#{data}"
 
 
 def of_asc(head: Sequence[str]) -> Rewrite:

@@ -60,6 +60,71 @@ def test_what_another_program_writes_gives_its_frames(name: str, text: str, time
     assert not log.problem
 
 
+def busmaster_times(folder: Path, mode: str, *lines: str) -> tuple[list[float], Log]:
+    """What is read of a log with these headers (***) and times of frames."""
+    rows = [line if line.startswith("***") else f"{line} Rx 1 0CF00400 x 8 F0 7D 7D 68 13 F0 F0 7D" for line in lines]
+    frames, log = read(folder, "a.log", BUSMASTER.format(base="HEX", mode=mode) + "\n".join(rows) + "\n")
+    return [frame.time for frame in frames], log
+
+
+STARTS = "***[START LOGGING SESSION]***", "***START DATE AND TIME {}***"
+
+
+@pytest.mark.parametrize(
+    ("mode", "lines", "times"),
+    [
+        (  # two buses around midnight, out of order by less than a millisecond
+            "SYSTEM",
+            ("23:59:59:9990", "00:00:00:0010", "23:59:59:9995", "00:00:00:0020"),
+            [86399.999, 86400.001, 86399.9995, 86400.002],
+        ),
+        ("SYSTEM", ("08:00:00:0000", "21:00:00:0000", "06:30:00:0000"), [28800.0, 75600.0, 109800.0]),  # it stood still
+        ("SYSTEM", ("03:00:00:0000", "02:00:00:0000"), [10800.0, 7200.0]),  # winter time
+        ("ABSOLUTE", ("13:00:00:0000", "00:00:01:0000"), [46800.0, 1.0]),
+    ],
+)
+def test_a_time_of_day_is_of_the_day_that_its_neighbours_tell(
+    mode: str, lines: tuple[str, ...], times: list[float], tmp_path: Path
+) -> None:
+    found, log = busmaster_times(tmp_path, mode, *lines)
+    assert found == pytest.approx(times, abs=1e-6) and not log.counts["refused"]
+
+
+@pytest.mark.parametrize(
+    "refused", ["23:00:00:0000 Rx 1 123 s 8 01 02", "23:00:00:0000 Rx 1 FFFF s 1 01", "23:00:00:0000 Rx 1 123 s 1 +1"]
+)
+def test_a_line_that_is_no_frame_makes_no_midnight(refused: str, tmp_path: Path) -> None:
+    text = BUSMASTER.format(base="HEX", mode="SYSTEM") + f"{refused}\n00:00:01:0000 Rx 1 123 s 1 01\n"
+    frames, log = read(tmp_path, "a.log", text)
+    assert [frame.time for frame in frames] == [1.0] and log.counts["refused"] == 1
+
+
+@pytest.mark.parametrize(
+    ("mode", "times"),
+    [
+        ("SYSTEM", [72000.0, 72001.0, 86400.0 + 43200.0, 86400.0 + 43201.0]),
+        ("ABSOLUTE", [1.0, 2.0, 16 * 3600.0 + 1.0, 16 * 3600.0 + 2.0]),
+        ("RELATIVE", [1.0, 3.0, 16 * 3600.0 + 1.0, 16 * 3600.0 + 3.0]),
+    ],
+)
+def test_sessions_of_one_file_keep_their_distance(mode: str, times: list[float], tmp_path: Path) -> None:
+    first, second = ("20:00:00:0000", "20:00:01:0000"), ("12:00:00:0000", "12:00:01:0000")
+    if mode != "SYSTEM":
+        first = second = "00:00:01:0000", "00:00:02:0000"
+    began, at = STARTS
+    lines = began, at.format("31:8:2014 20:0:0:0"), *first, began, at.format("1:9:2014 12:0:0:0"), *second
+    found, log = busmaster_times(tmp_path, mode, *lines)
+    assert found == pytest.approx(times) and not log.problem
+
+
+@pytest.mark.parametrize("said", [(False, True), (True, False), (False, False)], ids=str)
+def test_a_second_session_of_which_nobody_knows_when_it_was_is_refused(said: tuple[bool, bool], tmp_path: Path) -> None:
+    began, at = STARTS
+    first, second = ((at.format(f"{day}:8:2014 1:0:0:0"),) * known for day, known in zip((8, 9), said, strict=True))
+    found, log = busmaster_times(tmp_path, "SYSTEM", began, *first, "01:00:00:0000", began, *second, "02:00:00:0000")
+    assert found == [3600.0] and log.counts["refused"] == 1 and "session 2" in log.problem
+
+
 def test_a_line_of_fewer_bytes_than_it_says_is_no_frame(tmp_path: Path) -> None:
     text = BUSMASTER.format(base="HEX", mode="SYSTEM") + "00:00:01:5000 Rx 1 0x0CF00400 x 8 F0 7D 7D\n"
     frames, log = read(tmp_path, "cut.log", text)

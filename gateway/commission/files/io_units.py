@@ -45,9 +45,13 @@ _UNITS = {
     **dict.fromkeys(("c", "oc", "deg c", "degc", "gradi c", "gradi", "celsius", "gradi celsius"), "degC"),
     **dict.fromkeys(("giri min", "giri", "1 min", "min 1", "u min", "rpm", "r min"), "rpm"),
 }
+_EXPONENT = r"(?:e[-+−]?\d+)?"
+_TO = r"(?:\.\.\.?|…|~|to|bis|÷|/|;|-|–|—|a)"
+_GOES_ON = rf"(?:{_TO}|[.,:'+−*^x×·]|e[-+−]?)\s*\d|[⁰¹²³⁴⁵⁶⁷⁸⁹⁻⁺]"
+"""What stands behind a range's upper end where that, or the range, goes on."""
 _RANGE = re.compile(
-    r"[(\[]?\s*(?P<low>[-+−]?\d[\d.,']*?)\s*(?:\.\.\.?|…|~|to|bis|÷|/|;|-|–|—|a)\s*(?P<high>[-+−]?\d+(?:[.,']\d+)*)\s*[)\]]?"
-    r"\s*(?P<unit>[^\d\s].*)?",
+    rf"[(\[]?\s*(?P<low>[-+−]?\d[\d.,']*?{_EXPONENT})\s*{_TO}\s*(?P<high>[-+−]?\d+(?:[.,']\d+)*{_EXPONENT})"
+    rf"\s*[)\]]?\s*(?P<unit>(?!{_GOES_ON})[^\d\s].*)?",
     re.IGNORECASE,
 )
 _SUPERSCRIPTS = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻⁺", "0123456789-+")
