@@ -241,7 +241,7 @@ class Loop:
         source = make_source(request, now)
         finished = library.fact("finished")
         age = inf if finished is None else now - finished["at"]
-        if not due(library, source.model, after=AFTER, drifting=False, age=age, every=EVERY * DAY):
+        if not due(request, library, source, after=AFTER, drifting=False, age=age, every=EVERY * DAY).reason:
             return
         try:
             found = retrain(request, library, source, report=_silent, clock=lambda: now)

@@ -24,11 +24,10 @@ from sim.effects.kind import (
     Roles,
 )
 from sim.effects.roles import CURRENT
+from sim.moments import WORLD_CLOCK_S, has_date
 from sim.sha import Array, Effect
 
 HOUR, DAY = 3600.0, 86400.0
-WORLD_CLOCK_S = 1e8
-"""Seconds from which a trace's clock is taken for that of the world (1973)."""
 MAX_MOMENTS = 24
 """Moments of a record at which something is tried to begin, at most."""
 MAX_PAIR_MOMENTS = 16
@@ -41,9 +40,12 @@ SEARCH_COST_NATS = 3.0
 
 
 def moment_words(time: float) -> str:
-    """A moment (absolute s) as people read it, in UTC; of a clock that is not the world's, its hours."""
-    if time < WORLD_CLOCK_S:
-        return f"{time / HOUR:.1f} h on the traces' clock"
+    """A moment (absolute s) to its minute, in UTC; of a clock that is not the world's its hours.
+
+    What is later than any date is said in seconds, so that a model with such a moment can be read and shown.
+    """
+    if not has_date(time):
+        return f"{time / HOUR:.1f} h on the traces' clock" if time < WORLD_CLOCK_S else f"{time:.6g} s"
     return datetime.fromtimestamp(time, UTC).strftime("%Y-%m-%d %H:%M UTC")
 
 

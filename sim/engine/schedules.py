@@ -23,6 +23,7 @@ from sim.engine.cuts import Stays, cuts
 from sim.engine.plant import compile_plant
 from sim.engine.recursion import MAX_LOOP_STEPS, linear_recursion
 from sim.engine.terms import Segments
+from sim.moments import exact_moment
 from sim.sha import (
     SHA,
     UNKNOWN,
@@ -289,7 +290,8 @@ def _walk(sha: SHA, events: Sequence[Event], start: float, end: float, policy: P
     if bad.any():
         row = int(np.argmax(bad))
         raise ValueError(
-            f"event {row} ({events[row].symbol!r} at {clock[row]} s): times must be numbers, never going back"
+            f"event {row} ({events[row].symbol!r} at {exact_moment(events[row].time)}): times must be numbers, never "
+            "going back"
         )
     current, stays, unmatched = sha.initial, [(start, start, index[sha.initial])], []
     for number, event in enumerate(events):
@@ -299,7 +301,7 @@ def _walk(sha: SHA, events: Sequence[Event], start: float, end: float, policy: P
         if target is None:
             if policy == "reject":
                 raise ValueError(
-                    f"event {number} ({event.symbol!r} at {event.time:.3f} s): location {current!r} of SHA "
+                    f"event {number} ({event.symbol!r} at {exact_moment(event.time)}): location {current!r} of SHA "
                     f"{sha.name!r} has no edge for it; the policies 'ignore' and 'resync' go on all the same"
                 )
             unmatched.append(number)

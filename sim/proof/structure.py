@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from sim.engine import Policy, resync_targets
+from sim.moments import exact_moment
 from sim.sha import SHA, UNKNOWN, Event
 
 Move = tuple[str, str, str]
@@ -32,8 +33,8 @@ class FollowedTrace:
             return f"{self.trace}: all {self.events} events accepted"
         where = " or ".join(repr(name) for name in self.locations)
         return (
-            f"{self.trace}: stops at event {self.index} of {self.events} ({self.symbol!r} at {self.time:.3f} s), which "
-            f"has no edge out of {where}"
+            f"{self.trace}: stops at event {self.index} of {self.events} ({self.symbol!r} at "
+            f"{exact_moment(self.time)}), which has no edge out of {where}"
         )
 
 

@@ -104,3 +104,25 @@ def test_of_two_switches_the_one_that_is_a_tag_is_taken_and_of_two_tags_none(bot
     assert done.exit_code == 0, done.output
     assert "'Motor EIN' of the trace is taken for the switch, the only one of several that is a tag" in done.output
     assert load_map(tmp_path / "p" / "columns.toml").signal_names("Motor_EIN") == ("Motor EIN",)
+
+
+def test_a_column_that_was_renamed_takes_its_tag_away_from_the_one_that_is_called_alike(tmp_path: Path) -> None:
+    (tmp_path / "io.csv").write_text(
+        "Tag,Address,Type,Unit\nMotor_EIN,10004,BOOL,\nStrom,30101,REAL,A\nLager_T,30103,REAL,degC\n", "utf-8"
+    )
+    states = ("AUS", "EIN")
+    rows = [
+        f"{1_700_000_000 + 5 * row},{states[row // 50 % 2]},{states[row // 30 % 2]},{80 + row % 3},{20 + row / 10}"
+        for row in range(200)
+    ]
+    header = "time,Pumpe EIN,%s,Strom (A),Lager T (degC)"
+    trace = tmp_path / "export.csv"
+    trace.write_text("\n".join([header % "Motor EIN", *rows]) + "\n", "utf-8")
+    words = ("init", tmp_path / "p", "--host", "192.0.2.1", "--list", tmp_path / "io.csv", "--heartbeat", "Motor_EIN")
+    done = decanter(*words, "--trace", trace, "--rename", "Pumpe EIN=Motor_EIN")
+    assert done.exit_code == 0, done.output
+    assert load_map(tmp_path / "p" / "columns.toml").signal_names("Motor_EIN")[0] == "Pumpe EIN"
+    # Where none of them is a tag the way out is said.
+    trace.write_text("\n".join([header % "Band EIN", *rows]) + "\n", "utf-8")
+    refused(decanter(*words, "--overwrite", "--trace", trace), 2, "--rename 'Pumpe EIN'=TAG or --rename 'Band EIN'=TAG")
+    assert decanter(*words, "--overwrite", "--trace", trace, "--rename", "Band EIN=Motor_EIN").exit_code == 0

@@ -238,7 +238,7 @@ def test_a_start_that_arms_has_it_on_record_first_and_one_arming_for_all_blocks(
         assert writer.subject == config.subject and writer.audit is not None
     assert writers[0].pace is not writers[1].pace
     assert {writer.number for writer in writers} == {Random(1).randint(1, 0xFFFF)}
-    assert told.rows == [("audit", [(EPOCH, f"armed until {END:.0f}", "Ada", "run")])]
+    assert told.rows == [("audit", [(EPOCH, "armed until 2023-11-14 23:13:20 UTC", "Ada", "run")])]
     assert told.lines == [("warning", "armed", {"by": "Ada", "reason": "run", "until": END})]
     detail = row.entry.detail
     assert (detail["until"], detail["via"], detail["configuration"], detail["speed"]) == (

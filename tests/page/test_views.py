@@ -138,9 +138,20 @@ def test_a_forecast_beyond_three_deviations_of_the_past_is_said_and_no_doubt_of_
     assert found["validity"] == f"{usual['validity']}; {said}" and found["valid"] == "good"
     for language in LANGUAGES:
         assert row(language, forecast__past=[far, further, None])["validity"].count("23") == 1
+
     rows = status_rows(read_status(picture(forecast__past=[like, further, None])))
     assert str(rows["in 5 min"]).endswith("; 4.1 sd from 41.0 with sd 1.5 after 23 like moments")
     assert all("like moments" not in str(rows[name]) for name in ("in 1 min", "in 15 min"))
+
+
+@pytest.mark.parametrize(
+    ("seconds", "en", "de"), [(900.0, "15", "15"), (90.0, "1.5", "1,5"), (20.0, "0.33", "0,33"), (300.0, "5", "5")]
+)
+def test_the_minutes_of_a_horizon_are_not_rounded_to_another_one(seconds: float, en: str, de: str) -> None:
+    assert (all_words()["en"].minutes(seconds), all_words()["de"].minutes(seconds)) == (en, de)
+    like = {"moments": 23, "mean": 41.0, "sigma": 1.5, "deviations": 3.2, "flagged": True}
+    found = row(forecast__past=[like], forecast__horizons=[seconds])
+    assert f"in {en} min it is" in found["validity"]
 
 
 @pytest.mark.parametrize(

@@ -804,17 +804,63 @@ def test_a_timer_retrains_where_s_of_the_cycles_since_the_last_retraining_is_abo
     given = ("model", "version", "retrain", store, "--historian", historian, "--library", tmp_path / "l")
     given += ("--full-speed", "--no-diagnosis", "--if-due", "--after", 99)
     said = decanter(*given, "--tune", "7:90").stdout
-    assert "fewer than 99 that are not ordinary, no S above 90 %" in said
+    assert "fewer than 99 that are not ordinary; S of the current version is " in said
+    assert said.rstrip().endswith(" % of the readings on 12 new cycles (limit 90 %)")
     assert only_object(decanter(*given, "--json").stdout)["due"] is False, "without a limit S is no reason"
     data = only_object(decanter(*given, "--tune", "7:2", "--json").stdout)
     assert data["due"].startswith("S of the current version is ") and data["due"].endswith(
         " % of the readings on 12 new cycles (limit 2 %)"
     )
     assert searched == [7] and data["tuned"].startswith(f"searched, as {data['due']}")
-    # The same cycles are no reason for a second one, whatever became of the first.
-    assert only_object(decanter(*given, "--tune", "7:2", "--json").stdout)["due"] is False
+    # The same cycles are no reason for a second one, whatever became of the first; nothing is said of an S of none.
+    again = decanter(*given, "--tune", "7:2").stdout
+    assert again.rstrip().endswith("; S not looked at (0 new cycles since the last retraining; it takes 8)")
     for text in ("0", "x", "7:", "7:x", "7:-1", "7:nan", "7:inf", ":8"):
         refused(decanter(*given, "--tune", text), 2, f"'{text}' is not TRIALS or TRIALS:PERCENT")
+
+
+def test_a_retraining_that_s_made_due_searches_by_the_same_s(
+    request_of: RetrainingRequest, library: CycleLibrary, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Eight cycles came since a retraining that was not taken; the four before them forecast well."""
+    source = make_source(request_of, BEGIN)
+    cut_and_rate(request_of, library, source, silent)
+    rows = new_cycles(library, source.model)
+    latest = {row.name for row in rows[-study.MIN_HELD_OUT :]}
+    library.set_fact("finished", {"last": rows[-study.MIN_HELD_OUT - 1].name, "at": BEGIN, "study": 0, "version": ""})
+
+    def score(_library: Any, _source: Any, cycles: Any) -> tuple[float, int]:
+        return float(np.mean([9.0 if row.name in latest else 0.0 for row in cycles])), len(cycles)
+
+    monkeypatch.setattr(study, "score_percent", score)
+    request = replace(request_of, trials=5, score_limit=8.0)
+    ripe = study.due(request, library, source, after=99, drifting=False, age=0.0, every=1e9)
+    assert ripe.reason == "S of the current version is 9 % of the readings on 8 new cycles (limit 8 %)"
+    assert study._has_fallen(request, library, source) == (True, ripe.reason)
+
+
+def test_a_cycle_of_readings_that_are_all_0_has_no_s_and_takes_it_from_no_other(
+    request_of: RetrainingRequest, library: CycleLibrary, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    source = make_source(request_of, BEGIN)
+    cut_and_rate(request_of, library, source, silent)
+    rows = new_cycles(library, source.model)
+    whole = study.run_job
+
+    def job(given: Any) -> Any:
+        outcome = whole(given)
+        return (
+            replace(outcome, result=replace(outcome.result, level=0.0))
+            if given.trace.name == rows[-1].name
+            else outcome
+        )
+
+    before = study.score_percent(library, source, rows[-3:-1])
+    monkeypatch.setattr(study, "run_job", job)
+    assert study.score_percent(library, source, rows[-3:]) == pytest.approx(before) and before[1] == 2
+    monkeypatch.setattr(study, "MAX_HELD_OUT", 3)
+    _, said = study._has_fallen(replace(request_of, score_limit=1.0), library, source)
+    assert "of the readings on 2 new cycles (1 more have none: no readings but 0" in said
 
 
 def test_a_damaged_library_and_too_few_cycles_are_one_sentence(

@@ -1,6 +1,7 @@
 """The table of effects: what is refused and in which words, and how a correction carries effects along."""
 
 from dataclasses import replace
+from math import inf, nan
 
 import numpy as np
 import pytest
@@ -85,6 +86,9 @@ def test_an_effect_is_told_in_one_line() -> None:
     assert effect_summary(START) == "startup-churning: gain 0.1; tau 60; shape 1; since W_ON"
     step = Effect("sensor-offset-step", {"size": 0.5, "at": 1.743e9})
     assert effect_summary(step) == "sensor-offset-step: size 0.5; at 2025-03-26 14:40 UTC"
+    # A model is read and shown whatever its moment is: one in milliseconds has no date.
+    for at, said in ((1.743e12, "1.743e+12 s"), (inf, "inf s"), (nan, "nan s")):
+        assert effect_summary(replace(step, params={"size": 0.5, "at": at})).endswith(f"; at {said}")
 
 
 def test_what_cannot_do_effects_says_so_in_one_sentence() -> None:

@@ -28,6 +28,7 @@ def test_an_event_without_an_edge_is_named_with_index_time_location_and_symbol()
     found = compatibility(sha, events("M_ON", "M_ON", "M_OFF", "M_ON", "M_ON"))
     assert (found.missing, found.pairs) == (2, {("on", "M_ON"): 2})
     assert "event 1 ('M_ON' at 10.000 s) has no edge in location 'on'" in found.sentence
+    assert "('M_ON' at 2025-03-26 14:40:00.250 UTC)" in str(replace(found.named[0], time=1.743e9 + 0.25))
     assert "1 more of the 5 events" in found.sentence
 
 

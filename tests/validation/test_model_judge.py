@@ -232,6 +232,16 @@ CASES: dict[str, tuple[Callable[[], ModelVerdict], str, str]] = {
         "limited",
         "its 90 % band is 38 °C wide at 900 s, and its readings lie within 30 °C: at 900 s it says nothing",
     ),
+    "a band hardly wider than all that was read": (
+        lambda: judged(coverage=[*foreseen()[:2], replace(foreseen()[2], width=30.2)]),
+        "limited",
+        "its 90 % band is 30.2 °C wide at 900 s, and its readings lie within 30.0 °C: at 900 s it says nothing",
+    ),
+    "a band of more than 100": (
+        lambda: judged(coverage=[*foreseen()[:2], replace(foreseen()[2], width=123.5)]),
+        "limited",
+        "its 90 % band is 124 °C wide at 900 s, and its readings lie within 30 °C",
+    ),
     "a band that another day widens beyond that": (
         lambda: judged(coverage=[replace(row, width=20.0, other_days=False) for row in foreseen()]),
         "limited",

@@ -238,6 +238,10 @@ def test_an_error_in_per_cent_of_the_readings_has_a_limit_and_stands_beside_the_
     )
     standing = rank([hot, cold]).standings[0]
     assert standing.score == pytest.approx(3.0) and standing.score_percent == pytest.approx((6.0 + 120.0) / 2)
+    ranking = rank([hot, cold, result("m", "still", 2.0, level=0.0)])
+    assert ranking.standings[0].score_percent == pytest.approx((6.0 + 120.0) / 2)
+    assert ranking.standings[0].percent_traces == 2
+    assert any(note.startswith("S % leaves out 1 of 3 traces: their readings are all 0") for note in ranking.notes)
 
 
 def test_coverage_and_persistence_are_judged_on_traces_that_were_not_trained_on() -> None:

@@ -243,7 +243,7 @@ def _column_map(
             break
         except Undecided as open_point:
             # Which temperature the model is to predict was said already.
-            choices = {**match_columns(open_point.choices, known), **rename}
+            choices = _named_columns(open_point.choices, known, rename)
             mine = [choice for choice in open_point.choices if choices.get(choice) == temperature]
             if open_point.field == "temperature" and len(mine) == 1 and not answers.temperature:
                 answers = answers.with_answer("temperature", mine[0])
@@ -258,12 +258,18 @@ def _column_map(
                     f"{trace}: none of its columns is called as {temperature} is; say which one it is: "
                     + " or ".join(f"--rename {choice!r}={temperature}" for choice in open_point.choices)
                 ) from None
+            if open_point.field == "running" and not tags:
+                raise ValueError(
+                    f"{trace}: none of its columns that may be the running is called as a tag is; say which one is: "
+                    + " or ".join(f"--rename {choice!r}=TAG" for choice in open_point.choices)
+                    + f"; none: decide in `decanter trace map {trace} -o {trace.stem}.toml`; no --trace here"
+                ) from None
             raise ValueError(
                 f"{open_point}: to `decanter trace map {trace} -o {trace.stem}.toml`, and leave --trace out here"
             ) from None
     drafted = parse_map(first.text, str(trace))
     units = {drafted.signal_names(name)[0]: signal.unit for name, signal in drafted.signals.items()}
-    names = match_columns(list(units), known) | {header: tag for header, tag in rename.items() if header in units}
+    names = {header: tag for header, tag in _named_columns(list(units), known, rename).items() if header in units}
     if temperature in names.values():
         answers = answers.with_answer("temperature", temperature)
     else:
@@ -339,6 +345,12 @@ def _derived(map_text: str, known: Sequence[str]) -> dict[str, dict[str, Any]]:
         for name, law in laws.items()
         if name not in known and set(law.sources) <= set(known)
     }
+
+
+def _named_columns(headers: Sequence[str], tags: Sequence[str], rename: Mapping[str, str]) -> dict[str, str]:
+    """header -> tag: those of `rename`, and of what these leave over those that are called alike."""
+    left = [header for header in headers if header not in rename]
+    return match_columns(left, [tag for tag in tags if tag not in rename.values()]) | dict(rename)
 
 
 def match_columns(headers: Sequence[str], tags: Sequence[str]) -> dict[str, str]:

@@ -11,6 +11,7 @@ from drivers.named_files import name_write_errors, regular
 from drivers.tag import Sample, Tag
 from gateway.commission.files.cells import ListError
 from gateway.store import SQLITE_HEADER
+from sim.moments import exact_moment
 
 _WORDS = {"": math.nan, "nan": math.nan, "true": 1.0, "false": 0.0}
 
@@ -76,7 +77,8 @@ def _from_csv(path: Path, start: float, end: float) -> SiteRecording:
                 raise ListError(f"{where}: has {len(cells)} cells for {len(names) + 1} columns; give one a column")
             moment = _time(where, cells[0])
             if times and moment < times[-1]:
-                raise ListError(f"{where}: the time goes back from {times[-1]:g} to {moment:g}; sort the rows by time")
+                before, then = exact_moment(times[-1]), exact_moment(moment)
+                raise ListError(f"{where}: the time goes back from {before} to {then}; sort the rows by time")
             if start <= moment <= end:
                 times.append(moment)
                 for column, name, cell in zip(columns, names, cells[1:], strict=True):

@@ -108,11 +108,12 @@ def retrain_command(
                 learned = creation_time(version_directory(store, source.version))
                 age = time.time() - max(learned, (library.fact("finished") or {"at": learned})["at"])
                 limit = float("inf") if every is None else every * 86_400.0
-                reason = due(request, library, source, after=after, drifting=drifting, age=age, every=limit)
+                ripe = due(request, library, source, after=after, drifting=drifting, age=age, every=limit)
+                reason = ripe.reason
                 fresh = len(new_cycles(library, source.model))
                 said = f"not due: {cut} cycles came, no drift, fewer than {after} that are not ordinary"
-                if score_limit is not None:
-                    said += f", no S above {score_limit:g} %"
+                if ripe.score:
+                    said += f"; {ripe.score}"
                 if reason and fresh < MIN_NEW_CYCLES:
                     # For a timer that is no mistake: it comes again.
                     said = f"not yet: {reason}, but {fresh} new cycles are too few; it takes {MIN_NEW_CYCLES}"

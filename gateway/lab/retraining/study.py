@@ -160,6 +160,14 @@ def new_cycles(library: CycleLibrary, model: Model) -> list[CycleRow]:
     return [row for row in rows[last + 1 :] if not row.is_excluded and row.error is not None]
 
 
+@dataclass(frozen=True, slots=True)
+class Due:
+    """Whether it is time to retrain: the `reason`, "" where it is not, and what was found about S, "" if not asked."""
+
+    reason: str
+    score: str = ""
+
+
 def due(
     request: RetrainingRequest,
     library: CycleLibrary,
@@ -169,34 +177,44 @@ def due(
     drifting: bool,
     age: float,
     every: float,
-) -> str:
-    """Why it is time to retrain, "" where it is not.
+) -> Due:
+    """Whether it is time to retrain, and why.
 
     Reasons are drift, `after` new cycles that teach, S above the limit of the `request`, the last one's age (s).
     """
     if drifting:
-        return "the drift alarm's condition holds"
+        return Due("the drift alarm's condition holds")
+    fresh = _cycles_since_last(library, source.model)
+    teaching = sum(row.rating != "ordinary" for row in fresh)
+    if teaching >= after:
+        return Due(f"{teaching} new cycles are not ordinary")
+    if age >= every:
+        return Due(f"the last retraining is {age / 86_400.0:.3g} days ago")
+    if request.score_limit is None:
+        return Due("")
+    # What it was before the last retraining is no reason for another one.
+    if len(fresh) < MIN_HELD_OUT:
+        cycles = "cycle" if len(fresh) == 1 else "cycles"
+        return Due(
+            "", f"S not looked at ({len(fresh)} new {cycles} since the last retraining; it takes {MIN_HELD_OUT})"
+        )
+    fallen, said = _has_fallen(request, library, source)
+    return Due(said if fallen else "", said)
+
+
+def _cycles_since_last(library: CycleLibrary, model: Model) -> list[CycleRow]:
+    """The new cycles that came after the last retraining, whatever became of that."""
     names = [row.name for row in library.cycles(as_cut=True)]
     finished = (library.fact("finished") or {}).get("last")
     since = set(names[names.index(finished) + 1 :] if finished in names else names)
-    fresh = [row for row in new_cycles(library, source.model) if row.name in since]
-    teaching = sum(row.rating != "ordinary" for row in fresh)
-    if teaching >= after:
-        return f"{teaching} new cycles are not ordinary"
-    if age >= every:
-        return f"the last retraining is {age / 86_400.0:.3g} days ago"
-    # What it was before the last retraining is no reason for another one.
-    if request.score_limit is not None and len(fresh) >= MIN_HELD_OUT:
-        fallen, said = _has_fallen(request, library, source, fresh)
-        return said if fallen else ""
-    return ""
+    return [row for row in new_cycles(library, model) if row.name in since]
 
 
 def score_percent(library: CycleLibrary, source: CycleSource, cycles: Sequence[CycleRow]) -> tuple[float, int]:
-    """(S of the current version's free run, the number of cycles): the "S %" of `model judge rank`, by its weights.
+    """(S of the current version's free run, of how many cycles): the "S %" of `model judge rank`, by its weights.
 
     In per cent of the readings, a mean over the newest MAX_HELD_OUT of the `cycles` that are kept or in the historian
-    still; NaN where the version cannot be run along any of them.
+    still and read anything but 0; NaN where the version cannot be run along any of them.
     """
     results = []
     # Two runs: S is of the mean alone, and the band that more of them would draw is not asked for.
@@ -206,21 +224,27 @@ def score_percent(library: CycleLibrary, source: CycleSource, cycles: Sequence[C
         if trace is not None:
             job = TraceJob(label="present", semantics="", model=source.model, trace=trace, settings=settings)
             results.append(run_job(job).result)
-    ranking = rank(results) if results else None
-    return (ranking.standings[0].score_percent, len(ranking.common)) if ranking is not None else (nan, 0)
+    if not results:
+        return nan, 0
+    standing = rank(results).standings[0]
+    return standing.score_percent, standing.percent_traces
 
 
-def _has_fallen(
-    request: RetrainingRequest, library: CycleLibrary, source: CycleSource, fresh: Sequence[CycleRow]
-) -> tuple[bool, str]:
+def _has_fallen(request: RetrainingRequest, library: CycleLibrary, source: CycleSource) -> tuple[bool, str]:
     """Whether settings are to be searched since the current version performs badly on the new cycles, and by what."""
+    fresh = new_cycles(library, source.model)
     if request.score_limit is None:
         share = sum(row.rating == "badly predicted" for row in fresh) / max(len(fresh), 1)
         return share > RETUNE_SHARE, f"{share:.0%} of the new cycles are badly predicted (limit {RETUNE_SHARE:.0%})"
-    percent, count = score_percent(library, source, fresh)
+    # The same cycles that made the retraining due, where they are enough for that.
+    latest = _cycles_since_last(library, source.model)
+    looked_at = (latest if len(latest) >= MIN_HELD_OUT else fresh)[-MAX_HELD_OUT:]
+    percent, count = score_percent(library, source, looked_at)
     if isnan(percent):
         return False, "S of the current version is not known on any new cycle"
     said = f"S of the current version is {percent:.3g} % of the readings on {count} new cycles"
+    if count < len(looked_at):
+        said += f" ({len(looked_at) - count} more have none: no readings but 0, or the version cannot be run there)"
     return percent > request.score_limit, f"{said} (limit {request.score_limit:g} %)"
 
 
@@ -273,7 +297,7 @@ def retrain(
         settings_found: Settings = {}
         tuned = ""
         if request.trials:
-            fallen, why = _has_fallen(request, library, source, new_cycles(library, present))
+            fallen, why = _has_fallen(request, library, source)
             tuned = f"not searched: {why}"
             if fallen:
                 report("searching settings", 0.15)

@@ -49,6 +49,7 @@ from gateway.store import (
     open_audit,
     open_or_set_aside,
 )
+from sim.moments import exact_moment
 
 if TYPE_CHECKING:
     from structlog.typing import FilteringBoundLogger
@@ -356,7 +357,7 @@ def open_writers(
         log.error("not armed", reason=reason)
         return writers
     # First on record, then armed: what cannot be accounted for is not written.
-    historian.put("audit", [(now, f"armed until {arming.until:.0f}", arming.by, arming.reason)])
+    historian.put("audit", [(now, f"armed until {exact_moment(arming.until)}", arming.by, arming.reason)])
     words: dict[str, Any] = {} if start.file is None else {"file": start.file}
     words |= _configuration_detail(config.arming_hash)
     entry = arming_entry(arming, now, "gateway began", clock.speed, **words).with_subject(config.subject)

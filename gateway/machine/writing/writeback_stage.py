@@ -19,6 +19,7 @@ from gateway.machine.writing.witnessing import SIGN_SECONDS, HeadWitnessing, cle
 from gateway.machine.writing.writeback import Arming, disarm_writers
 from gateway.settings import Config, WritebackLayout
 from gateway.store import NO_PROCESS, Audit, HistorianView, ReliedFiles, open_or_set_aside, saved_state
+from sim.moments import exact_moment
 
 if TYPE_CHECKING:
     from structlog.typing import FilteringBoundLogger
@@ -222,7 +223,8 @@ class WritebackStage:
             process=process,
             armed_for=self.config.arming_hash,
         )
-        self._historian.put("audit", [(self._clock.now(), f"armed until {arming.until:.0f}", arming.by, arming.reason)])
+        said = f"armed until {exact_moment(arming.until)}"
+        self._historian.put("audit", [(self._clock.now(), said, arming.by, arming.reason)])
         self._log.warning("armed", by=arming.by, reason=arming.reason, until=arming.until)
         await asyncio.to_thread(witnessing.sign, self._clock.now(), witnessing.turn())
         return arming

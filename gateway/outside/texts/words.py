@@ -4,6 +4,7 @@ import re
 import tomllib
 from collections.abc import Mapping
 from functools import cache
+from math import isclose
 from pathlib import Path
 
 from gateway.settings import ALARM_KINDS
@@ -36,6 +37,11 @@ class Words:
         """A number as this language writes it: the decimal sign is its own."""
         text = f"{value:.{digits}f}"
         return text if self.language == "en" else text.replace(".", ",")
+
+    def minutes(self, seconds: float) -> str:
+        """Seconds of a horizon in minutes, which need not be whole ones: 90 s are 1.5."""
+        minutes = seconds / 60.0
+        return self.number(minutes, next((digits for digits in (0, 1) if isclose(round(minutes, digits), minutes)), 2))
 
 
 @cache

@@ -63,7 +63,7 @@ def _numbers(words: Words, numbers: Mapping[str, float | None], unit: str) -> li
         return words.say("sentence.beyond", minutes=minutes) if "minutes" in name else words.say("word.unknown")
 
     horizon = numbers.get("horizon")
-    minutes = words.say("word.unknown") if horizon is None else f"{horizon / 60.0:.0f}"
+    minutes = words.say("word.unknown") if horizon is None else words.minutes(horizon)
     ahead = words.say("word.in_minutes", minutes=minutes)
     rows: tuple[tuple[str, tuple[str, ...], str, int, float], ...] = (
         (words.say("word.predicted"), ("temperature_now",), f" {unit}", 1, 1.0),

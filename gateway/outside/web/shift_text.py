@@ -46,7 +46,7 @@ def _machine(
         if not nearest["forecasts"]:
             said = words.say("shift.no_forecasts")
         elif nearest["minutes"] is None:
-            said = f"> {words.number(nearest['horizon'] / 60.0, 0)} min"
+            said = f"> {words.minutes(nearest['horizon'])} min"
         else:
             said = f"{words.number(nearest['minutes'], 1)} min ({_moment(nearest['time'])})"
         yield f"{label}: {words.say('shift.nearest')} {said}"

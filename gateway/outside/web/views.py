@@ -265,7 +265,7 @@ def _beyond_past(words: Words, forecast: ForecastStatus, unit: str) -> str:
     deviations, horizon, past = max(flagged, key=lambda each: each[0])
     return words.say(
         "validity.beyond_past",
-        minutes=words.number(horizon / 60.0, 0),
+        minutes=words.minutes(horizon),
         deviations=words.number(deviations, 1),
         mean=words.number(past.mean, 1),
         sigma=words.number(past.sigma, 1),
@@ -291,7 +291,7 @@ def _confidence(words: Words, zone: str, forecast: ForecastStatus | None) -> dic
 def _to_limit(words: Words, forecast: ForecastStatus) -> dict[str, str]:
     """The minutes to the limit in words, and their band; what lies beyond the horizon altogether has none."""
     low, median, high = minutes_to_limit(forecast)
-    beyond = words.say("sentence.beyond", minutes=words.number(forecast.horizons[-1] / 60.0, 0))
+    beyond = words.say("sentence.beyond", minutes=words.minutes(forecast.horizons[-1]))
     low_said, median_said, high_said = (beyond if m is None else _minutes(words, m) for m in (low, median, high))
     band = "" if low is None and high is None else f"{low_said} – {high_said}"
     return {"median": median_said, "band": band}
@@ -302,7 +302,7 @@ def _when(words: Words, forecast: ForecastStatus) -> list[str]:
     low, median, _ = minutes_to_limit(forecast)
     said = _to_limit(words, forecast)
     chance = forecast.p_limit[-1]
-    horizon = words.number(forecast.horizons[-1] / 60.0, 0)
+    horizon = words.minutes(forecast.horizons[-1])
     if median is not None:
         return [f"{said['median']}\u00a0min", f"{said['band']}\u00a0min"]
     if low is not None and chance is not None:
@@ -324,7 +324,7 @@ def minutes_to_limit(forecast: ForecastStatus) -> tuple[float | None, float | No
 def _foreseen(words: Words, forecast: ForecastStatus, *, what: str, shown: str, limit: str) -> str:
     """What comes if it goes on so, within the horizons of the forecast."""
     low, median, high = minutes_to_limit(forecast)
-    horizon = words.number(forecast.horizons[-1] / 60.0, 0)
+    horizon = words.minutes(forecast.horizons[-1])
     if median is not None:
         latest = words.say("sentence.beyond", minutes=horizon) if high is None else _minutes(words, high)
         earliest = _minutes(words, low or 0.0)

@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from sim.engine import Policy, resync_targets
+from sim.moments import exact_moment
 from sim.sha import SHA, UNKNOWN, Event, transitions
 
 MAX_LISTED_EVENTS = 50
@@ -22,7 +23,8 @@ class Missing:
     symbol: str
 
     def __str__(self) -> str:
-        return f"event {self.index} ({self.symbol!r} at {self.time:.3f} s) has no edge in location {self.location!r}"
+        when = exact_moment(self.time)
+        return f"event {self.index} ({self.symbol!r} at {when}) has no edge in location {self.location!r}"
 
 
 @dataclass(frozen=True, slots=True)

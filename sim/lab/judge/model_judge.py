@@ -7,7 +7,7 @@ verdict is kept beside the model, and whoever shows, proves, promotes or runs it
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from math import isfinite
+from math import floor, inf, isfinite, log10
 
 import numpy as np
 
@@ -174,10 +174,22 @@ def _says_something(case: LearnedCase) -> Said:
         return True, "how wide its bands are was not looked at"
     span, unit = float(np.ptp(values)), display_unit(case.model.unit)
     widest = max(rows, key=lambda row: row.widening * row.width)
-    said = f"its 90 % band is {widest.widening * widest.width:.2g} {unit} wide at {widest.horizon:g} s"
+    wide, within = _apart(widest.widening * widest.width, span)
+    said = f"its 90 % band is {wide} {unit} wide at {widest.horizon:g} s"
     if empty := [row.horizon for row in rows if row.widening * row.width > span]:
-        return None, f"{said}, and its readings lie within {span:.2g} {unit}: at {_list_seconds(empty)} it says nothing"
-    return True, f"{said}, of {span:.2g} {unit} within which its readings lie"
+        return None, f"{said}, and its readings lie within {within} {unit}: at {_list_seconds(empty)} it says nothing"
+    return True, f"{said}, of {within} {unit} within which its readings lie"
+
+
+def _apart(one: float, other: float) -> tuple[str, str]:
+    """Two numbers with two digits each, or as many more as they need to differ."""
+    for more in range(12):
+        said = [
+            f"{each:.{max(0, 1 - floor(log10(each))) + more if 0 < each < inf else more}f}" for each in (one, other)
+        ]
+        if one == other or said[0] != said[1]:
+            break
+    return said[0], said[1]
 
 
 def _taught_enough(case: LearnedCase) -> Said:

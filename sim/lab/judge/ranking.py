@@ -41,7 +41,7 @@ class Standing:
 
     `rank` is None and the figures are NaN without a common trace. `wins` counts the common traces on which its score
     is the lowest (one shared by k models counts 1/k). `seen` are the traces that it was trained on. `score_percent` is
-    the score in per cent of each trace's readings.
+    the score in per cent of each trace's readings, over the `percent_traces` whose readings are not all 0.
     """
 
     entrant: str
@@ -59,6 +59,7 @@ class Standing:
     seen: Mapping[str, Seen] = field(default_factory=dict)
     findings: tuple[JudgedCriterion, ...] = ()
     score_percent: float = nan
+    percent_traces: int = 0
 
     @property
     def fitness(self) -> Word:
@@ -142,6 +143,8 @@ def rank(
     standings = []
     for name, own in by_entrant.items():
         shared = [own[trace] for trace in common if trace in own and not own[trace].failure]
+        percents = [result.percent(score(result, used)) for result in shared]
+        percents = [percent for percent in percents if isfinite(percent)]
         entrant = known.get(name, Facts())
         standings.append(
             Standing(
@@ -159,7 +162,8 @@ def rank(
                 failed=sum(bool(result.failure) for result in own.values()),
                 seen={trace: result.seen for trace, result in own.items() if result.seen in TRAINED_VALUES},
                 findings=judge(list(own.values()), entrant, limits or FitnessLimits()),
-                score_percent=_mean([result.percent(score(result, used)) for result in shared]),
+                score_percent=_mean(percents),
+                percent_traces=len(percents),
             )
         )
     # Best first, those without a score last; the name decides between equal ones, so that the order does not depend on
@@ -273,6 +277,12 @@ def _notes(
         notes.append(f"not compared on {', '.join(left)}: without a figure of {', '.join(sorted(lacking))}")
     if not common and any(scores.values()):
         notes.append("there is no trace on which all models have a figure, so there is no order among them")
+    # Which traces these are is in the readings, so that it is the same for all models that have a score.
+    without = max((len(common) - each.percent_traces for each in standings if each.rank), default=0)
+    if without:
+        notes.append(
+            f"S % leaves out {without} of {len(common)} traces: their readings are all 0, or their size is not known"
+        )
     seeing = {each.entrant: {trace for trace in each.seen if trace in common} for each in standings if each.rank}
     if len({frozenset(traces) for traces in seeing.values()}) > 1:
         favoured = ", ".join(name for name, traces in seeing.items() if traces)

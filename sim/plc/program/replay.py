@@ -16,6 +16,7 @@ from pathlib import Path
 from statistics import median
 
 from drivers.csv_rows import CsvRowError, numbered_rows
+from sim.moments import exact_moment
 from sim.plc.program.checks import InputError, list_words, read_text
 
 _WORDS = {"": math.nan, "nan": math.nan, "true": 1.0, "false": 0.0}
@@ -118,7 +119,8 @@ def read_trace(path: Path) -> TraceTable:
         if math.isnan(moment):
             raise InputError(f"{where}: column 'time': is empty; give seconds")
         if times and moment < times[-1]:
-            raise InputError(f"{where}: column 'time': {moment:g} goes back from {times[-1]:g}; sort the rows by time")
+            before, then = exact_moment(times[-1]), exact_moment(moment)
+            raise InputError(f"{where}: column 'time': goes back from {before} to {then}; sort the rows by time")
         times.append(moment)
         for index, cell in enumerate(cells[1:]):
             reading = _reading(cell, f"{where}: column {names[index + 1]!r}")
