@@ -5,8 +5,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
+from sim.lab.recordings import TraceError
+from sim.lab.recordings.json_readings import name_pairs, spread_readings
+from sim.lab.recordings.sources import _collect_rows, open_source
 from tests.traces.exports import recording, written
 from tests.traces.test_dialects import EPOCH, asked, is_the_plant, mapped
 
@@ -101,3 +105,132 @@ def test_a_reading_stands_in_the_column_of_its_type_beside_words_for_no_value(no
     (trace,), report, _ = mapped(written(tmp_path / "e.csv", header, rows), tmp_path / "m.toml")
     is_the_plant(trace, tmp_path / "m.toml")
     assert report.refused == 0
+
+
+def text_of(*lines: Any) -> str:
+    return "\n".join(map(json.dumps, lines)) + "\n"
+
+
+def fields_of(names: list[str], *more: dict[str, Any]) -> Any:
+    columns = [[second * 1000 for second in SECONDS], *(COLUMNS[name] for name in names)]
+    fields = [{"name": "Time", "type": "time", "labels": {}}, *({"name": "Value", **each} for each in more)]
+    return {"schema": {"fields": fields}, "data": {"values": columns}}
+
+
+NAMES = list(COLUMNS)
+FRAMES: dict[str, Any] = {
+    "equal names, labels": fields_of(NAMES, *({"labels": {"tag": name}} for name in NAMES)),
+    "equal names, shown names": fields_of(NAMES, *({"config": {"displayName": name}} for name in NAMES)),
+    "own names": fields_of(NAMES, *({"name": name} for name in NAMES)),
+    "a frame each, own names": [fields_of([name], {"name": name}) for name in NAMES],
+    "a frame each, its name": [
+        {**frame, "schema": {**frame["schema"], "name": name}} for name in NAMES for frame in [fields_of([name], {})]
+    ],
+    "the time comes last": [
+        {"schema": {"fields": frame["schema"]["fields"][::-1]}, "data": {"values": frame["data"]["values"][::-1]}}
+        for name in NAMES
+        for frame in [fields_of([name], {"labels": {"tag": name}})]
+    ],
+}
+
+
+@pytest.mark.parametrize("form", FRAMES)
+def test_the_fields_of_a_frame_are_told_apart_by_what_stands_there(form: str, tmp_path: Path) -> None:
+    export = tmp_path / "export.json"
+    export.write_text(json.dumps({"results": {"A": {"frames": FRAMES[form]}}}), encoding="utf-8")
+    (trace,), _, _ = mapped(export, tmp_path / "m.toml")
+    is_the_plant(trace, tmp_path / "m.toml")
+    assert np.allclose(trace.signals["motor_current"][np.isfinite(trace.signals["motor_current"])], PLANT.current)
+
+
+def test_fields_of_a_frame_that_nothing_tells_apart_are_refused() -> None:
+    """The last of them took the place of the others."""
+    with pytest.raises(TraceError, match="tell apart"):
+        name_pairs(fields_of(NAMES, {}, {}, {}))
+    (row, *_) = name_pairs(fields_of(NAMES[:1], {"name": "bearing_temp"}))["rows"]
+    assert row["name"] == "bearing_temp"
+
+
+@pytest.mark.parametrize("key", ["name", "device", "lot"])
+@pytest.mark.parametrize("machine", ["1000000001", "30:83:98:00:00:01", "2024-01-A"])
+def test_readings_within_a_row_keep_whose_they_are(key: str, machine: str) -> None:
+    row = {key: machine, "timestamp": "1710323880000", "values": [{"name": "temp", "v": "5", "t": "1710323880007"},
+                                                                  {"name": "amps", "v": None}]}  # fmt: skip
+    own = {"machine" if key == "name" else key: machine}
+    assert spread_readings(row) == [
+        {**own, "time": "1710323880007", "name": "temp", "value": "5"},
+        {**own, "time": "1710323880000", "name": "amps", "value": None},
+    ]
+
+
+def test_two_machines_by_their_names_are_two_traces(tmp_path: Path) -> None:
+    export = tmp_path / "export.jsonl"
+    export.write_text(text_of(*(
+        {"name": machine, "time": second * 1000 + late, "readings": [
+            {"name": tag, "value": cell} for tag, cell in zip(COLUMNS, row, strict=True)
+        ]}
+        for second, *row in zip(SECONDS, *COLUMNS.values(), strict=True)
+        for machine, late in (("pump1", 0), ("pump2", 400))
+    )), encoding="utf-8")  # fmt: skip
+    traces, _, _ = mapped(export, tmp_path / "m.toml")
+    assert len(traces) == 2
+    for trace in traces:
+        is_the_plant(trace, tmp_path / "m.toml")
+
+
+def test_a_list_of_rows_is_read_as_its_lines_are(tmp_path: Path) -> None:
+    for name, value, more in (("name", "value", {}), ("id", "v", {"q": True})):
+        lines = within(name, value, more)
+        texts = {"lines.json": lines, "list.json": f"[{','.join(lines.splitlines())}]"}
+        for file, text in texts.items():
+            (tmp_path / file).write_text(text, encoding="utf-8")
+        first, second = (open_source(tmp_path / file).read() for file in texts)
+        assert first == second
+
+
+def test_points_of_a_series_are_not_taken_for_readings_of_a_moment() -> None:
+    series = [
+        {"name": name, "data": [{"id": f"{name}{at}", "time": str(at), "value": "1"} for at in range(3)]}
+        for name in NAMES
+    ]
+    rows = _collect_rows(series)
+    assert [row["name"] for row in rows] == [name for name in NAMES for _ in range(3)]
+
+
+DATE_FORMS = ["%d.%m.%Y %H:%M:%S", "%m/%d/%Y %H:%M:%S", "%Y/%m/%d %H:%M:%S", "%Y%m%d%H%M%S", "%Y-%m-%dT%H:%M:%SZ"]
+
+
+@pytest.mark.parametrize("form", DATE_FORMS)
+def test_a_date_is_the_time_of_a_pair_beside_a_reading_that_rises(form: str) -> None:
+    """By every date that columns are read by: the reading that rose was taken for the time."""
+    dates = [moment.strftime(form) for moment in PLANT.moments]
+    for place in (0, 1):
+        rows = [[date, str(20 + at / 10)][:: 1 - 2 * place] for at, date in enumerate(dates)]
+        rows[1][place] = None
+        named = name_pairs({"bearing_temp": rows})["bearing_temp"]
+        assert [row["value"] for row in named] == [str(20 + at / 10) for at in range(len(rows))]
+        assert named[2]["time"] == dates[2]
+
+
+RISES = [20 + at / 10 for at in range(60)]
+UNTOLD: dict[str, list[list[Any]]] = {
+    "elapsed beside a reading that rises": [[at // 2, heat] for at, heat in enumerate(RISES)],
+    "two readings": [[heat, 4 + at * 7 % 5] for at, heat in enumerate(RISES)],
+    "two dates": [["2024-03-13 09:58:00", "2024-03-13 10:58:00"]] * 60,
+    "a word": [[at, "auto"] for at in range(60)],
+}
+
+
+@pytest.mark.parametrize("form", UNTOLD)
+def test_pairs_are_refused_where_either_cell_may_be_the_time(form: str) -> None:
+    with pytest.raises(TraceError, match="nobody can tell the time"):
+        name_pairs({"name": "bearing", "data": UNTOLD[form]})
+
+
+def test_elapsed_pairs_are_read_where_only_the_reading_falls() -> None:
+    rows = {name: [[second - SECONDS[0], cell] for second, cell in pairs(each)] for name, each in COLUMNS.items()}
+    named = name_pairs(rows)
+    assert [row["value"] for row in named["bearing_temp"]] == COLUMNS["bearing_temp"]
+    # Limits beside the readings are no pairs of a time.
+    limits = [[0, "green"], [80, "red"]]
+    assert name_pairs({"limits": limits, "t": pairs(COLUMNS["bearing_temp"])})["limits"] == limits

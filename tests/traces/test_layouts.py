@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim.lab.recordings import load_map, load_traces
-from sim.lab.recordings.mapping import Answers, Undecided, draft_map, is_time
+from sim.lab.recordings import is_time, load_map, load_traces
+from sim.lab.recordings.mapping import Answers, Undecided, draft_map
 from sim.lab.recordings.mapping.clocks import bare_time
 from sim.lab.recordings.mapping.columns import has_levels
 from sim.lab.recordings.mapping.words import split_unit

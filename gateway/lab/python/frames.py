@@ -38,13 +38,14 @@ from sim.lab.recordings import (
     TraceError,
     channel_uses,
     dated_format,
+    is_time,
     list_names,
     load_map,
     load_traces,
     parse_map,
     since_1970,
 )
-from sim.lab.recordings.mapping import Answers, Undecided, draft_map, is_time
+from sim.lab.recordings.mapping import Answers, Undecided, draft_map
 from sim.sha import Array, Model, Trace, encode_trace
 
 if TYPE_CHECKING:

@@ -30,6 +30,15 @@ if TYPE_CHECKING:
         unroll_midnight,
     )
     from sim.lab.recordings.clock_counts import COUNTS, dated_format, since_1970
+    from sim.lab.recordings.clock_formats import (
+        Order,
+        is_time,
+        pure_date,
+        pure_time,
+        tells_time,
+        time_formats,
+        whole_day,
+    )
     from sim.lab.recordings.clock_words import plain_time, wall_zone
     from sim.lab.recordings.column_map import (
         ClockColumns,

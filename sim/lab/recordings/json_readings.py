@@ -1,56 +1,105 @@
 """Readings as JSON keeps them: pairs of a time and a value, frames of columns, lists of readings within a row."""
 
-import re
-from collections.abc import Sequence
-from itertools import pairwise
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-DATED = re.compile(r"(?:19|20)\d\d-\d\d|\d\d?:\d\d|1\d{9}(?:\d{3}){0,3}(?:\.|$)")
-"""How a time begins, as text or as a count since 1970."""
+import numpy as np
+
+from sim.lab.recordings.cells import numbers
+from sim.lab.recordings.clock_formats import tells_time
+from sim.lab.recordings.load_report import TraceError
+
+TIME_NAMES = frozenset(("t", "ts", "time", "timestamp", "date", "datetime"))
+VALUE_NAMES = frozenset(("v", "val"))
+"""What programs call a reading's value beside `value`."""
 _NAME_KEYS = ("name", "tag", "key", "field", "topic", "path", "signal", "metric", "sensor", "channel", "id")
 """What readings within a row may call their names, the likeliest first."""
-_PLAIN_KEYS = {"v": "value", "val": "value", "t": "time"}
 _LOOKED_AT = 50
-"""Pairs that show which of their cells is the time."""
+"""Pairs that show which of their cells is a date."""
+Pairs = list[list[Any]]
 
 
 def name_pairs(document: Any) -> Any:
-    """A document whose pairs [time, value], in either order, and frames of columns are objects with names."""
+    """A document whose pairs [time, value], in either order, and frames of columns are objects with names.
+
+    Raises TraceError, without the file's name, where nobody can tell a pair's time or the columns of a frame.
+    """
+    lists = list(_pairs_within(document))
+    dated = {id(rows): _dated_cells(rows) for rows in lists}
+    times = {rows: at[0] for rows, at in dated.items() if len(at) == 1}
+    if not any(dated.values()) and (at := _counting_cell(lists)) is not None:
+        times = dict.fromkeys(dated, at)
+    # Few pairs of no time are limits, or places.
+    lost = bool(lists) and not times and 4 * sum(map(len, lists)) > _count_cells(document)
+    if lost or any(len(at) > 1 for at in dated.values()):
+        raise TraceError(
+            "its JSON has pairs of which nobody can tell the time: either cell may be one, or neither; give them as "
+            'objects with "time" and "value", or a CSV'
+        )
+    return _named(document, times)
+
+
+def _named(document: Any, times: Mapping[int, int]) -> Any:
+    if (at := times.get(id(document))) is not None:
+        return [{"time": pair[at], "value": pair[1 - at]} for pair in document]
     if isinstance(document, list):
-        at = _time_of_pairs(document)
-        if at is not None:
-            return [{"time": pair[at], "value": pair[1 - at]} for pair in document]
-        return [name_pairs(each) if isinstance(each, dict | list) else each for each in document]
-    if not isinstance(document, dict):
+        return [_named(each, times) for each in document]
+    if not isinstance(document, dict) or _names_columns(document):
         return document
-    if (frame := _frame(document)) is not None:
-        return frame
-    if isinstance(document.get("columns"), list):
-        # Rows whose columns have names of their own.
-        return document
-    return {name: name_pairs(each) if isinstance(each, dict | list) else each for name, each in document.items()}
+    return _frame(document) or {name: _named(each, times) for name, each in document.items()}
 
 
-def _time_of_pairs(rows: Sequence[Any]) -> int | None:
-    """Which cell of each of `rows` is a time, if all are pairs of single cells of which the other is a reading."""
-    if len(rows) < 2 or not all(isinstance(row, list) and len(row) == 2 for row in rows):
-        return None
-    if any(isinstance(cell, dict | list) for row in rows for cell in row):
-        return None
+def _names_columns(document: Mapping[str, Any]) -> bool:
+    """Whether the rows of an object have the names of their columns beside them."""
+    return isinstance(document.get("columns"), list)
+
+
+def _pairs_within(document: Any) -> Iterator[Pairs]:
+    """The lists of a document that hold nothing but pairs of single cells."""
+    if isinstance(document, list) and document and all(map(_is_pair, document)):
+        yield document
+        return
+    holds = isinstance(document, list) or (isinstance(document, dict) and not _names_columns(document))
+    for each in (document.values() if isinstance(document, dict) else document) if holds else ():
+        if isinstance(each, dict | list):
+            yield from _pairs_within(each)
+
+
+def _is_pair(row: Any) -> bool:
+    return isinstance(row, list) and len(row) == 2 and not any(isinstance(cell, dict | list) for cell in row)
+
+
+def _count_cells(document: Any) -> int:
+    if not isinstance(document, dict | list):
+        return 1
+    return sum(map(_count_cells, document.values() if isinstance(document, dict) else document))
+
+
+def _dated_cells(rows: Pairs) -> list[int]:
+    """Which cells of pairs are dates, but for a damaged row, which costs itself."""
     shown = rows[:_LOOKED_AT]
-    dated = [at for at in (0, 1) if all(DATED.match(str(row[at])) for row in shown)]
-    rising = [at for at in dated or (0, 1) if _rises([row[at] for row in shown])]
-    return (rising or dated)[0] if len(rising or dated) == 1 else None
+    return [at for at in (0, 1) if 2 * sum(tells_time(str(row[at])) for row in shown) > len(shown)]
 
 
-def _rises(cells: Sequence[Any]) -> bool:
-    try:
-        counts = [float(cell) for cell in cells]
-    except (TypeError, ValueError):
-        return False
-    return all(early < late for early, late in pairwise(counts)) or all(
-        early > late for early, late in pairwise(counts)
-    )
+def _counting_cell(lists: Sequence[Pairs]) -> int | None:
+    """Which cell of all pairs counts on from 0 where the other one rises and falls, as only a reading does."""
+    read = [[numbers([_text(row[at]) for row in rows]) for rows in lists] for at in (0, 1)]
+    if any(wrong.any() for cells in read for _, wrong in cells):
+        return None
+    columns = [[values[np.isfinite(values)] for values, _ in cells] for cells in read]
+    in_order = [
+        at for at in (0, 1) if all(np.all(np.diff(each) >= 0) or np.all(np.diff(each) <= 0) for each in columns[at])
+    ]
+    if len(in_order) != 1:
+        return None
+    counts = columns[in_order[0]]
+    step = max((float(np.abs(np.diff(each)).max(initial=0.0)) for each in counts), default=0.0)
+    begins = min((float(each.min(initial=np.inf)) for each in counts), default=np.inf)
+    return in_order[0] if 0.0 <= begins <= step else None
+
+
+def _text(cell: Any) -> str:
+    return "" if cell is None else str(int(cell)) if isinstance(cell, bool) else str(cell)
 
 
 def _frame(document: dict[str, Any]) -> dict[str, Any] | None:
@@ -65,11 +114,53 @@ def _frame(document: dict[str, Any]) -> dict[str, Any] | None:
         return None
     if not all(isinstance(column, list) and len(column) == len(columns[0]) for column in columns):
         return None
-    # Of two columns the second is the series' reading, and what it is called stands beside them.
-    named = [field["name"] for field in fields] if len(fields) > 2 else ["time", "value"]
-    labels = (each["labels"] for each in fields if isinstance(each.get("labels"), dict))
-    about: dict[str, Any] = {"name": schema["name"]} if isinstance(schema.get("name"), str) else next(labels, {})
-    return {**about, "rows": [dict(zip(named, row, strict=True)) for row in zip(*columns, strict=True)]}
+    times = [at for at, field in enumerate(fields) if field.get("type") == "time"]
+    times = times or [at for at, field in enumerate(fields) if field["name"].casefold() in TIME_NAMES]
+    names = [_called(field) or field["name"] for field in fields]
+    if len(fields) > 2 and len(set(names)) == len(names) and not any(map(_labels, fields)):
+        about = {"name": schema["name"]} if isinstance(schema.get("name"), str) else {}
+        return {**about, "rows": [dict(zip(names, row, strict=True)) for row in zip(*columns, strict=True)]}
+    abouts = [_about(field, schema.get("name")) for at, field in enumerate(fields) if at not in times]
+    readings = [column for at, column in enumerate(columns) if at not in times]
+    if len(times) != 1 or any(about in abouts[:at] for at, about in enumerate(abouts)):
+        raise TraceError(
+            f"its JSON has a frame whose fields {', '.join(map(repr, names))} are not one time and readings that their "
+            "names or labels tell apart; name each of them, or give a CSV"
+        )
+    return {
+        "rows": [
+            with_reading(about, {"time": time, "value": value})
+            for about, values in zip(abouts, readings, strict=True)
+            for time, value in zip(columns[times[0]], values, strict=True)
+        ]
+    }
+
+
+def _called(field: Mapping[str, Any]) -> str:
+    """What a dashboard shows a field as, or its own name; "" for a name that all fields have."""
+    config = field.get("config")
+    shown = [config.get(key) for key in ("displayNameFromDS", "displayName")] if isinstance(config, dict) else []
+    own = "" if field["name"].casefold() in ("", "value", *VALUE_NAMES) else field["name"]
+    return next((each for each in shown if isinstance(each, str) and each), own)
+
+
+def _about(field: Mapping[str, Any], frame: Any) -> dict[str, Any]:
+    """What tells the readings of a field from those of others: its name, its labels, the name of its frame."""
+    name, labels = _called(field), _labels(field)
+    if not isinstance(frame, str) or frame in ("", name):
+        return with_reading(labels, {"name": name} if name else {})
+    return with_reading({"frame": frame, **labels}, {"name": name}) if name or labels else {"name": frame}
+
+
+def _labels(field: Mapping[str, Any]) -> dict[str, Any]:
+    labels = field.get("labels")
+    return labels if isinstance(labels, dict) else {}
+
+
+def with_reading(about: Mapping[str, Any], reading: Mapping[str, Any]) -> dict[str, Any]:
+    """A reading with what is said of where it comes from: of two names the other one is the machine's."""
+    other = "machine.name" if "machine" in about else "machine"
+    return {**{other if key == "name" and key in reading else key: each for key, each in about.items()}, **reading}
 
 
 def spread_readings(row: dict[str, Any]) -> list[dict[str, Any]]:
@@ -78,22 +169,29 @@ def spread_readings(row: dict[str, Any]) -> list[dict[str, Any]]:
     if len(lists) != 1:
         return [row]
     ((within, named),) = lists.items()
+    readings = [_plain(reading, named) for reading in row[within]]
     about = {name: each for name, each in row.items() if name != within}
-    new = {**_PLAIN_KEYS, named: "name"}
-    own = [{new.get(key, key): cell for key, cell in reading.items()} for reading in row[within]]
-    # A clock of the row beside one of each reading says the same, under another name.
-    timed = any("time" in reading for reading in own)
-    about = {name: each for name, each in about.items() if not (timed and DATED.match(str(each)))}
-    return [{**about, **reading} for reading in own]
+    if any("time" in reading for reading in readings):
+        # A clock of the row beside one of each reading says the same; it holds for a reading that has none.
+        about = _plain(about)
+    return [with_reading(about, reading) for reading in readings]
+
+
+def _plain(row: Mapping[str, Any], named: str = "name") -> dict[str, Any]:
+    """A row whose only clock, only value and name are called `time`, `value` and `name`."""
+    new = {named: "name"}
+    for plain, names in (("time", TIME_NAMES), ("value", {"value", *VALUE_NAMES})):
+        own = [key for key in row if key.casefold() in names]
+        new |= dict.fromkeys(own, plain) if len(own) == 1 else {}
+    return {new.get(key, key): cell for key, cell in row.items()}
 
 
 def _name_of_readings(value: Any) -> str:
     """What each object of a list of readings calls its name; "" for what is no list of readings."""
     if not isinstance(value, list) or not value or not all(isinstance(each, dict) for each in value):
         return ""
-    if not all(any(isinstance(each.get(key), str | bool) for key in _VALUE_NAMES) for each in value):
+    # A value that is null is a reading without one.
+    keys = ("value", *VALUE_NAMES)
+    if not all(any(key in each and not isinstance(each[key], dict | list) for key in keys) for each in value):
         return ""
     return next((key for key in _NAME_KEYS if all(isinstance(each.get(key), str) for each in value)), "")
-
-
-_VALUE_NAMES = ("value", "v", "val")

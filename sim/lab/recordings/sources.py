@@ -18,7 +18,8 @@ from typing import Any, BinaryIO, cast
 
 from drivers.csv_rows import write_rows
 from drivers.named_files import regular
-from sim.lab.recordings.json_readings import DATED, name_pairs, spread_readings
+from sim.lab.recordings.clock_formats import tells_time
+from sim.lab.recordings.json_readings import TIME_NAMES, VALUE_NAMES, name_pairs, spread_readings, with_reading
 from sim.lab.recordings.load_report import TraceError
 
 UNPACK_ERRORS = (EOFError, zlib.error, zipfile.BadZipFile)
@@ -217,8 +218,7 @@ def _objects(path: Path) -> Iterator[Mapping[str, str] | str]:
                 found_rows = _collect_rows(name_pairs(document))
             except TraceError as error:
                 raise TraceError(f"{path}: {error}") from None
-            for row in found_rows:
-                yield from map(_flatten, spread_readings(row) if isinstance(row, dict) else [row])
+            yield from map(_flatten, found_rows)
             return
         for line in filter(str.strip, lines):
             try:
@@ -242,6 +242,7 @@ def _collect_rows(document: Any) -> list[dict[str, Any]]:
     Raises TraceError, without the file's name, where it cannot be told what a reading is of.
     """
     if isinstance(document, list):
+        document = _spread_rows(document)
         holders = [each for each in document if _holds_rows(each)]
         own = [_collect_rows(each) for each in holders]
         names = _names_apart(holders)
@@ -253,7 +254,9 @@ def _collect_rows(document: Any) -> list[dict[str, Any]]:
                     "or a CSV"
                 )
         elif len(holders) > 1:
-            own = [[{**name, **one} for one in rows] for name, rows in zip(names, _as_readings(own), strict=True)]
+            own = [
+                [with_reading(name, one) for one in rows] for name, rows in zip(names, _as_readings(own), strict=True)
+            ]
         found = iter(own)
         return [one for each in document for one in (next(found) if _holds_rows(each) else [each])]
     if not isinstance(document, dict):
@@ -281,10 +284,22 @@ def _collect_rows(document: Any) -> list[dict[str, Any]]:
     if len(parts) == 1:
         return next(iter(parts.values()))
     return [
-        {"machine" if "name" in one else "name": name, **one}
+        with_reading({"name": name}, one)
         for name, rows in zip(parts, _as_readings(list(parts.values())), strict=True)
         for one in rows
     ]
+
+
+def _spread_rows(rows: list[Any]) -> list[Any]:
+    """Rows of a moment with its readings as a row for each; lists that are of one reading each stay as they are.
+
+    A row has each name once, and other rows have it again; the points of a series have one name, or a number each.
+    """
+    spread = [spread_readings(row) if isinstance(row, dict) else [row] for row in rows]
+    names = [[one["name"] for one in own] for row, own in zip(rows, spread, strict=True) if own != [row]]
+    if sum(map(len, names)) <= len({name for own in names for name in own}):
+        return rows
+    return [one for own in spread for one in own] if all(len(set(own)) == len(own) for own in names) else rows
 
 
 def _names_apart(holders: list[Any]) -> list[dict[str, Any]]:
@@ -317,8 +332,8 @@ def _as_readings(lists: list[list[dict[str, Any]]]) -> list[list[dict[str, Any]]
     """
     names = {name for rows in lists for row in rows if isinstance(row, dict) for name in row}
     first = next((row for rows in lists for row in rows if isinstance(row, dict) and len(row) > 1), {})
-    times = [name for name in first if name.casefold() in _TIME_NAMES or DATED.match(str(first[name]))]
-    values = [name for name in names if name.casefold() in _VALUE_NAMES] if len(names) > 2 else names - set(times)
+    times = [name for name in first if name.casefold() in TIME_NAMES or tells_time(str(first[name]))]
+    values = [name for name in names if name.casefold() in VALUE_NAMES] if len(names) > 2 else names - set(times)
     if len(times) != 1 or len(values) != 1 or "value" in names:
         return lists
     (time,), (value,) = times, values
@@ -329,10 +344,6 @@ def _as_readings(lists: list[list[dict[str, Any]]]) -> list[list[dict[str, Any]]
         [{new.get(name, name): each for name, each in row.items()} if isinstance(row, dict) else row for row in rows]
         for rows in lists
     ]
-
-
-_TIME_NAMES = frozenset(("t", "ts", "time", "timestamp", "date", "datetime"))
-_VALUE_NAMES = frozenset(("v", "val"))
 
 
 def _holds_rows(value: Any) -> bool:

@@ -7,7 +7,6 @@ from sim.doors import lazy_getattr
 if TYPE_CHECKING:
     from sim.lab.recordings.mapping.answer_words import BLANK_IS_GOOD, CHOICES, NO_COLUMN
     from sim.lab.recordings.mapping.answers import Answers, Undecided
-    from sim.lab.recordings.mapping.clocks import is_time
     from sim.lab.recordings.mapping.draft import RUNNING_SIGNAL, DraftedMap, draft_map
     from sim.lab.recordings.mapping.words import current_score, load_score, named_otherwise, running_score, split_unit
 else:

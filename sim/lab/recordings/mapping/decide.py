@@ -16,13 +16,17 @@ from sim.lab.recordings import (
     TraceError,
     booleans,
     conversion,
+    is_time,
     known_unit,
     list_names,
     numbers,
+    pure_date,
+    pure_time,
     read_clock,
     since_1970,
     spoken_seconds,
     unroll_midnight,
+    whole_day,
 )
 from sim.lab.recordings.mapping.answer_words import NO_COLUMN
 from sim.lab.recordings.mapping.answers import Answers, Undecided
@@ -35,12 +39,8 @@ from sim.lab.recordings.mapping.clocks import (
     counts_of_day,
     daily_clock,
     find_clocks,
-    is_time,
     looks_rounded_count,
-    pure_date,
-    pure_time,
     says_count_unit,
-    whole_day,
 )
 from sim.lab.recordings.mapping.columns import FoundColumn, dwells, find_decimal, has_levels, is_slow
 from sim.lab.recordings.mapping.table import FoundTable

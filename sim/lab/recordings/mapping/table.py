@@ -17,10 +17,10 @@ from sim.lab.recordings import (
     UNNAMED_COLUMN,
     TraceError,
     compose_names,
-    dated_format,
     decode_head,
     drop_invisible,
     fold_name,
+    is_time,
     join_cells,
     number_equal_names,
     numbers,
@@ -28,9 +28,10 @@ from sim.lab.recordings import (
     read_head,
     rows_mark,
     spoken_seconds,
+    tells_time,
     with_row_names,
 )
-from sim.lab.recordings.mapping.clocks import is_time, looks_rounded_count, pure_date, pure_time
+from sim.lab.recordings.mapping.clocks import looks_rounded_count
 from sim.lab.recordings.mapping.words import bare_unit, named_time
 
 _HEAD_BYTES = 1 << 20
@@ -288,7 +289,7 @@ def _is_data(row: Sequence[str]) -> bool:
     """Whether a row holds readings: a date, or numbers and nothing that a header has."""
     if len(row) < 2:
         return False
-    if any(is_time(cell) or pure_date(cell) or pure_time(cell) or _is_dated(cell) for cell in row):
+    if any(tells_time(cell) for cell in row):
         return True
     if spoken_seconds(row[0]) is not None and any(map(_numeric, row[1:])):
         return True
@@ -339,11 +340,6 @@ def _counts_time(above: Sequence[str], row: Sequence[str]) -> bool:
 def _mostly_numbers(row: Sequence[str]) -> bool:
     filled = [cell for cell in row if cell]
     return len(filled) > 1 and 2 * sum(map(_numeric, filled)) > len(filled)
-
-
-def _is_dated(cell: str) -> bool:
-    digits = cell.replace(".", "").replace(",", "") if cell.count(".") > 2 or cell.count(",") > 2 else cell
-    return digits.isdigit() and bool(dated_format(np.array([float(digits)]), named=False))
 
 
 def has_numbers(table: FoundTable, place: int) -> bool:
