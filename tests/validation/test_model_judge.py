@@ -145,6 +145,21 @@ CASES: dict[str, tuple[Callable[[], ModelVerdict], str, str]] = {
         "unfit",
         "of them -127: a code for no",
     ),
+    "a code for ten minutes of thirty": (
+        lambda: judged(spoiled(lambda column: np.where(np.arange(column.size) % 30 < 10, 850.0, column))),
+        "unfit",
+        "of them 850: a code for no",
+    ),
+    "a code for ten minutes of thirty, near the degrees at rest": (
+        lambda: judged(spoiled(lambda column: np.where(np.arange(column.size) % 30 < 10, 0.0, column))),
+        "unfit",
+        "of them 0: a code for no",
+    ),
+    "a code in each second row": (
+        lambda: judged(spoiled(lambda column: np.where(np.arange(column.size) % 2 < 1, -127.0, column))),
+        "unfit",
+        "of them -127: a code for no",
+    ),
     "a few stray readings": (lambda: judged(spoiled(a_few)), "fit", ""),
     "a switch upside down": (lambda: judged(spoiled(lambda on: 1.0 - on, RUNNING)), "unfit", "is upside down"),
     "the same without a load": (

@@ -37,6 +37,10 @@ CODE_DISTANCE_DEGC = 25.0
 """A reading so far (degC) from the median of the five around it is no bearing's: heat takes minutes."""
 CODE_WINDOW_S = 300.0
 """Five rows within so long (s) are held against one another; others say nothing of codes."""
+MIN_LEAPS = 3
+"""Leaps of CODE_DISTANCE_DEGC that end at the very same reading, from which that is a code, however long it lasts."""
+HEAT_STEP_DEGC = 5.0
+"""Heat moves a bearing by no more from row to row (75 s at most)."""
 MAX_CODE_SHARE = 0.005
 """The share of such readings above which they are no accidents but a code for "no reading", or a loose contact."""
 REVERSED_LOAD_RATIO = 20.0
@@ -207,15 +211,16 @@ def _taught_enough(case: LearnedCase) -> Said:
 
 
 def _readings_are_readings(case: LearnedCase) -> Said:
+    columns = [each for each in case.readings() if each[1].size >= 5 and case.model.unit == DEFAULT_UNIT]
     apart, values, usual = 0, list[float](), 0
-    for times, column in case.readings():
-        if column.size < 5 or case.model.unit != DEFAULT_UNIT:
-            continue
+    codes = _leapt_to(columns)
+    for times, column in columns:
         windows = np.lib.stride_tricks.sliding_window_view
         middle = np.median(windows(column, 5), axis=1)
         # Rows that lie far apart may have all of a heating between them.
         near = times[4:] - times[:-4] <= CODE_WINDOW_S
-        far = near & (np.abs(column[2:-2] - middle) > CODE_DISTANCE_DEGC)
+        # A code that lasts is the median of the five itself.
+        far = near & ((np.abs(column[2:-2] - middle) > CODE_DISTANCE_DEGC) | np.isin(column[2:-2], codes))
         usual, apart = usual + int(near.sum()), apart + int(far.sum())
         values += column[2:-2][far].tolist()
     if not usual or apart <= MAX_CODE_SHARE * usual:
@@ -223,6 +228,22 @@ def _readings_are_readings(case: LearnedCase) -> Said:
     ((common, count),) = Counter(values).most_common(1)
     what = f", {count} of them {common:g}: a code for no reading?" if count > apart / 2 else ""
     return False, f"{apart} of {usual} readings of {case.model.temperature} stand apart from those around them{what}"
+
+
+def _leapt_to(columns: Sequence[tuple[Array, Array]]) -> list[float]:
+    """The values (degC) that several leaps end at, and fewer steps as heat makes them."""
+    leaps, steps = Counter[float](), [np.zeros(0)]
+    for times, column in columns:
+        step, near = np.abs(np.diff(column)), np.diff(times) <= CODE_WINDOW_S / 4
+        leaps.update(column[1:][near & (step > CODE_DISTANCE_DEGC)].tolist())
+        steps.append(column[1:][near & (step > 0.0) & (step <= HEAT_STEP_DEGC)])
+    gentle = np.sort(np.concatenate(steps))
+    found = list[float]()
+    for value, count in leaps.items():
+        begin, end = np.searchsorted(gentle, (value - MIN_NOISE_DEGC, value + MIN_NOISE_DEGC))
+        if count >= MIN_LEAPS and count > end - begin:
+            found.append(value)
+    return found
 
 
 def _move_as_heat_does(case: LearnedCase) -> Said:
