@@ -6,14 +6,17 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
+import pytest
 from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gateway.cli.main import main
+from gateway.lab.learning import learn as learning
 from sim.lab.recordings import ColumnMap, LoadReport, TraceError, load_traces, write_trace
 from sim.plant import production
 from sim.sha import Trace
+from tests.rig.no_bands import without_bands
 
 CELLS = st.sampled_from(["", "1", "20.5", "-4", "bad", "3276.7", "x y", "0", "1e3", " ", "nan", "2,5"])
 TIMES = st.sampled_from(["0", "1", "2", "2", "3", "5", "never", "", "4", "60", "1"])
@@ -92,7 +95,10 @@ def test_the_cells_of_a_long_file_add_up_too(rows: list[tuple[str, str, str, str
         assert file.cells == file.used_cells + file.refused_cells + file.merged_cells + sum(file.unused.values())
 
 
-def test_learn_and_ingest_say_the_line_too(tmp_path: Path) -> None:
+def test_learn_and_ingest_say_the_line_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """And of the learned tables only the rows that a person is shown."""
+    without_bands(monkeypatch)
+    monkeypatch.setattr(learning, "MAX_ROWS", 1)
     trace = production(1, 4, seed=1, period=120.0)
     (tmp_path / "in").mkdir()
     write_trace(trace, tmp_path / "in" / "a.csv")
@@ -101,5 +107,6 @@ def test_learn_and_ingest_say_the_line_too(tmp_path: Path) -> None:
     learn = ["model", "learn", "--traces", str(tmp_path / "in" / "a.csv"), "--out", str(tmp_path / "model")]
     done = CliRunner().invoke(main, learn)
     assert done.exit_code == 0 and line in done.stdout, done.output
+    assert "(the first 1 of 15 rows; --json has all)" in " ".join(done.stdout.split())
     done = CliRunner().invoke(main, ["trace", "ingest", str(tmp_path / "in"), "--into", str(tmp_path / "archive")])
     assert done.exit_code == 0 and line in done.stdout, done.output

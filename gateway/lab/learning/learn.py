@@ -36,6 +36,9 @@ if TYPE_CHECKING:
     from sim.lab.recordings import ColumnMap
 
 REPORT = "learning_report"
+MAX_ROWS = 40
+"""Rows of a table for a person; an automaton of hundreds of locations has tables that nobody reads."""
+
 MAX_DRIVER_CANDIDATES = 16
 """Signals beside the alphabet's of which it is told whether they drive the temperature."""
 
@@ -109,7 +112,7 @@ def learn(
     def show() -> Iterator[Part]:
         yield read.account()
         for folder, each in taught.items():
-            yield from _model_parts(each, folder)
+            yield from map(_shortened, _model_parts(each, folder))
         several = len(taught) > 1
         for folder, each in taught.items():
             if each.verdict.word != "unfit":
@@ -117,6 +120,14 @@ def learn(
                 yield f"next, in the plant's folder: `decanter plc bind --keep {setting}`"
 
     conclude(CommandResult(data), lambda _: show(), as_json=as_json)
+
+
+def _shortened(part: Part) -> Part:
+    """The part; a table of more than MAX_ROWS rows without those beyond, which its title says."""
+    if not isinstance(part, Rows) or len(part.rows) <= MAX_ROWS:
+        return part
+    title = f"{part.title} (the first {MAX_ROWS} of {len(part.rows)} rows; --json has all)"
+    return replace(part, title=title, rows=part.rows[:MAX_ROWS])
 
 
 def _report_part(report: Progress, number: int, count: int, temperature: str, what: str, share: float) -> None:
