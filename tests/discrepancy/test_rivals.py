@@ -8,7 +8,7 @@ import pytest
 from scipy.signal import lfilter
 
 from sim.artefacts.model_json import model_text, parse_model
-from sim.effects import CHANGES_AT_A_MOMENT
+from sim.effects import CHANGES_AT_A_MOMENT, DRIFTING_SURROUNDINGS
 from sim.engine.moment_equations import moments
 from sim.engine.open_loop_run import errors, open_loop
 from sim.engine.schedules import schedule
@@ -238,6 +238,17 @@ def test_heat_that_comes_after_half_an_hour_is_named_and_executed() -> None:
     made = parse_model(model_text(augment_model(found.fitted, readings=[trace])))
     before, after = (errors(open_loop(each, trace), trace, "T").at_samples.rmse for each in (model(), made))
     assert after < 0.2 * before and verify(made).deployable
+
+
+def test_a_sensor_that_drifts_from_the_first_day_on_is_no_step_of_the_surroundings() -> None:
+    trace = plant(3, days=6, period=300.0)
+    drifted = trace.signals["T"] + np.linspace(0.0, 2.0, trace.times.size)
+    record = build_record(model(), [replace(trace, signals={**trace.signals, "T": np.round(drifted, 1)})], ())
+    base = fit(move_frame(build_frame(record), record), rounds=2)
+    since = [entry for entry in rivals() if "surroundings" in entry.name or "since" in entry.name]
+    found = step(base, [*since, catalogue_entry("wear-drift")], {}, rules=RULES).best
+    assert found is not None and found.entry.name == DRIFTING_SURROUNDINGS
+    assert found.shape.params["at"] < trace.times[0] + 86400.0
 
 
 def test_what_came_twice_is_found_from_the_one_that_is_clear() -> None:
