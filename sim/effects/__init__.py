@@ -52,5 +52,11 @@ from sim.effects.kinds import (
 from sim.effects.late import SETTLED_LAGS, late_jumps, late_mean, late_source, remaining_share
 from sim.effects.lines import LineError
 from sim.effects.random import DisturbanceStep, disturbance_step
-from sim.effects.rivals import CHANGES_AT_A_MOMENT, UNMEASURED_NEIGHBOUR, moment_words
+from sim.effects.rivals import (
+    CHANGES_AT_A_MOMENT,
+    DRIFTING_SURROUNDINGS,
+    SECOND_MOMENT,
+    UNMEASURED_NEIGHBOUR,
+    moment_words,
+)
 from sim.effects.roles import SETTABLE

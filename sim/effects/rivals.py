@@ -171,6 +171,19 @@ def _surroundings_words(p: Params) -> str:
     return f"{'warmer' if p['rise'] > 0 else 'cooler'} surroundings since {moment_words(p['at'])}"
 
 
+def _drifting(p: Params, view: RecordView) -> Array:
+    """rise k (t - at) / over from `at` on, k the model's own rate: so much warmer after `over` s, running or at rest.
+
+    A sensor that drifts reads as much, but for what it drifts by within one time constant.
+    """
+    return np.asarray(p["rise"] * view.rate * np.maximum(view.time - p["at"], 0.0) / p["over"])
+
+
+def _drifting_words(p: Params) -> str:
+    more, up = ("warmer", "up") if p["rise"] > 0 else ("cooler", "down")
+    return f"surroundings that grow {more}, or a sensor that drifts {up}, since {moment_words(p['at'])}"
+
+
 def _less_cooling(effect: Effect, view: RecordView) -> tuple[Array, Array]:
     """Heat loss s (X - sink): s goes from 0 to 1 at `at`, and by 1 more at `again` if there is one, or grows from `at`
     by 1 each `over` s (not 0); all the time, or while the machine runs, as what it drives itself cools."""
@@ -194,6 +207,11 @@ def _sinks(log: MachineLog) -> Sequence[float]:
     return tuple(log.cold - share * float(np.ptp(log.smooth)) for share in SINK_SHARES)
 
 
+def _growth_starts(log: MachineLog) -> list[float]:
+    """Moments at which something is tried to begin to grow: the record's beginning, and such as lie inside it."""
+    return [float(log.time[0]), *_moments(log)[::2]]
+
+
 def _cooling_words(p: Params) -> str:
     way = "less" if p["loss"] >= 0 else "more"
     while_ = "while the machine runs, " if p["turning"] else ""
@@ -212,6 +230,8 @@ CHANGES_AT_A_MOMENT = (
     "sensor-offset-step",
 )
 """What makes a machine warmer from a moment on: under one load that never stops they look alike."""
+DRIFTING_SURROUNDINGS = "drifting-surroundings"
+"""The rival that is surroundings, or a sensor, that grow warmer or cooler."""
 UNMEASURED_NEIGHBOUR = "unmeasured-neighbour"
 """The rival that has no course along a record: a heat that wanders, which a fit has in its noise."""
 
@@ -442,6 +462,21 @@ RIVAL_KINDS = (
         look="what changed around the machine then: weather, heating, a door, another machine, its enclosure, and its "
         "cooler where it never rests",
     ),
+    _rival(
+        DRIFTING_SURROUNDINGS,
+        "surroundings, or a sensor, that grow warmer or cooler from some moment on",
+        _heat_law(_drifting),
+        _drifting_words,
+        parameters=("rise", "at", "over"),
+        sign=0.0,
+        acts="anywhere",
+        # Only where it rests is it told from a heat that grows.
+        shapes=lambda log: [{"at": at, "over": float(log.time[-1]) - at} for at in _growth_starts(log) if log.rests],
+        refine={"at": IN_RECORD},
+        widths={"at": 4 * HOUR},
+        experiment="read a second thermometer beside the sensor at long rest, now and after some days",
+        look="the sensor (its seat, its age, when it was calibrated), and what grows warmer or cooler around it",
+    ),
     _cooling(
         "less-cooling",
         "less cooling from some moment on",
@@ -460,7 +495,7 @@ RIVAL_KINDS = (
     _cooling(
         "less-and-less-cooling",
         "a cooling that grows less from some moment on",
-        lambda log: [{"at": at, "over": float(log.time[-1]) - at} for at in [log.time[0], *_moments(log)[::2]]],
+        lambda log: [{"at": at, "over": float(log.time[-1]) - at} for at in _growth_starts(log)],
     ),
     _rival(
         UNMEASURED_NEIGHBOUR,

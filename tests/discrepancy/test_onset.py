@@ -67,6 +67,13 @@ def test_what_acts_all_along_begins_nowhere() -> None:
     assert dated(whole) is None
 
 
+@pytest.mark.parametrize("seed", [1, 3])
+def test_a_sensor_that_drifts_from_the_first_day_on_begins_nowhere(seed: int) -> None:
+    trace = plant(seed, days=4, period=PERIOD)
+    drifted = trace.signals["T"] + np.linspace(0.0, 1.5, trace.times.size)
+    assert dated(of_all(replace(trace, signals={**trace.signals, "T": np.round(drifted, 1)}))) is None
+
+
 @pytest.mark.parametrize("seed", [20, 21, 22])
 def test_a_clean_plant_begins_nowhere(seed: int) -> None:
     assert dated(of_all(plant(seed, days=4, period=PERIOD))) is None

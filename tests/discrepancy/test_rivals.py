@@ -8,6 +8,7 @@ import pytest
 from scipy.signal import lfilter
 
 from sim.artefacts.model_json import model_text, parse_model
+from sim.effects import CHANGES_AT_A_MOMENT, DRIFTING_SURROUNDINGS
 from sim.engine.moment_equations import moments
 from sim.engine.open_loop_run import errors, open_loop
 from sim.engine.schedules import schedule
@@ -237,6 +238,48 @@ def test_heat_that_comes_after_half_an_hour_is_named_and_executed() -> None:
     made = parse_model(model_text(augment_model(found.fitted, readings=[trace])))
     before, after = (errors(open_loop(each, trace), trace, "T").at_samples.rmse for each in (model(), made))
     assert after < 0.2 * before and verify(made).deployable
+
+
+def test_a_sensor_that_drifts_from_the_first_day_on_is_no_step_of_the_surroundings() -> None:
+    trace = plant(3, days=6, period=300.0)
+    drifted = trace.signals["T"] + np.linspace(0.0, 2.0, trace.times.size)
+    record = build_record(model(), [replace(trace, signals={**trace.signals, "T": np.round(drifted, 1)})], ())
+    base = fit(move_frame(build_frame(record), record), rounds=2)
+    since = [entry for entry in rivals() if "surroundings" in entry.name or "since" in entry.name]
+    found = step(base, [*since, catalogue_entry("wear-drift")], {}, rules=RULES).best
+    assert found is not None and found.entry.name == DRIFTING_SURROUNDINGS
+    assert found.shape.params["at"] < trace.times[0] + 86400.0
+
+
+def test_what_came_twice_is_found_from_the_one_that_is_clear() -> None:
+    """Greased at 17 % and at 46 % of eight days: between pairs of sixteen moments each the first one was missed."""
+    size, period = int(8 * 86400 / 300.0), 300.0
+    begun = int(0.172 * size), int(0.459 * size)
+
+    def heat(times: Array, on: Array, current: Array) -> tuple[Array, Array]:
+        run, row = np.cumsum(on) * period, np.arange(on.size)
+        faded = sum(np.exp(-np.maximum(run - run[at], 0.0) / (6 * 3600.0)) * (row >= at) for at in begun)
+        return 0.003 * on * faded, np.zeros(on.size)
+
+    trace = plant(3, days=8, period=period, more=heat)
+    record = build_record(model(), [trace], ())
+    base = fit(move_frame(build_frame(record), record), rounds=2)
+    events = [entry for entry in rivals() if "heat-after" in entry.name and "event" in entry.name]
+    found = step(base, events, {}, rules=RULES).best
+    assert found is not None and found.entry.name == "heat-after-two-events"
+    moments = sorted((found.shape.params["at"], found.shape.params["again"]))
+    assert moments == pytest.approx([trace.times[at] for at in begun], abs=6 * 3600.0)
+
+
+def test_what_changes_at_a_moment_takes_one_of_the_places_that_are_confirmed() -> None:
+    record = build_record(model(), [plant(3, days=2)], ("Assorbimento",))
+    base = fit(move_frame(build_frame(record), record), rounds=1, iterations=3)
+    (one,) = step(base, [catalogue_entry("current-heating")], CURRENT, rules=RULES).evidence
+    entries = {entry.name: entry for entry in (*rivals(), *catalogue())}
+    others = ["heat-after-an-event", "heat-after-two-events", "current-heating", "wear-drift"]
+    order = [replace(one, entry=entries[name]) for name in (*CHANGES_AT_A_MOMENT, *others)]
+    first = [each.entry.name for each in naming.first_kinds(order)]
+    assert first == [*CHANGES_AT_A_MOMENT, *others[: naming.CONFIRMED - 1]]
 
 
 def test_a_moment_that_is_looked_for_lies_in_the_record() -> None:

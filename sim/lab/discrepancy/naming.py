@@ -7,7 +7,7 @@ from itertools import product
 import numpy as np
 import scipy
 
-from sim.effects import CHANGES_AT_A_MOMENT, UNMEASURED_NEIGHBOUR
+from sim.effects import CHANGES_AT_A_MOMENT, SECOND_MOMENT, UNMEASURED_NEIGHBOUR
 from sim.lab.discrepancy.fitting import (
     CatalogueEntry,
     Fitted,
@@ -150,7 +150,7 @@ def step(
     # jointly, and only a gain of a joint refit can become a name.
     # So are rivals that would be among them; they take no name's place.
     names = [each for each in evidence if not each.entry.rival]
-    first = {each.entry.name for each in (*names[:CONFIRMED], *evidence[:CONFIRMED])}
+    first = {each.entry.name for each in (*names[:CONFIRMED], *first_kinds(evidence))}
     likely = [each for each in evidence if each.entry.name in first and each.gain >= WORTH]
     confirmed = list[EffectEvidence]()
     for each in likely:
@@ -182,7 +182,10 @@ def step(
         done = {own.entry.name for own in confirmed}
         if each.entry.name in special - done and each.gain >= WORTH:
             confirmed = _slim_but_best([*confirmed, confirm(before, each)])
-    for each in changes_at_a_moment(before, screened.shapes, confirmed, rules, told):
+    for each in (
+        *twice_from_once(before, screened.shapes, confirmed, rules, told),
+        *changes_at_a_moment(before, screened.shapes, confirmed, rules, told),
+    ):
         confirmed = _slim_but_best(_replace_evidence(confirmed, each))
     done = {each.entry.name for each in confirmed}
     rest = [other for other in evidence if other.entry.name not in done]
@@ -207,6 +210,55 @@ def _falls_short(
     top = max((other.gain for other in confirmed), default=0.0)
     promised = each.gain * (PROMISED_TIMES_OF_COURSE if follows else PROMISED_TIMES)
     return promised < max(needed, LOOKED_AGAIN_SHARE * top)
+
+
+def first_kinds(evidence: Sequence[EffectEvidence]) -> list[EffectEvidence]:
+    """The first of the evidence, of so many kinds as are confirmed: what changes at a moment is one, as it looks alike
+    and would leave no room."""
+    first, kinds = list[EffectEvidence](), set[str]()
+    for each in evidence:
+        kinds.add("" if each.entry.name in CHANGES_AT_A_MOMENT else each.entry.name)
+        if len(kinds) > CONFIRMED:
+            break
+        first.append(each)
+    return first
+
+
+def twice_from_once(
+    before: Fitted,
+    shapes: Sequence[Shape],
+    confirmed: Sequence[EffectEvidence],
+    rules: DecisionRules,
+    told: Callable[[str], None],
+) -> Iterator[EffectEvidence]:
+    """The refits of what came twice, looked for from the refit of the same that came once, where that explains much.
+
+    Of two moments that are looked for together there are too many pairs for a fine grid; from the first one's refit the
+    second stands out, at any of the moments of a single one. Within the width over which a moment is looked for it is
+    the same change, which took its time.
+    """
+    top = max((each.gain for each in confirmed), default=0.0)
+    wider = {shape.entry.name: shape.entry for shape in shapes if SECOND_MOMENT in shape.params}
+    for once in confirmed:
+        if once.fitted is None or once.gain < max(rules.least_gain_nats, LOOKED_AGAIN_SHARE * top):
+            continue
+        for entry in (each for each in wider.values() if once.entry.name in each.candidate.special):
+            apart = entry.candidate.widths[SECOND_MOMENT]
+            moments = {shape.params["at"] for shape in shapes if shape.entry.name == once.entry.name}
+            some = tuple(
+                Shape(entry, once.shape.signals, {**once.shape.params, SECOND_MOMENT: each})
+                for each in sorted(moments)
+                if abs(each - once.shape.params["at"]) > apart
+            )
+            if not some:
+                continue
+            told(entry.name)
+            around = without_last(once.fitted)
+            projector = Projector(around)
+            again = screen_shapes(projector, some, shape_columns(projector, some))
+            twice = confirm(before, _evidence(again, int(np.argmax(again.gain))), around)
+            if abs(twice.shape.params[SECOND_MOMENT] - twice.shape.params["at"]) > apart:
+                yield twice
 
 
 def changes_at_a_moment(

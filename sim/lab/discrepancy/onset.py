@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from sim.effects import HeldLaw, VaryingLaw
+from sim.effects import DRIFTING_SURROUNDINGS, HeldLaw, VaryingLaw
 from sim.lab.discrepancy.diagnosis import GapBeginning
 from sim.lab.discrepancy.fitting import (
     CatalogueEntry,
@@ -73,7 +73,7 @@ def find_onset(
         return None
     projector = Projector(fitted)
     every = candidate_shapes(projector, (*entries, *rivals()), roles)
-    lasting = tuple(shape for shape in every if DATE not in shape.params or _by_the_clock(shape))
+    lasting = tuple(shape for shape in every if _acts_all_along(shape, float(record.runs.time[0])))
     shapes = [shape for shape in lasting if _stateless(shape)]
     begins = _best_of_each(projector, shapes, starts[_evenly(borders, FIRST)])
     gains = np.array([_gains(projector, begins, start) for start in starts[_evenly(borders, BORDERS)]])
@@ -110,8 +110,13 @@ def find_onset(
     )
 
 
-def _by_the_clock(shape: Shape) -> bool:
-    return any(name in shape.params for name in BY_THE_CLOCK)
+def _acts_all_along(shape: Shape, begin: float) -> bool:
+    """Whether an effect has no moment, comes with the clock, or is surroundings that drift from `begin` (s) on.
+
+    A cooling that grows less is none: what begins is tried as a heat, which is no match for a loss that is there.
+    """
+    drifts = shape.entry.name == DRIFTING_SURROUNDINGS and shape.params[DATE] <= begin
+    return DATE not in shape.params or drifts or any(name in shape.params for name in BY_THE_CLOCK)
 
 
 def _stateless(shape: Shape) -> bool:
