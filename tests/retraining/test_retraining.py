@@ -778,6 +778,23 @@ def test_settings_are_searched_where_s_in_per_cent_of_the_readings_is_above_its_
     assert (found.tuned.startswith(begin) and why in found.tuned) if trials else not found.tuned
 
 
+def test_a_model_is_learned_with_the_settings_that_a_search_found_better(
+    request_of: RetrainingRequest, library: CycleLibrary, quick: SimpleNamespace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given: list[Any] = []
+    learn = study.learned_model
+
+    def noted(record: Any, *more: Any) -> Taught:
+        given.append(record.settings)
+        return learn(record, *more)
+
+    monkeypatch.setattr(study, "learned_model", noted)
+    better = SimpleNamespace(better=True, best=SimpleNamespace(settings={"debounce": 20.0}), sentence="")
+    monkeypatch.setattr(study, "tune", lambda *_, **__: better)
+    run(replace(request_of, trials=5, score_limit=2.0), library)
+    assert given == [{"debounce": 20.0}]
+
+
 def test_s_is_half_the_mean_error_three_tenths_of_the_largest_and_two_of_the_scatter(
     request_of: RetrainingRequest, library: CycleLibrary
 ) -> None:
