@@ -80,6 +80,7 @@ class LikeMoments:
         self._past: dict[tuple[Moment, float], PastReadings] = {}
         self._awaited: dict[float, deque[tuple[float, Moment]]] = {horizon: deque() for horizon in self._horizons}
         self._location: str | None = None
+        self._lost: float | None = -inf
         self._entered: float | None = None
         self._moments: list[tuple[float, Moment | None]] = []
         self._sampled = -inf
@@ -91,13 +92,17 @@ class LikeMoments:
         if time < self._now:
             # The clock was set back: what is awaited would come twice.
             self._awaited = {horizon: deque() for horizon in self._horizons}
-            self._location, self._moments, self._sampled, self._counted = None, [], -inf, {}
+            self._lost, self._moments, self._sampled, self._counted = -inf, [], -inf, {}
         self._now = time
         self._settle(time, measured)
-        if location != self._location:
-            # Of one that was not seen to begin nobody knows how long it has lasted.
-            self._entered = time if location is not None and self._location is not None else None
-            self._location = location
+        if location is None:
+            self._lost = time if self._lost is None else self._lost
+        else:
+            # Over a moment's doubt a stay goes on; of one that was not seen to begin nobody knows how long it lasts
+            seen = self._lost is None or time - self._lost <= max(SAMPLE_S, self._tolerance)
+            if location != self._location or not seen:
+                self._entered = time if seen else None
+            self._location, self._lost = location, None
         moment = None
         if location is not None and self._entered is not None:
             moment = location, bisect_right(STAY_EDGES_S, time - self._entered)

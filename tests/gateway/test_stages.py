@@ -162,9 +162,12 @@ async def test_a_forecast_far_from_what_came_after_like_moments_is_flagged_and_a
                 flagged.append([each and each.flagged for each in said.past])
         # Each is collected with the scan after it; of the first location nobody saw the beginning.
         assert flagged == [[None], [False], [False], [True]]
-        assert [each["moments"] for each in unit.guard_report()[PAST]] == [20], "on record, too"
+        told = [(each["moments"], each["flagged"]) for each in unit.guard_report()[PAST]]
+        assert told == [(20, True)], "on record, too"
         unit.save(EPOCH + 200.0)
         kept = unit.guards.snapshot()[PAST]
+        unit.settle(unit.follow(scan_of({CURRENT: 150.0, TEMPERATURE: 30.0}, EPOCH + 201.0)))
+        assert unit.guard_report()[PAST] == [], "it began from what is not known any more"
         await unit.close()
     with stored(config) as (historian, log):
         again = ModelUnit(config, loaded, (), historian=historian, log=log)

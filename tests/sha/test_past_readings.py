@@ -71,6 +71,15 @@ def test_on_ordinary_days_what_really_comes_is_hardly_ever_flagged_and_a_hot_bea
     assert np.mean(found[0.0]) < 0.02 and np.mean(found[15.0]) > 0.5, {at: np.mean(each) for at, each in found.items()}
 
 
+def test_over_a_moments_doubt_a_stay_goes_on_and_over_a_long_one_nobody_knows() -> None:
+    for doubt, known in ((40.0, True), (90.0, False)):
+        like, now = followed(readings(MIN_MOMENTS + 1)), (MIN_MOMENTS + 1) * HOUR
+        for time in np.arange(now, now + STAY, 10.0).tolist():
+            like.follow(time, None if now + 20.0 <= time < now + 20.0 + doubt else "on", 60.0)
+        (held,) = like.hold(now + STAY - 10.0, {HORIZON: 60.0})
+        assert (held is not None) is known, doubt
+
+
 def test_fewer_moments_and_a_place_that_is_not_known_tell_nothing() -> None:
     values = readings(MIN_MOMENTS)
     like, now = followed(values), len(values) * HOUR
@@ -80,8 +89,8 @@ def test_fewer_moments_and_a_place_that_is_not_known_tell_nothing() -> None:
     assert like.hold(now, {900.0: 500.0}) == (None,), "a horizon that is not followed"
     like.follow(now + 20.0, None, 60.0)
     assert like.hold(now + 20.0, {HORIZON: 500.0}) == (None,)
-    like.follow(now + 40.0, "on", 60.0)
-    assert like.hold(now + 40.0, {HORIZON: 500.0}) == (None,), "since when is it on?"
+    like.follow(now + 140.0, "on", 60.0)
+    assert like.hold(now + 140.0, {HORIZON: 500.0}) == (None,), "since when is it on?"
 
 
 def test_neighbouring_moments_late_readings_and_a_second_pass_of_the_clock_count_once_or_not() -> None:

@@ -60,6 +60,8 @@ class Guards:
         if self._rule is not None:
             self.drift = follow_cycle(self._rule, self.drift, p)
         self._like.follow(p.time, p.location if p.known else None, p.measured)
+        if not p.known:
+            self.past = ()  # the forecast began from what is not known any more
         if p.measured is None:
             return
         if p.mean is not None and p.high is not None and p.high > p.mean:
@@ -107,7 +109,7 @@ class Guards:
                 "limit": self.drift.limit,
             },
             "reviews": reviews,
-            PAST: [None if each is None else asdict(each) for each in self.past],
+            PAST: [None if each is None else asdict(each) | {"flagged": each.flagged} for each in self.past],
             "clamps": {
                 "belief": belief,
                 "free_run": free_run,
