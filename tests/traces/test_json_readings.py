@@ -234,3 +234,35 @@ def test_elapsed_pairs_are_read_where_only_the_reading_falls() -> None:
     # Limits beside the readings are no pairs of a time.
     limits = [[0, "green"], [80, "red"]]
     assert name_pairs({"limits": limits, "t": pairs(COLUMNS["bearing_temp"])})["limits"] == limits
+
+
+def test_a_field_of_a_reading_is_no_time_by_its_name_alone() -> None:
+    row = {"time": "2024-01-01T00:00:00Z", "readings": [{"name": "m1", "T": "61.2", "value": "3"}]}
+    assert spread_readings(row) == [{"time": row["time"], "name": "m1", "T": "61.2", "value": "3"}]
+    alone = {"readings": [{"name": "m1", "t": "0", "value": "3"}]}
+    assert spread_readings(alone) == [{"name": "m1", "time": "0", "value": "3"}]
+    dated = {"time": row["time"], "readings": [{"name": "m1", "t": "2024-01-01T00:00:01Z", "value": "3"}]}
+    assert spread_readings(dated) == [{"time": "2024-01-01T00:00:01Z", "name": "m1", "value": "3"}]
+
+
+@pytest.mark.parametrize("other", [None, {"de": "Wärme"}])
+def test_a_tag_keeps_its_name_beside_another_one(other: Any) -> None:
+    (found,) = spread_readings({"readings": [{"tag": "heat", "name": other, "value": "3"}]})
+    assert found == {"name": "heat", "tag.name": other, "value": "3"}
+
+
+def test_labels_called_like_what_a_reading_has_tell_whose_it_is() -> None:
+    times = [1_700_000_000_000, 1_700_000_060_000]
+    for label, column in (("name", "name"), ("value", "label.value"), ("time", "label.time")):
+        fields = [{"name": "Time", "type": "time"}, *({"name": "Value", "labels": {label: tag}} for tag in ("a", "b"))]
+        document = {"schema": {"name": "A", "fields": fields}, "data": {"values": [times, [1, 2], [3, 4]]}}
+        found = [(row[column], row["time"], row["value"]) for row in name_pairs(document)["rows"]]
+        assert found == [("a", times[0], 1), ("a", times[1], 2), ("b", times[0], 3), ("b", times[1], 4)], label
+
+
+def test_a_frame_of_two_rows_is_no_pair_and_a_temperature_no_time() -> None:
+    fields = [{"name": "time"}, {"name": "T"}]
+    found = name_pairs(
+        {"schema": {"fields": fields}, "data": {"values": [[1_700_000_000_000, 1_700_000_060_000], [60, 59]]}}
+    )
+    assert [(row["name"], row["value"]) for row in found["rows"]] == [("T", 60), ("T", 59)]

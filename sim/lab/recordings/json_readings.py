@@ -49,9 +49,20 @@ def _named(document: Any, times: Mapping[int, int]) -> Any:
     return _frame(document) or {name: _named(each, times) for name, each in document.items()}
 
 
-def _names_columns(document: Mapping[str, Any]) -> bool:
+def _names_columns(document: Any) -> bool:
     """Whether the rows of an object have the names of their columns beside them."""
-    return isinstance(document.get("columns"), list)
+    return isinstance(document, dict) and isinstance(document.get("columns"), list)
+
+
+def _frame_parts(document: Any) -> tuple[list[Any], list[Any]] | None:
+    """The fields and the columns of a data frame; None for what is none."""
+    if not isinstance(document, dict):
+        return None
+    schema, data = document.get("schema"), document.get("data")
+    fields, columns = (
+        part.get(key) if isinstance(part, dict) else None for part, key in ((schema, "fields"), (data, "values"))
+    )
+    return (fields, columns) if isinstance(fields, list) and isinstance(columns, list) else None
 
 
 def _pairs_within(document: Any) -> Iterator[Pairs]:
@@ -59,7 +70,7 @@ def _pairs_within(document: Any) -> Iterator[Pairs]:
     if isinstance(document, list) and document and all(map(_is_pair, document)):
         yield document
         return
-    holds = isinstance(document, list) or (isinstance(document, dict) and not _names_columns(document))
+    holds = isinstance(document, list) or not (_names_columns(document) or _frame_parts(document))
     for each in (document.values() if isinstance(document, dict) else document) if holds else ():
         if isinstance(each, dict | list):
             yield from _pairs_within(each)
@@ -104,11 +115,11 @@ def _text(cell: Any) -> str:
 
 def _frame(document: dict[str, Any]) -> dict[str, Any] | None:
     """A data frame as dashboards hand it out: the fields of its schema, and a list of values for each."""
-    schema, data = document.get("schema"), document.get("data")
-    if not isinstance(schema, dict) or not isinstance(data, dict):
+    parts, schema = _frame_parts(document), document.get("schema", {})
+    if parts is None:
         return None
-    fields, columns = schema.get("fields"), data.get("values")
-    if not isinstance(fields, list) or not isinstance(columns, list) or len(fields) != len(columns) or not columns:
+    fields, columns = parts
+    if len(fields) != len(columns) or not columns:
         return None
     if not all(isinstance(each, dict) and isinstance(each.get("name"), str) for each in fields):
         return None
@@ -116,6 +127,8 @@ def _frame(document: dict[str, Any]) -> dict[str, Any] | None:
         return None
     times = [at for at, field in enumerate(fields) if field.get("type") == "time"]
     times = times or [at for at, field in enumerate(fields) if field["name"].casefold() in TIME_NAMES]
+    # A temperature is called T, too.
+    times = [at for at in times if fields[at]["name"].casefold() != "t"] or times
     names = [_called(field) or field["name"] for field in fields]
     if len(fields) > 2 and len(set(names)) == len(names) and not any(map(_labels, fields)):
         about = {"name": schema["name"]} if isinstance(schema.get("name"), str) else {}
@@ -149,12 +162,15 @@ def _about(field: Mapping[str, Any], frame: Any) -> dict[str, Any]:
     name, labels = _called(field), _labels(field)
     if not isinstance(frame, str) or frame in ("", name):
         return with_reading(labels, {"name": name} if name else {})
-    return with_reading({"frame": frame, **labels}, {"name": name}) if name or labels else {"name": frame}
+    if not name and not labels:
+        return {"name": frame}
+    return with_reading({"frame": frame, **labels}, {"name": name} if name else {})
 
 
 def _labels(field: Mapping[str, Any]) -> dict[str, Any]:
     labels = field.get("labels")
-    return labels if isinstance(labels, dict) else {}
+    own = labels if isinstance(labels, dict) else {}
+    return {f"label.{key}" if key in ("time", "value") else key: each for key, each in own.items()}
 
 
 def with_reading(about: Mapping[str, Any], reading: Mapping[str, Any]) -> dict[str, Any]:
@@ -169,20 +185,35 @@ def spread_readings(row: dict[str, Any]) -> list[dict[str, Any]]:
     if len(lists) != 1:
         return [row]
     ((within, named),) = lists.items()
-    readings = [_plain(reading, named) for reading in row[within]]
     about = {name: each for name, each in row.items() if name != within}
-    if any("time" in reading for reading in readings):
+    own = _clock([about], alone=True)
+    clock = _clock(row[within], alone=not own)
+    readings = [_plain(reading, named, clock) for reading in row[within]]
+    if clock:
         # A clock of the row beside one of each reading says the same; it holds for a reading that has none.
-        about = _plain(about)
+        about = _plain(about, "name", own)
     return [with_reading(about, reading) for reading in readings]
 
 
-def _plain(row: Mapping[str, Any], named: str = "name") -> dict[str, Any]:
-    """A row whose only clock, only value and name are called `time`, `value` and `name`."""
-    new = {named: "name"}
-    for plain, names in (("time", TIME_NAMES), ("value", {"value", *VALUE_NAMES})):
-        own = [key for key in row if key.casefold() in names]
-        new |= dict.fromkeys(own, plain) if len(own) == 1 else {}
+def _clock(rows: Sequence[Mapping[str, Any]], *, alone: bool) -> str:
+    """The only key of rows that is called like a time and mostly tells one; "" for none.
+
+    T may be a temperature. Where it is `alone`, as nothing else may be the time, it may count from 0.
+    """
+    cells: dict[str, list[bool]] = {}
+    for row in rows:
+        for key in row:
+            if key.casefold() in TIME_NAMES:
+                cells.setdefault(key, []).append(tells_time(str(row[key])))
+    clocks = [key for key, told in cells.items() if 2 * sum(told) > len(told)] or list(cells) * alone
+    return clocks[0] if len(clocks) == 1 else ""
+
+
+def _plain(row: Mapping[str, Any], named: str, clock: str) -> dict[str, Any]:
+    """A row whose clock, only value and name are `time`, `value` and `name`; `tag.name` is a tag's other name."""
+    new = {clock: "time"} | ({} if named == "name" else {named: "name", "name": f"{named}.name"})
+    values = [key for key in row if key.casefold() in ("value", *VALUE_NAMES)]
+    new |= dict.fromkeys(values, "value") if len(values) == 1 else {}
     return {new.get(key, key): cell for key, cell in row.items()}
 
 
