@@ -171,12 +171,17 @@ def _surroundings_words(p: Params) -> str:
     return f"{'warmer' if p['rise'] > 0 else 'cooler'} surroundings since {moment_words(p['at'])}"
 
 
+def _grown(since: Array, over: float) -> Array:
+    """How far what grows by 1 each `over` s has grown; over 0 s it is there at once."""
+    return np.maximum(since, 0.0) / over if over > 0 else 1.0 * (since >= 0)
+
+
 def _drifting(p: Params, view: RecordView) -> Array:
     """rise k (t - at) / over from `at` on, k the model's own rate: so much warmer after `over` s, running or at rest.
 
     A sensor that drifts reads as much, but for what it drifts by within one time constant.
     """
-    return np.asarray(p["rise"] * view.rate * np.maximum(view.time - p["at"], 0.0) / p["over"])
+    return np.asarray(p["rise"] * view.rate * _grown(view.time - p["at"], p["over"]))
 
 
 def _drifting_words(p: Params) -> str:
@@ -190,7 +195,7 @@ def _less_cooling(effect: Effect, view: RecordView) -> tuple[Array, Array]:
     p = effect.params
     lost = np.zeros_like(view.time)
     for since in (view.time - p[name] for name in ("at", SECOND_MOMENT) if name in p):
-        lost += np.maximum(since, 0.0) / p["over"] if p["over"] > 0 else 1.0 * (since >= 0)
+        lost += _grown(since, p["over"])
     loss = np.asarray(-p["loss"] * lost * (view.running if p["turning"] else 1.0))
     return loss * p["sink"], loss
 

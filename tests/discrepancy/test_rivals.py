@@ -2,6 +2,8 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,6 +11,7 @@ from scipy.signal import lfilter
 
 from sim.artefacts.model_json import model_text, parse_model
 from sim.effects import CHANGES_AT_A_MOMENT, DRIFTING_SURROUNDINGS
+from sim.effects.rivals import _drifting
 from sim.engine.moment_equations import moments
 from sim.engine.open_loop_run import errors, open_loop
 from sim.engine.schedules import schedule
@@ -349,3 +352,9 @@ def test_a_sensor_that_lags_is_told_as_one() -> None:
     lag = Effect("sensor-lag", {"tau": 150.0, "order": 2.0})
     trace = simulated(random_model(2e-4, 400.0, 0.2, lag), 3, days=2)
     assert "sensor-lag" in named(diagnose(random_model(2e-4, 400.0, 0.2), [trace], seed=0).diagnosis)
+
+
+def test_what_grows_over_no_time_is_there_at_once() -> None:
+    view: Any = SimpleNamespace(rate=1e-3, time=np.array([0.0, 10.0, 20.0]))
+    heat = _drifting({"rise": 2.0, "at": 10.0, "over": 0.0}, view)
+    assert heat.tolist() == [0.0, 2e-3, 2e-3]
