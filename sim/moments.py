@@ -20,3 +20,9 @@ def exact_moment(time: float) -> str:
     whole, thousandths = divmod(round(time * 1000.0), 1000)
     parts = f".{thousandths:03d}" if thousandths else ""
     return f"{datetime.fromtimestamp(min(whole, END_OF_DATES_S - 1.0), UTC):%Y-%m-%d %H:%M:%S}{parts} UTC"
+
+
+def exact_moments(one: float, other: float) -> tuple[str, str]:
+    """Two different moments (absolute s) as `exact_moment` says them, or their numbers where that is the same text."""
+    said = exact_moment(one), exact_moment(other)
+    return said if said[0] != said[1] else (f"{one!r} s", f"{other!r} s")

@@ -6,6 +6,7 @@ import pytest
 
 from gateway.commission.files.recording import read_recording
 from sim.moments import exact_moment
+from sim.plc.program.replay import read_trace
 
 
 @pytest.mark.parametrize(
@@ -30,3 +31,18 @@ def test_a_recording_that_goes_back_says_from_when_to_when(tmp_path: Path) -> No
     path.write_text("time,T\n1743000005,1\n1743000004.5,1\n", "utf-8")
     with pytest.raises(ValueError, match=r"from 2025-03-26 14:40:05 UTC to 2025-03-26 14:40:04\.500 UTC; sort"):
         read_recording(path)
+
+
+@pytest.mark.parametrize(
+    ("rows", "said"),
+    [
+        (("10.0004", "10.0001"), r"from 10\.0004 s to 10\.0001 s; sort"),
+        (("1743000005.0003", "1743000005.0001"), r"from 1743000005\.0003 s to 1743000005\.0001 s; sort"),
+    ],
+)
+def test_moments_of_one_millisecond_are_told_apart(rows: tuple[str, str], said: str, tmp_path: Path) -> None:
+    path = tmp_path / "r.csv"
+    path.write_text("time,T\n" + "".join(f"{row},1\n" for row in rows), "utf-8")
+    for read in (read_recording, read_trace):
+        with pytest.raises(ValueError, match=said):
+            read(path)

@@ -2,7 +2,7 @@
 
 import asyncio
 import random
-from collections.abc import Awaitable, Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Iterable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
@@ -856,6 +856,7 @@ class ModbusDriver:
 
     async def _marks(self, marks: Sequence[PinnedMark], *, urgent: bool) -> tuple[str, list[tuple[int, int]]]:
         unit, heard, proofs = self._settings.unit, dict[str, str](), list[tuple[int, int]]()
+        names = {mark.name for mark in marks}
         said: str | tuple[int, ...] | None
         async with self._lock:
             for mark in marks:
@@ -865,7 +866,7 @@ class ModbusDriver:
                         said = mark.found((await self._request_identity(request, proofs, urgent=urgent)).words)
                     else:
                         if mark.name not in heard:
-                            await self._hear(mark, heard, proofs, urgent=urgent)
+                            await self._hear(mark, names, heard, proofs, urgent=urgent)
                         said = heard.get(mark.name)
                 except DeviceException as error:
                     if error.code not in _SAYS_NOTHING:
@@ -876,14 +877,23 @@ class ModbusDriver:
         return "", proofs
 
     async def _hear(
-        self, mark: PinnedMark, heard: dict[str, str], proofs: list[tuple[int, int]], *, urgent: bool
+        self,
+        mark: PinnedMark,
+        names: Set[str],
+        heard: dict[str, str],
+        proofs: list[tuple[int, int]],
+        *,
+        urgent: bool,
     ) -> None:
-        """Ask for the objects of an identification (function 43) up to the one that is wanted."""
+        """Ask for the objects of an identification (function 43) up to the one that is wanted; keep those of `names`.
+
+        Of the others a device may say another thing each time, such as how long it has been on.
+        """
         after = 0
         for _ in range(MOST_PARTS):
             request = object_request(self._settings.unit, after, mark.object)
             part, after = identification((await self._request_identity(request, proofs, urgent=urgent)).words)
-            take_part(heard, part)
+            take_part(heard, {name: text for name, text in part.items() if name in names})
             if not after or mark.name in heard:
                 return
 

@@ -18,6 +18,7 @@ from drivers.modbus.address import Area, locate
 from drivers.modbus.driver import ModbusDriver, make_modbus
 from drivers.modbus.identity import (
     MOST_PARTS,
+    OBJECTS,
     identification,
     object_request,
     server_id_request,
@@ -107,7 +108,8 @@ class ModbusSurvey:
             regular = dict[str, str]()
             with suppress(DriverError):
                 regular = await self._objects(_REGULAR_OBJECT_ID, unit)
-            take_part(said, {name: text for name, text in regular.items() if text})
+            # Some give their own objects with them, such as how long they have been on: another one each time.
+            take_part(said, {name: text for name, text in regular.items() if text and name in OBJECTS})
         return said
 
     async def _objects(self, wanted: int, unit: int | None) -> dict[str, str]:

@@ -26,10 +26,12 @@ _ASC_BASE = re.compile(r"\s*base\s+(?:hex|dec)\s+timestamps\s+relative\b", re.IG
 _ASC_TIME = re.compile(r"(\s*)(\d+\.\d+)(?=\s)")
 _BUSMASTER = re.compile(
     r"(?P<h>\d{1,6}):(?P<m>\d{1,2}):(?P<s>\d{1,2}):(?P<part>\d{1,4})\s+[RT]x\s+(?P<bus>\d+)\s+(?P<id>(?:0x)?[0-9A-Fa-f]+)\s+"
-    r"(?P<kind>[sx]r?)\s+(?P<size>\d+)\s*(?P<data>.*)"
+    r"(?P<kind>[sx]r?)\s+(?P<size>\d{1,4})\s*(?P<data>.*)"
 )
 _SESSION_BEGINS = ("***BUSMASTER", "***[START LOGGING SESSION]", "***START DATE AND TIME")
-_START = re.compile(r"\*\*\*START DATE AND TIME (\d{1,2}):(\d{1,2}):(\d{4}) (\d{1,2}):(\d{1,2}):(\d{1,2})\b")
+_START = re.compile(
+    r"\*\*\*START DATE AND TIME (\d{1,2}):(\d{1,2}):(\d{4}) (\d{1,2}):(\d{1,2}):(\d{1,2})(?::(\d{1,3}))?\b"
+)
 _MODE = re.compile(r"\*\*\*(SYSTEM|ABSOLUTE|RELATIVE) MODE\*\*\*")
 _BASE = re.compile(r"\*\*\*(HEX|DEC)\*\*\*")
 GVRET_HEADER = "Time Stamp,ID,Extended,"
@@ -103,6 +105,8 @@ class _Busmaster:
         self._session, self._begun = 0, False
         # Seconds: where a session begins, its newest time, and of relative times their sum.
         self._offset, self._newest, self._total = 0.0, -math.inf, 0.0
+        # Seconds of its day at which it began, where it says it.
+        self._began_s = 0.0
         for line in takewhile(lambda line: _BUSMASTER.match(line.strip()) is None, head):
             self._take_header(line.strip())
 
@@ -133,8 +137,11 @@ class _Busmaster:
         if not record:
             return line + "\n"
         if self._mode == "SYSTEM":
-            days = math.ceil((self._newest - _LONGEST_STEP_BACK_S - time) / _DAY_S) if self._newest > -math.inf else 0
-            time += _DAY_S * days
+            first = self._newest == -math.inf
+            before = self._began_s if first else self._newest
+            days = math.ceil((before - _LONGEST_STEP_BACK_S - time) / _DAY_S)
+            # No session has a frame of the day before it began.
+            time += _DAY_S * (max(days, 0) if first else days)
             self._newest = max(self._newest, time)
         return f"({(self._offset + (self._total if self._mode == 'RELATIVE' else time)):.6f}) {record}\n"
 
@@ -142,9 +149,9 @@ class _Busmaster:
         if line.startswith(_SESSION_BEGINS) and self._begun:
             self._session, self._begun, self._start = self._session + 1, False, None
         if match := _START.match(line):
-            day, month, year, hour, minute, second = map(int, match.groups())
+            day, month, year, hour, minute, second, millisecond = map(int, match.groups("0"))
             try:
-                self._start = dt.datetime(year, month, day, hour, minute, second, tzinfo=dt.UTC)
+                self._start = dt.datetime(year, month, day, hour, minute, second, 1000 * millisecond, dt.UTC)
             except ValueError:
                 self._start = None
         elif match := _MODE.match(line):
@@ -154,10 +161,11 @@ class _Busmaster:
 
     def _begin(self) -> None:
         """The first record of a session: what its times count from."""
-        self._begun, self._total, self._newest, self._offset = True, 0.0, -math.inf, 0.0
-        zero = self._start
-        if zero is not None and self._mode == "SYSTEM":
-            zero = zero.replace(hour=0, minute=0, second=0)
+        self._begun, self._total, self._newest, self._offset, self._began_s = True, 0.0, -math.inf, 0.0, 0.0
+        start = zero = self._start
+        if start is not None and self._mode == "SYSTEM":
+            zero = start.replace(hour=0, minute=0, second=0, microsecond=0)
+            self._began_s = (start - zero).total_seconds()
         if not self._session:
             self._origin = zero
         if zero is not None and self._origin is not None:

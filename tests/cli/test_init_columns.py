@@ -122,6 +122,10 @@ def test_a_column_that_was_renamed_takes_its_tag_away_from_the_one_that_is_calle
     done = decanter(*words, "--trace", trace, "--rename", "Pumpe EIN=Motor_EIN")
     assert done.exit_code == 0, done.output
     assert load_map(tmp_path / "p" / "columns.toml").signal_names("Motor_EIN")[0] == "Pumpe EIN"
+    # A column that the trace does not have takes nothing away.
+    done = decanter(*words, "--overwrite", "--trace", trace, "--rename", "Pumpe_EIN=Motor_EIN")
+    assert done.exit_code == 0, done.output
+    assert load_map(tmp_path / "p" / "columns.toml").signal_names("Motor_EIN")[0] == "Motor EIN"
     # Where none of them is a tag the way out is said.
     trace.write_text("\n".join([header % "Band EIN", *rows]) + "\n", "utf-8")
     refused(decanter(*words, "--overwrite", "--trace", trace), 2, "--rename 'Pumpe EIN'=TAG or --rename 'Band EIN'=TAG")

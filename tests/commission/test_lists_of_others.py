@@ -518,6 +518,7 @@ def test_types_are_read_in_the_words_of_esphome(cell: str, dtype: str, order: st
         ("(0 - 1.234,5) kW", (0.0, 1234.5)), ("0..150.", (0.0, 150.0)), ("0-150%", (0.0, 150.0)),
         ("0 to 3.4E+7", (0.0, 3.4e7)), ("0 - 1e6", (0.0, 1e6)), ("-1,5E-3..1,5e-3 m/s", (-0.0015, 0.0015)),
         ("0..1 eV", (0.0, 1.0)), ("0..100 x", (0.0, 100.0)), ("0..150 m3/h", (0.0, 150.0)),
+        ("0..10 (bar)", (0.0, 10.0)), ("0..10 (m3/h)", (0.0, 10.0)), ("-20..-5 °C", (-20.0, -5.0)),
     ],
 )  # fmt: skip
 def test_a_range_keeps_the_decimals_of_its_upper_end(cell: str, ends: tuple[float, float], tmp_path: Path) -> None:
@@ -532,6 +533,8 @@ def test_a_range_keeps_the_decimals_of_its_upper_end(cell: str, ends: tuple[floa
         ("Raw Low;Raw High;Max", "0;27648;150", "both ends of the range in units"),
         ("Raw Low;Min;Max", "4000;0;150", "both ends of the range in units"),
         *(("Range", cell, "no range") for cell in ("1-2-3", "0..100 to 5", "0..5/10", "0..3.4 x 10^38", "0..10^6")),
+        *(("Range", cell, "no range") for cell in ("0..10**6", "0..10 (x10^3)", "0..5 to -3", "0..100 .. -20")),
+        *(("Range", cell, "no range") for cell in ("1 - 2 - -3", "0..10 [* 1000]", "0..10 e -6")),
         ("Range", "0..10⁶", "no range"), ("Range", "0 to 1e600", "no range"), ("Range", "150", "no range"),
         ("Span", "±50", "no range"), ("Raw Range;Range", "0..27648;0..150", "raw_low="),
     ],

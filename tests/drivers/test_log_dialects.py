@@ -117,6 +117,36 @@ def test_sessions_of_one_file_keep_their_distance(mode: str, times: list[float],
     assert found == pytest.approx(times) and not log.problem
 
 
+@pytest.mark.parametrize(
+    ("mode", "sessions", "times"),
+    [
+        (  # it begins just before midnight, and its first frame is of the next day
+            "SYSTEM",
+            (("12:0:0:0", "12:00:00:0000"), ("23:59:59:900", "00:00:00:1000", "00:00:01:0000")),
+            [43200.0, 86400.1, 86401.0],
+        ),
+        ("SYSTEM", (("23:59:59:900", "00:00:00:1000", "23:59:59:9995"),), [86400.1, 86399.9995]),
+        ("SYSTEM", (("0:30:0:0", "23:30:00:0000", "23:31:00:0000"),), [84600.0, 84660.0]),  # none of the day before
+        ("SYSTEM", (("20:0:0:950", "20:00:00:9000"),), [72000.9]),
+        ("RELATIVE", (("12:0:0:950", "00:00:00:0000"), ("12:0:2:0", "00:00:00:0000")), [0.0, 1.05]),
+        ("ABSOLUTE", (("12:0:0:950", "00:00:01:0000"), ("12:0:2:5", "00:00:01:0000")), [1.0, 2.055]),
+    ],
+)
+def test_a_session_counts_from_the_moment_at_which_it_began(
+    mode: str, sessions: tuple[tuple[str, ...], ...], times: list[float], tmp_path: Path
+) -> None:
+    began, at = STARTS
+    lines = [line for start, *frames in sessions for line in (began, at.format(f"1:9:2014 {start}"), *frames)]
+    found, log = busmaster_times(tmp_path, mode, *lines)
+    assert found == pytest.approx(times, abs=1e-6) and not log.problem
+
+
+def test_a_line_with_a_size_of_thousands_of_digits_is_no_frame(tmp_path: Path) -> None:
+    rows = f"00:00:00:0000 Rx 1 123 x {'8' * 5000} F0\n00:00:01:0000 Rx 1 123 s 1 01\n"
+    frames, log = read(tmp_path, "a.log", BUSMASTER.format(base="HEX", mode="SYSTEM") + rows)
+    assert [frame.time for frame in frames] == [1.0] and log.counts["refused"] == 1
+
+
 @pytest.mark.parametrize("said", [(False, True), (True, False), (False, False)], ids=str)
 def test_a_second_session_of_which_nobody_knows_when_it_was_is_refused(said: tuple[bool, bool], tmp_path: Path) -> None:
     began, at = STARTS

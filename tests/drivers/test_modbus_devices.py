@@ -308,6 +308,29 @@ async def test_who_says_a_thing_in_two_ways_over_two_replies_has_not_said_it() -
                 await survey.identity()
 
 
+async def test_an_object_that_is_not_pinned_may_be_told_anew_each_time() -> None:
+    class Telling(Device):
+        """It has an object with how long it has been on, and says its last object in a second part."""
+
+        def answer(self, pdu: bytes) -> bytes | None:
+            if pdu[0] != 43:
+                return super().answer(pdu)
+            self.asked.append((43,))
+            if pdu[3]:
+                return identification_of((131, b"Rack 2"))
+            said = identification_of((0, b"Maker"), (128, b"%d s" % len(self.asked)), (130, b"SN-0001"), count=3)
+            return said[:4] + bytes((0xFF, 131)) + said[6:]
+
+    pinned = {"object 130": "SN-0001", "object 131": "Rack 2"}
+    async with plugged(Telling(), identity=pinned) as (plug, driver):
+        samples = await driver.read(TAGS)
+        assert good(samples), samples[0].reason
+        where = {"host": "127.0.0.1", "port": plug.open[0].get_extra_info("sockname")[1], **SOON}
+        async with open_survey(where, clock=asyncio.get_running_loop().time) as survey:
+            said = await survey.identity()
+            assert said["vendor"] == "Maker" and said["object 131"] == "Rack 2"
+
+
 async def test_a_pinned_device_is_asked_again_where_a_gateway_says_that_it_gave_no_reply() -> None:
     async with plugged(Device(), identity={"holding:40-47": "SN-0001"}) as (plug, driver):
         assert good(await driver.read(TAGS))

@@ -96,6 +96,14 @@ def a_few(column: np.ndarray) -> np.ndarray:
     return column
 
 
+def strays_at_rest(column: np.ndarray) -> np.ndarray:
+    """Of a sensor that is rounded to 1 degC: all leaps back end at one reading, and the first is not leapt to."""
+    column = np.round(column)
+    rest = np.flatnonzero(column == 20.0)
+    column[rest[np.linspace(0, rest.size - 1, 12).astype(int)]] = -127.0
+    return column
+
+
 def cold_room() -> Trace:
     """It cools while it runs, and its suction pressure is lower then."""
     whole = record()
@@ -161,6 +169,7 @@ CASES: dict[str, tuple[Callable[[], ModelVerdict], str, str]] = {
         "of them -127: a code for no",
     ),
     "a few stray readings": (lambda: judged(spoiled(a_few)), "fit", ""),
+    "a few stray readings of a rounded sensor at rest": (lambda: judged(spoiled(strays_at_rest)), "fit", ""),
     "a switch upside down": (lambda: judged(spoiled(lambda on: 1.0 - on, RUNNING)), "unfit", "is upside down"),
     "the same without a load": (
         lambda: judged(spoiled(lambda on: 1.0 - on, RUNNING), switch_alone()),

@@ -4,7 +4,7 @@ import re
 import sys
 import unicodedata
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import accumulate
 from pathlib import Path
@@ -243,7 +243,7 @@ def _column_map(
             break
         except Undecided as open_point:
             # Which temperature the model is to predict was said already.
-            choices = _named_columns(open_point.choices, known, rename)
+            choices = _named_columns(open_point.choices, known, _of_columns(rename, open_point.columns))
             mine = [choice for choice in open_point.choices if choices.get(choice) == temperature]
             if open_point.field == "temperature" and len(mine) == 1 and not answers.temperature:
                 answers = answers.with_answer("temperature", mine[0])
@@ -269,7 +269,7 @@ def _column_map(
             ) from None
     drafted = parse_map(first.text, str(trace))
     units = {drafted.signal_names(name)[0]: signal.unit for name, signal in drafted.signals.items()}
-    names = {header: tag for header, tag in _named_columns(list(units), known, rename).items() if header in units}
+    names = _named_columns(list(units), known, _of_columns(rename, units))
     if temperature in names.values():
         answers = answers.with_answer("temperature", temperature)
     else:
@@ -351,6 +351,11 @@ def _named_columns(headers: Sequence[str], tags: Sequence[str], rename: Mapping[
     """header -> tag: those of `rename`, and of what these leave over those that are called alike."""
     left = [header for header in headers if header not in rename]
     return match_columns(left, [tag for tag in tags if tag not in rename.values()]) | dict(rename)
+
+
+def _of_columns(rename: Mapping[str, str], columns: Iterable[str]) -> dict[str, str]:
+    """What `rename` says of columns that are there: one that is not must not keep its tag from another."""
+    return {header: rename[header] for header in columns if header in rename}
 
 
 def match_columns(headers: Sequence[str], tags: Sequence[str]) -> dict[str, str]:

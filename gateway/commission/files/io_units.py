@@ -47,7 +47,7 @@ _UNITS = {
 }
 _EXPONENT = r"(?:e[-+−]?\d+)?"
 _TO = r"(?:\.\.\.?|…|~|to|bis|÷|/|;|-|–|—|a)"
-_GOES_ON = rf"(?:{_TO}|[.,:'+−*^x×·]|e[-+−]?)\s*\d|[⁰¹²³⁴⁵⁶⁷⁸⁹⁻⁺]"
+_GOES_ON = rf"(?:[(\[]\s*)?(?:{_TO}|\*\*|[.,:'+−*^x×·]|e)\s*[-+−]?\s*\d|[⁰¹²³⁴⁵⁶⁷⁸⁹⁻⁺]"
 """What stands behind a range's upper end where that, or the range, goes on."""
 _RANGE = re.compile(
     rf"[(\[]?\s*(?P<low>[-+−]?\d[\d.,']*?{_EXPONENT})\s*{_TO}\s*(?P<high>[-+−]?\d+(?:[.,']\d+)*{_EXPONENT})"

@@ -11,7 +11,7 @@ from drivers.named_files import name_write_errors, regular
 from drivers.tag import Sample, Tag
 from gateway.commission.files.cells import ListError
 from gateway.store import SQLITE_HEADER
-from sim.moments import exact_moment
+from sim.moments import exact_moments
 
 _WORDS = {"": math.nan, "nan": math.nan, "true": 1.0, "false": 0.0}
 
@@ -77,7 +77,7 @@ def _from_csv(path: Path, start: float, end: float) -> SiteRecording:
                 raise ListError(f"{where}: has {len(cells)} cells for {len(names) + 1} columns; give one a column")
             moment = _time(where, cells[0])
             if times and moment < times[-1]:
-                before, then = exact_moment(times[-1]), exact_moment(moment)
+                before, then = exact_moments(times[-1], moment)
                 raise ListError(f"{where}: the time goes back from {before} to {then}; sort the rows by time")
             if start <= moment <= end:
                 times.append(moment)

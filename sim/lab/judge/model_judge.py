@@ -232,17 +232,26 @@ def _readings_are_readings(case: LearnedCase) -> Said:
 
 def _leapt_to(columns: Sequence[tuple[Array, Array]]) -> list[float]:
     """The values (degC) that several leaps end at, and fewer steps as heat makes them."""
-    leaps, steps = Counter[float](), [np.zeros(0)]
+    leaps, steps, readings = [np.zeros((2, 0))], [np.zeros(0)], [np.zeros(0)]
     for times, column in columns:
         step, near = np.abs(np.diff(column)), np.diff(times) <= CODE_WINDOW_S / 4
-        leaps.update(column[1:][near & (step > CODE_DISTANCE_DEGC)].tolist())
+        leaps.append(np.stack((column[:-1], column[1:]))[:, near & (step > CODE_DISTANCE_DEGC)])
         steps.append(column[1:][near & (step > 0.0) & (step <= HEAT_STEP_DEGC)])
-    gentle = np.sort(np.concatenate(steps))
-    found = list[float]()
-    for value, count in leaps.items():
-        begin, end = np.searchsorted(gentle, (value - MIN_NOISE_DEGC, value + MIN_NOISE_DEGC))
-        if count >= MIN_LEAPS and count > end - begin:
-            found.append(value)
+        readings.append(column)
+    values, ends = np.unique(np.concatenate(leaps, axis=1), return_inverse=True)
+    ends = ends.reshape(2, -1)
+    low, high = np.searchsorted(np.sort(np.concatenate(steps)), (values - MIN_NOISE_DEGC, values + MIN_NOISE_DEGC))
+    found, middle = list[float](), float(np.median(np.concatenate(readings))) if ends.size else 0.0
+    while ends.size:
+        arrived = np.bincount(ends[1], minlength=values.size)
+        codes = np.flatnonzero((arrived >= MIN_LEAPS) & (arrived > high - low))
+        if not codes.size:
+            break
+        # There are as many leaps back as to a code, and a rounded sensor's all end at one reading: that is no code.
+        whole = np.bincount(ends.ravel(), minlength=values.size)
+        code = max(codes.tolist(), key=lambda at: (whole[at], abs(values[at] - middle)))
+        found.append(float(values[code]))
+        ends = ends[:, (ends != code).all(axis=0)]
     return found
 
 

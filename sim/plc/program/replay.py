@@ -16,7 +16,7 @@ from pathlib import Path
 from statistics import median
 
 from drivers.csv_rows import CsvRowError, numbered_rows
-from sim.moments import exact_moment
+from sim.moments import exact_moments
 from sim.plc.program.checks import InputError, list_words, read_text
 
 _WORDS = {"": math.nan, "nan": math.nan, "true": 1.0, "false": 0.0}
@@ -119,7 +119,7 @@ def read_trace(path: Path) -> TraceTable:
         if math.isnan(moment):
             raise InputError(f"{where}: column 'time': is empty; give seconds")
         if times and moment < times[-1]:
-            before, then = exact_moment(times[-1]), exact_moment(moment)
+            before, then = exact_moments(times[-1], moment)
             raise InputError(f"{where}: column 'time': goes back from {before} to {then}; sort the rows by time")
         times.append(moment)
         for index, cell in enumerate(cells[1:]):

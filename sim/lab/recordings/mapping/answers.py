@@ -57,8 +57,10 @@ _OF_SHELLS = frozenset(" ()[]{}<>|&;*?$#!~`'")
 class Undecided(TraceError):
     """More than one reading fits: `question`, the `choices`, the option that decides, and a `guess` ("": none).
 
-    `seen` is what the readings of each choice show.
+    `seen` is what the readings of each choice show; `columns` are the headers of all columns, (): not known yet.
     """
+
+    columns: tuple[str, ...] = ()
 
     def __init__(
         self,

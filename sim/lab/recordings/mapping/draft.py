@@ -29,7 +29,7 @@ from sim.lab.recordings import (
     wall_zone,
     zone_problem,
 )
-from sim.lab.recordings.mapping.answers import Answers
+from sim.lab.recordings.mapping.answers import Answers, Undecided
 from sim.lab.recordings.mapping.clocks import FoundClock
 from sim.lab.recordings.mapping.columns import FoundColumn, describe_column, find_decimal, find_points
 from sim.lab.recordings.mapping.decide import (
@@ -160,7 +160,11 @@ def draft_map(path: Path, answers: Answers, names: Mapping[str, str] | None = No
     columns = [replace(column, name=names.get(column.header, column.name)) for column in columns]
     columns = with_words(path, _number_equal_names(columns), own, answers)
     columns = with_units(path, columns, answers, table.header[clock.place])
-    parts = choose_parts(path, columns, answers)
+    try:
+        parts = choose_parts(path, columns, answers)
+    except Undecided as open_point:
+        open_point.columns = tuple(column.header for column in columns)
+        raise
     columns = _without_unclear(path, columns, parts, marks, answers)
     check_temperature(path, columns, parts.temperature, answers)
     stored = find_storage(table, columns, own, parts.temperature, answers)
