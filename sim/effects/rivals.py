@@ -173,7 +173,7 @@ def _surroundings_words(p: Params) -> str:
 
 def _grown(since: Array, over: float) -> Array:
     """How far what grows by 1 each `over` s has grown; over 0 s it is there at once."""
-    return np.maximum(since, 0.0) / over if over > 0 else 1.0 * (since >= 0)
+    return np.asarray(np.maximum(since, 0.0) / over if over > 0 else since >= 0, dtype=float)
 
 
 def _drifting(p: Params, view: RecordView) -> Array:
