@@ -239,8 +239,12 @@ def test_elapsed_pairs_are_read_where_only_the_reading_falls() -> None:
 def test_a_field_of_a_reading_is_no_time_by_its_name_alone() -> None:
     row = {"time": "2024-01-01T00:00:00Z", "readings": [{"name": "m1", "T": "61.2", "value": "3"}]}
     assert spread_readings(row) == [{"time": row["time"], "name": "m1", "T": "61.2", "value": "3"}]
+    blank = {"time": row["time"], "readings": [{"name": "m1", "": "61.2", "value": "3"}]}
+    assert spread_readings(blank) == [{"time": row["time"], "name": "m1", "": "61.2", "value": "3"}]
     alone = {"readings": [{"name": "m1", "t": "0", "value": "3"}]}
     assert spread_readings(alone) == [{"name": "m1", "time": "0", "value": "3"}]
+    both = {"readings": [{"name": "m1", "ts": row["time"], "time": "7", "value": "3"}]}
+    assert spread_readings(both) == [{"name": "m1", "time": row["time"], "ts.time": "7", "value": "3"}]
     dated = {"time": row["time"], "readings": [{"name": "m1", "t": "2024-01-01T00:00:01Z", "value": "3"}]}
     assert spread_readings(dated) == [{"time": "2024-01-01T00:00:01Z", "name": "m1", "value": "3"}]
 

@@ -211,7 +211,8 @@ def _clock(rows: Sequence[Mapping[str, Any]], *, alone: bool) -> str:
 
 def _plain(row: Mapping[str, Any], named: str, clock: str) -> dict[str, Any]:
     """A row whose clock, only value and name are `time`, `value` and `name`; `tag.name` is a tag's other name."""
-    new = {clock: "time"} | ({} if named == "name" else {named: "name", "name": f"{named}.name"})
+    new = {} if clock in ("", "time") else {clock: "time", "time": f"{clock}.time"}
+    new |= {} if named == "name" else {named: "name", "name": f"{named}.name"}
     values = [key for key in row if key.casefold() in ("value", *VALUE_NAMES)]
     new |= dict.fromkeys(values, "value") if len(values) == 1 else {}
     return {new.get(key, key): cell for key, cell in row.items()}
