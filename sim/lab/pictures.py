@@ -12,6 +12,7 @@ from textwrap import shorten
 from typing import TYPE_CHECKING
 
 import numpy as np
+import numpy.typing as npt
 
 from drivers.named_files import name_write_errors
 from sim.sha import DEFAULT_UNIT, UNKNOWN, Array, Event, display_unit
@@ -20,7 +21,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-
+Pixels = npt.NDArray[np.uint8]
+DPI = 110
 PICTURE_SUFFIXES = (".png", ".pdf", ".svg")
 
 
@@ -35,9 +37,30 @@ def blank_figure(width: float, height: float) -> Figure:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(width, height), layout="constrained")
+    figure = Figure(figsize=(width, height), dpi=DPI, layout="constrained")
     FigureCanvasAgg(figure)
     return figure
+
+
+def lay_out(figure: Figure) -> None:
+    """Lay a figure out once, and not again for every time that it is drawn, which would take half of a picture's
+    time."""
+    engine = figure.get_layout_engine()
+    if figure.axes and engine is not None:
+        engine.execute(figure)
+    figure.set_layout_engine(None)
+
+
+def draw_pixels(figure: Figure) -> Pixels:
+    """(height, width, 4) a figure as red, green, blue and opacity, at its own resolution."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    canvas = FigureCanvasAgg(figure)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph")  # a letter that the font lacks is shown as a box
+        lay_out(figure)
+        canvas.draw()  # type: ignore[no-untyped-call]
+    return np.array(canvas.buffer_rgba())  # type: ignore[no-untyped-call]
 
 
 def write_picture(figure: Figure, path: Path) -> Path:
@@ -59,7 +82,7 @@ def save_picture(figure: Figure, target: Path | StringIO, form: str) -> None:
     """Write a figure in the form `png`, `pdf` or `svg`. Raises OSError."""
     with name_write_errors(target if isinstance(target, Path) else "the picture"), warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Glyph")  # a letter that the font lacks is shown as a box
-        figure.savefig(target, format=form, dpi=110, metadata={"Date": None} if form == "svg" else None)
+        figure.savefig(target, format=form, dpi=DPI, metadata={"Date": None} if form == "svg" else None)
 
 
 MEASURED, PREDICTED, OPEN_LOOP, AHEAD, ALARM = "#555555", "#1f6fb4", "#c65d1e", "#2a8c6a", "#b3261e"
@@ -140,11 +163,7 @@ def draw(picture: Picture, path: Path, *also: Path) -> Path:
         figure.supxlabel(note, fontsize=9, color=MEASURED, x=0.01, ha="left", parse_math=False)
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Glyph")  # a letter that the font lacks is shown as a box
-        # Laid out once, and not again for every file, which would take half of a picture's time.
-        engine = figure.get_layout_engine()
-        if engine is not None:
-            engine.execute(figure)
-        figure.set_layout_engine(None)
+        lay_out(figure)
         for file in (path, *also):
             _save(figure, file)
     return path
@@ -156,7 +175,7 @@ def _save(figure: Figure, file: Path) -> None:
     part = file.with_name(f".{file.name}.part")
     try:
         with name_write_errors(file):
-            figure.savefig(part, dpi=110, format=file.suffix[1:].lower())
+            figure.savefig(part, dpi=DPI, format=file.suffix[1:].lower())
         part.replace(file)
     finally:
         part.unlink(missing_ok=True)

@@ -11,6 +11,7 @@ from typing import Any, get_args
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
+from matplotlib.image import imread
 
 from gateway.console import Rows
 from gateway.lab.gap.diagnose import DiagnosisResult, show
@@ -337,6 +338,16 @@ def test_pictures_are_drawn_of_what_there_is(drawn: dict[Verdict, dict[str, Path
     assert drawn["too-little-data"] == {}
     files = [path.read_bytes() for verdict in ("named", "agree") for path in drawn[verdict].values()]
     assert all(content.startswith(b"\x89PNG") and len(content) > 8_000 for content in files)
+
+
+def test_the_sheet_is_the_pictures_themselves_one_below_the_other(drawn: dict[Verdict, dict[str, Path]]) -> None:
+    pixels = {name: imread(path) for name, path in drawn["named"].items()}
+    sheet, below = pixels.pop(SHEET), 0
+    for each in pixels.values():
+        height, width = each.shape[:2]
+        found = (row for row in range(below, len(sheet) - height + 1) if (sheet[row, :width] == each[0]).all())
+        below = next(row for row in found if (sheet[row : row + height, :width] == each).all()) + height
+    assert below <= len(sheet)
 
 
 def test_the_missing_heat_comes_first_then_sentence_place_names_and_shrinking() -> None:

@@ -5,8 +5,7 @@ What is missing over time comes first, before any name; then where the heat is, 
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from textwrap import wrap
@@ -25,7 +24,7 @@ from sim.lab.discrepancy import (
     MissingHeat,
     heat_map,
 )
-from sim.lab.pictures import blank_figure
+from sim.lab.pictures import DPI, Pixels, blank_figure, draw_pixels
 from sim.sha import DEFAULT_UNIT, Array, display_unit
 
 if TYPE_CHECKING:
@@ -44,8 +43,9 @@ MAX_ANNOTATED_CELLS = 160
 """Cells of a map at most in which the number stands too."""
 MAX_NAME_CHARS = 28
 """Characters of a location's name on an axis."""
-DPI = 110
-LINE_CHARS = 125
+SHEET_WIDTH, MISSING_HEIGHT = 11.0, 3.6
+"""Inches of the sheet, and of the picture of what is missing."""
+LINE_CHARS = 118
 """Of a line of the sentence on the sheet."""
 BREAK_S, BREAK_STEPS = 1800.0, 10.0
 """Seconds without a window, and steps of the usual length, from which a curve over time is broken."""
@@ -55,36 +55,33 @@ OUTLIER_SHARE = 0.005
 
 def draw(diagnosis: Diagnosis, title: str, folder: Path) -> dict[str, Path]:
     """Draw what the diagnosis has to show into `folder`; gives the files by their names. Raises OSError."""
+    from matplotlib.image import imsave
+
     course, held_out = _to_show(diagnosis)
     heat = None if course is None else heat_map(course)
     shown = [] if course is None else cycles_to_show(course)
     labels = [] if course is None else held_out_cycles(course)
-    jobs: list[tuple[str, Figure]] = []
+    figures: dict[str, Figure] = {}
     unit = diagnosis.unit
     if diagnosis.missing_heat is not None:
-        figure = blank_figure(11.0, MISSING_HEIGHT)
+        figures[MISSING] = figure = blank_figure(SHEET_WIDTH, MISSING_HEIGHT)
         draw_missing_heat(figure.subplots(), diagnosis.missing_heat, diagnosis.began, unit)
-        jobs.append((MISSING, figure))
     if heat is not None:
-        figure = blank_figure(11.0 if heat.after is not None else 8.0, _map_height(heat))
+        figures[WHERE] = figure = blank_figure(SHEET_WIDTH if heat.after is not None else 8.0, _map_height(heat))
         draw_heat_maps(figure, heat, unit)
-        jobs.append((WHERE, figure))
     if course is not None and shown:
-        figure = blank_figure(11.0, 4.6)
+        figures[CYCLES] = figure = blank_figure(SHEET_WIDTH, 4.6)
         draw_cycles(figure, course, shown, held_out, unit)
-        jobs.append((CYCLES, figure))
     if held_out is not None and held_out.per_cycle:
-        figure = blank_figure(8.0, 3.2)
+        figures[ERRORS] = figure = blank_figure(8.0, 3.2)
         draw_errors(figure.subplots(), held_out, labels, unit)
-        jobs.append((ERRORS, figure))
-    if len(jobs) > 1:
-        jobs.append((SHEET, _sheet(diagnosis, title, heat, shown)))
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "Glyph")  # a letter that the font lacks is shown as a box
-        for name, figure in jobs:
-            with name_write_errors(folder / name):
-                figure.savefig(folder / name, dpi=DPI)
-    return {name: folder / name for name, _ in jobs}
+    drawn = {name: draw_pixels(figure) for name, figure in figures.items()}
+    if len(drawn) > 1:
+        drawn[SHEET] = _sheet(title, diagnosis.sentence, drawn)
+    for name, pixels in drawn.items():
+        with name_write_errors(folder / name):
+            imsave(folder / name, pixels, dpi=DPI)
+    return {name: folder / name for name in drawn}
 
 
 def _to_show(diagnosis: Diagnosis) -> tuple[DiagnosisCourse | None, HeldOutProof | None]:
@@ -100,36 +97,25 @@ def _to_show(diagnosis: Diagnosis) -> tuple[DiagnosisCourse | None, HeldOutProof
     return course, held_out
 
 
-def _sheet(diagnosis: Diagnosis, title: str, heat: HeatMap | None, shown: Sequence[int]) -> Figure:
+def _sheet(title: str, sentence: str, drawn: Mapping[str, Pixels]) -> Pixels:
     """All of it on one sheet: what is missing over time, the sentence, and the rest."""
-    course, held_out = _to_show(diagnosis)
-    errors = held_out is not None and bool(held_out.per_cycle)
-    missing = diagnosis.missing_heat
-    sentence = "\n".join(wrap(diagnosis.sentence, LINE_CHARS))
-    heights = [MISSING_HEIGHT] if missing is not None else []
-    heights += [0.2 + 0.2 * (sentence.count("\n") + 1)]
-    heights += [_map_height(heat)] if heat else []
-    heights += [4.6] if course is not None and shown else []
-    heights += [3.2] if errors else []
-    figure = blank_figure(11.5, sum(heights) + 0.4)
-    parts = iter(figure.subfigures(len(heights), 1, squeeze=False, height_ratios=heights)[:, 0])
-    if missing is not None:
-        draw_missing_heat(next(parts).subplots(), missing, diagnosis.began, diagnosis.unit)
-    next(parts).text(0.01, 0.5, sentence, fontsize=12, va="center", ha="left", parse_math=False)
-    if heat is not None:
-        draw_heat_maps(next(parts), heat, diagnosis.unit)
-    if course is not None and shown:
-        draw_cycles(next(parts), course, shown, held_out, diagnosis.unit)
-    if held_out is not None and errors:
-        cycles = [] if course is None else held_out_cycles(course)
-        draw_errors(next(parts).subplots(), held_out, cycles, diagnosis.unit)
-    figure.suptitle(title, fontsize=13, x=0.01, ha="left", parse_math=False)
-    return figure
+    lines = wrap(sentence, LINE_CHARS)
+    said = _text_band("\n".join(lines), 12, 0.2 + 0.2 * len(lines))
+    pictures, first = [*drawn.values()], int(MISSING in drawn)
+    parts = [_text_band(title, 13, 0.4), *pictures[:first], said, *pictures[first:]]
+    width = max(part.shape[1] for part in parts)
+    white = [np.pad(part, ((0, 0), (0, width - part.shape[1]), (0, 0)), constant_values=255) for part in parts]
+    return np.vstack(white)
+
+
+def _text_band(text: str, size: int, height: float) -> Pixels:
+    """Lines of text across the sheet, so many inches high."""
+    figure = blank_figure(SHEET_WIDTH, height)
+    figure.text(0.01, 0.5, text, fontsize=size, va="center", ha="left", parse_math=False)
+    return draw_pixels(figure)
 
 
 # -------------------------------------------------------------------- missing heat
-
-MISSING_HEIGHT = 3.6
 
 
 def draw_missing_heat(axis: Axes, heat: MissingHeat, began: GapBeginning | None, unit: str) -> None:
