@@ -21,7 +21,6 @@ from sim.plant.scenarios import scenario
 from sim.sha.trace import Trace
 from tests.cli.support import ROOT, decanter, misused, only_object, refused
 from tests.gateway.support import one_machine, two_modes
-from tests.rig.no_bands import without_bands
 
 
 def kept(path: Path, trace: Trace) -> Path:
@@ -133,11 +132,7 @@ def test_the_cooled_plant_is_the_same_for_a_seed_and_colder_with_its_cooling() -
 
 
 @pytest.mark.timeout(1200)
-def test_the_demonstration_names_what_is_hidden_and_nothing_else(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    # The bands, for which the model is fitted three times more: a diagnosis does not look at them.
-    without_bands(monkeypatch)
+def test_the_demonstration_names_what_is_hidden_and_nothing_else(tmp_path: Path) -> None:
     misused(decanter("demo", "--discrepancy", "--limit", "80"), "simulates its own plant")
     result = decanter("demo", "--discrepancy", "--out", tmp_path / "demo", "--json")
     assert result.exit_code == 0
@@ -146,6 +141,7 @@ def test_the_demonstration_names_what_is_hidden_and_nothing_else(
     held = data["held_out"]
     assert held["rmse_after"] < 0.7 * held["rmse_before"] and held["ci95"][0] > 0
     assert Path(data["picture"]).stat().st_size > 50_000
+    assert not find_model(str(tmp_path / "demo" / "model_before")).runnable().calibration
     new = find_model(data["model_after"]).runnable()
     assert [effect.kind for effect in new.sha.effects] == ["pump-cooling"]
     assert new.provenance.parent and new.provenance.synthetic and new.provenance.method == "diagnose"
