@@ -15,6 +15,9 @@ from sim.lab.formats.find import find_model
 from tests.cli.support import ROOT, decanter, misused, only_object, refused
 from tests.rig.no_bands import without_bands
 
+QUICK = ("--runs", 100, "--jobs", 1)
+"""Without processes that load all libraries anew: what those do is asked in tests/validation/test_campaign.py."""
+
 
 @pytest.fixture(scope="module")
 def rival(tmp_path_factory: pytest.TempPathFactory, traces: Path) -> Path:
@@ -44,7 +47,7 @@ def test_rank_runs_models_marks_what_they_were_trained_on_and_writes_page_and_pi
     model: Path, rival: Path, traces: Path, tmp_path: Path
 ) -> None:
     page, picture = tmp_path / "r.html", tmp_path / "r.png"
-    options = ("--traces", traces, "--runs", 100, "--semantics", "both", "--page", page, "--picture", picture)
+    options = ("--traces", traces, *QUICK, "--semantics", "both", "--page", page, "--picture", picture)
     found = only_object(decanter("model", "judge", "rank", model, rival, *options, "--json").stdout)
     rows = {row["entrant"]: row for row in found["models"]}
     kinds = ("carried", "resampled")
@@ -61,15 +64,13 @@ def test_rank_reads_an_earlier_campaign_with_what_it_knew_of_its_models(
     model: Path, traces: Path, tmp_path: Path
 ) -> None:
     out = tmp_path / "campaign"
-    done = decanter(
-        "model", "judge", "validation", model, "--traces", traces, "--out", out, "--runs", 100, "--no-pictures"
-    )
+    done = decanter("model", "judge", "validation", model, "--traces", traces, "--out", out, *QUICK, "--no-pictures")
     assert done.exit_code == 0
     (row,) = only_object(decanter("model", "judge", "rank", "--results", out, "--json").stdout)["models"]
     kept = {one["criterion"]: one["kept"] for one in row["findings"]}
     assert (kept["verified"], kept["from a plant"], kept["unseen"]) == (None, False, True)
     assert row["seen"] == {"cd17": "content"}
-    fresh = only_object(decanter("model", "judge", "rank", model, "--traces", traces, "--runs", 100, "--json").stdout)
+    fresh = only_object(decanter("model", "judge", "rank", model, "--traces", traces, *QUICK, "--json").stdout)
     assert fresh["scores"]["decanter"] == pytest.approx(row_scores(out))
     (checked,) = only_object(decanter("model", "judge", "rank", model, "--results", out, "--json").stdout)["models"]
     assert next(one["kept"] for one in checked["findings"] if one["criterion"] == "verified") is not None

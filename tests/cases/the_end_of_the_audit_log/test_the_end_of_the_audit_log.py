@@ -26,6 +26,7 @@ from gateway.store.audit import ARMED, CONFIRMED, AuditEntry, read, verify
 from gateway.store.signing import SigningKeyError, load_key, load_or_make_key, public_path
 from gateway.store.witness import ACKNOWLEDGED
 from tests.gateway.support import EPOCH, Bench, JumpClock, config_in, logged, one_machine
+from tests.rig.patient_loop import PatientLoop
 
 ARMED_BY_FILE: dict[str, Any] = {
     "writeback__mode": "armed",
@@ -91,17 +92,28 @@ def plant(config: Config) -> list[str]:
     return ["--config", str(config.path)]
 
 
+@pytest.fixture(scope="module")
+def before(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, float]:
+    """The folder of a plant whose gateway was armed, wrote and stopped, and the moment of that."""
+    folder = tmp_path_factory.mktemp("before")
+    config, clock = config_in(folder, **ARMED_BY_FILE), JumpClock()
+    with asyncio.Runner(loop_factory=PatientLoop) as runner:
+        _, bench = runner.run(go(config, clock))
+    assert len(bench.written) > 10
+    whole = examine(witness_places(config))
+    assert whole.problem == "" and whole.witnessed == whole.rows > 10, "a stop leaves nothing unwitnessed"
+    assert all("signed heads" in sentence for sentence in whole.witnesses.values()) and len(whole.witnesses) == 3
+    return folder, clock.time
+
+
 @pytest.mark.parametrize("manipulation", MANIPULATIONS)
 @pytest.mark.parametrize("witness", ["heads file", "historian", "log"])
 async def test_each_witness_finds_each_manipulation_alone_and_nobody_arms_on_it(
-    tmp_path: Path, manipulation: str, witness: str
+    tmp_path: Path, before: tuple[Path, float], manipulation: str, witness: str
 ) -> None:
-    config, clock = config_in(tmp_path, **ARMED_BY_FILE), JumpClock()
-    _, bench = await go(config, clock)
-    assert len(bench.written) > 10
-    before = examine(witness_places(config))
-    assert before.problem == "" and before.witnessed == before.rows > 10, "a stop leaves nothing unwitnessed"
-    assert all("signed heads" in sentence for sentence in before.witnesses.values()) and len(before.witnesses) == 3
+    shutil.copytree(before[0], tmp_path, dirs_exist_ok=True)
+    config, clock = config_in(tmp_path, **ARMED_BY_FILE), JumpClock(before[1])
+    assert len(examine(witness_places(config)).witnesses) == 3
     assert audit_command(config, *plant(config))[0] == 0
     MANIPULATIONS[manipulation](config.audit)
     if witness != "heads file":
