@@ -1,7 +1,10 @@
 """scikit-learn's boosted trees, without what their import would load besides."""
 
 import sys
+from contextlib import AbstractContextManager
 from typing import TYPE_CHECKING, Any
+
+from threadpoolctl import threadpool_limits
 
 if TYPE_CHECKING:
     from sklearn.ensemble import HistGradientBoostingRegressor
@@ -22,3 +25,13 @@ def tree_regressor(**settings: Any) -> "HistGradientBoostingRegressor":
         if not loaded:
             del sys.modules[UNUSED]
     return HistGradientBoostingRegressor(**settings)
+
+
+def one_thread() -> AbstractContextManager[object]:
+    """Within it trees are fitted and asked on one thread: for few rows, threads that wait for one another cost more.
+
+    A limit holds for the libraries that are loaded when it is set, hence the trees are loaded first.
+    """
+    tree_regressor()
+    limit: AbstractContextManager[object] = threadpool_limits(1)
+    return limit

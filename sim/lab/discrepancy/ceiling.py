@@ -6,13 +6,12 @@ roughness.
 """
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from sim.lab.discrepancy.diagnosis import Ceiling
 from sim.lab.discrepancy.fitting import Fitted
 from sim.lab.discrepancy.heat import Blocks, flips, heat_blocks
 from sim.lab.learning import Indices
-from sim.lab.tree_regressor import tree_regressor
+from sim.lab.tree_regressor import one_thread, tree_regressor
 from sim.sha import Array
 
 FOLDS, DRAWS = 5, 4000
@@ -71,7 +70,7 @@ def _out_of_fold(features: Array, heat: Array, blocks: Blocks, cycles: Indices, 
     rng = np.random.default_rng(seed)
     fold = rng.permutation(np.arange(cycles.size) % min(FOLDS, cycles.size))[np.searchsorted(cycles, blocks.cycle)]
     predicted = np.zeros(heat.size)
-    with threadpool_limits(1):  # threads that wait for one another cost more than so few rows gain
+    with one_thread():
         for number in np.unique(fold):
             out = fold == number
             trees = tree_regressor(

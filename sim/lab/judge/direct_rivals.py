@@ -17,7 +17,7 @@ from sim.lab.judge.past import (
     trained_columns,
     weighted_quantiles,
 )
-from sim.lab.tree_regressor import tree_regressor
+from sim.lab.tree_regressor import one_thread, tree_regressor
 from sim.sha import Array, Mask
 
 ORIGIN_STEP_S = 10.0
@@ -108,8 +108,6 @@ class Direct:
             first, last = float(machine.times[0]), float(machine.times[-1])
             times = np.arange(first, last, max(ORIGIN_STEP_S, (last - first) / MAX_ORIGINS))
             tables.append((machine, times, feature_table(machine, times, inputs)))
-        # On one thread: for so few rows, threads that wait for one another cost more than they gain.
-        threads = ThreadpoolController()
         fits = []
         for horizon in horizons:
             machines = []
@@ -128,9 +126,9 @@ class Direct:
             else:
                 groups = np.arange(times.size) * HELD_OUT_BLOCKS // times.size
             examples = Examples(features, changes, times, groups, one_machine=len(machines) == 1)
-            with threads.limit(limits=1):
+            with one_thread():
                 fits.append(self.method(examples, horizon, self.seed))
-        return FittedDirect(tuple(horizons), inputs, tuple(fits), threads)
+        return FittedDirect(tuple(horizons), inputs, tuple(fits), ThreadpoolController())
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from sim.sha import Alphabet, Array, Bins, Trace
+from sim.sha import Alphabet, Array, Bins, Indices, Trace
 
 MAX_LEVELS = 4
 """Bins at most: as many as the plant's own engineers cut. More only share the same data out among more locations."""
@@ -139,17 +139,17 @@ def find_levels(traces: Sequence[Trace], signal: str, gap: float) -> Levels:
     parts = np.arange(readings.size) * _STRETCHES // readings.size % _PARTS
     # A million readings are put in order once, not for each number of levels and each part that is left out.
     order = np.argsort(readings, kind="stable")
-    whole = _points(readings[order], times[order], times.sum())
-    fewer: dict[int, Array] = {}
+    whole = _Clusters(_points(readings[order], times[order], times.sum()))
+    fewer: dict[int, _Clusters] = {}
 
-    def drop_part(part: int) -> Array:
+    def drop_part(part: int) -> _Clusters:
         if part not in fewer:
             kept = order[parts[order] != part]
-            fewer[part] = _points(readings[kept], times[kept], times[parts != part].sum())
+            fewer[part] = _Clusters(_points(readings[kept], times[kept], times[parts != part].sum()))
         return fewer[part]
 
     for count in range(MAX_LEVELS, 1, -1):
-        cuts, centres = _clusters(whole, count)
+        cuts, centres = whole.cut(count)
         apart = np.diff(centres)
         level = np.searchsorted(cuts, readings, side="right")
         shares = np.bincount(level, times, count) / times.sum()
@@ -157,7 +157,7 @@ def find_levels(traces: Sequence[Trace], signal: str, gap: float) -> Levels:
             noise = _MAX_WITHIN_RATIO * float(np.sqrt(np.average((readings - centres[level]) ** 2, weights=times)))
         if cuts.size != count - 1 or shares.min() < _MIN_SHARE or apart.min() < _MIN_NOISE_SIGMAS * noise:
             continue
-        others = (_clusters(drop_part(part), count)[0] for part in range(_PARTS))
+        others = (drop_part(part).cut(count)[0] for part in range(_PARTS))
         if all(other.size == cuts.size and np.all(np.abs(other - cuts) <= _MAX_MOVE_SHARE * apart) for other in others):
             thresholds = tuple(dict.fromkeys(round_value(float(c), float(apart.min()) / 10) for c in cuts))
             quarter = float(apart.min()) / 4
@@ -175,26 +175,42 @@ def _points(readings: Array, times: Array, total: float) -> Array:
     )
 
 
-def _clusters(points: Array, count: int) -> tuple[Array, Array]:
-    """(count - 1 thresholds, count centres) of the clusters of least squares, fewer if there are fewer values."""
-    sums, squares = (np.concatenate(([0.0], np.cumsum(points**power))) for power in (1, 2))
-    size = np.arange(_QUANTILE_COUNT + 1)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        # cost[i, j]: the squared distances of points i..j-1 from their mean.
-        cost = (squares - squares[:, None]) - (sums - sums[:, None]) ** 2 / (size - size[:, None])
-    cost = np.where(size > size[:, None], np.maximum(cost, 0.0), np.inf)
-    best, starts = cost[0], list[Array]()
-    for _ in range(count - 1):
-        total = best[:, None] + cost
-        starts.append(np.argmin(total, axis=0))
-        best = np.min(total, axis=0)
-    end, edges = _QUANTILE_COUNT, [_QUANTILE_COUNT]
-    for start in reversed(starts):
-        end = int(start[end])
-        edges.append(end)
-    edges = [0, *edges[::-1]]
-    centres = np.array([points[low:high].mean() for low, high in pairwise(edges) if high > low])
-    return np.unique((centres[1:] + centres[:-1]) / 2), centres
+class _Clusters:
+    """The clusters of least squares of ascending points, for any number of them: what they share is worked out once."""
+
+    def __init__(self, points: Array) -> None:
+        self._points = points
+        self._sums, self._squares = (np.concatenate(([0.0], np.cumsum(points**power))) for power in (1, 2))
+        self._ends: Indices = np.arange(_QUANTILE_COUNT + 1, dtype=np.intp)
+        # [n][j]: the least squared distances of the points before j from the means of n + 1 clusters.
+        self._least: list[Array] = [self._cost(self._ends, self._ends[:1])]
+        self._all: Array = np.empty(0)
+        self._starts = list[Indices]()
+
+    def _cost(self, high: Indices, low: Indices) -> Array:
+        """The squared distances of points low..high-1 from their mean."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            squares, sums = self._squares[high] - self._squares[low], self._sums[high] - self._sums[low]
+            cost = squares - sums**2 / (high - low)
+        return np.where(high > low, np.maximum(cost, 0.0), np.inf)
+
+    def cut(self, count: int) -> tuple[Array, Array]:
+        """(count - 1 thresholds, count centres), fewer if there are fewer values; count is at least 2."""
+        while len(self._least) < count - 1:
+            if not self._all.size:
+                self._all = self._cost(self._ends[:, None], self._ends)
+            total = self._least[-1] + self._all
+            self._starts.append(np.argmin(total, axis=1))
+            self._least.append(total[self._ends, self._starts[-1]])
+        # Of the last step nothing is asked but where the cluster of the greatest begins.
+        end = int(np.argmin(self._least[count - 2] + self._cost(self._ends[-1:], self._ends)))
+        edges = [_QUANTILE_COUNT, end]
+        for start in reversed(self._starts[: count - 2]):
+            end = int(start[end])
+            edges.append(end)
+        edges = [0, *edges[::-1]]
+        centres = np.array([self._points[low:high].mean() for low, high in pairwise(edges) if high > low])
+        return np.unique((centres[1:] + centres[:-1]) / 2), centres
 
 
 def round_value(value: float, grain: float) -> float:

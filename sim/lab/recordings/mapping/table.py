@@ -3,7 +3,9 @@
 import csv
 import re
 from collections.abc import Iterator, Sequence, Set
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from math import isfinite
 from pathlib import Path
 
 import numpy as np
@@ -348,6 +350,10 @@ def has_numbers(table: FoundTable, place: int) -> bool:
 
 
 def _numeric(cell: str) -> bool:
+    # Of most numbers Python says it at once; of a cell alone an array takes longer than the number.
+    with suppress(ValueError):
+        if "_" not in cell and isfinite(float(cell)):
+            return True
     return bool(np.isfinite(numbers([cell])[0][0])) or parse_quantity(cell, "auto")[1] != ""
 
 
