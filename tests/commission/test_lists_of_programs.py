@@ -276,7 +276,7 @@ def test_a_column_of_decimals_scales(header: str, tmp_path: Path) -> None:
     assert keys(found)["T"]["scale"] == 0.1
 
 
-@pytest.mark.parametrize("header", ["Coefficient", "Coeficiente", "Multiplikator", "Precision", "Wertigkeit"])
+@pytest.mark.parametrize("header", ["Coefficient", "Coeficiente", "Multiplikator", "Wertigkeit"])
 def test_a_column_that_may_scale_and_is_not_understood_refuses_the_list(header: str, tmp_path: Path) -> None:
     with pytest.raises(ListError, match="may say how readings are scaled"):
         read(tmp_path, "m.csv", f"Nom;Adresse;Type;{header}\nT;100;INT16;0,1\n")

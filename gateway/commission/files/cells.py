@@ -276,7 +276,7 @@ _NOT_BESIDE: Mapping[str, frozenset[str]] = {
     "decimals": frozenset({"display", "displayed", "shown", "hmi", "anzeige"}),
     "order": frozenset({"sort", "work", "tag", "display", "row", "scan"}),
     "unit": frozenset({"no", "nr", "number", "id", "modbus", "slave", "address", "per", "zero", "full"}).union(*_ENDS),
-    "length": frozenset({"offset", "address", "order", "index", "max"}),
+    "length": frozenset({"offset", "address", "order", "index", "max", "step"}),
 }  # fmt: skip
 """Words beside which a column's own mean something else: `High Alarm` is no end of a range, `Byte Offset` no offset."""
 OF_SOMETHING_ELSE = _NOT_BESIDE["scale"] | {"service", "safety", "filter", "smoothing", "damping", "crest", "form"}

@@ -25,6 +25,12 @@ from gateway.commission.files.cells import (
     parse_decimal,
     read_sheet,
 )
+from gateway.commission.files.io_evidence import (
+    bits_a_length,
+    doubt_of_references,
+    is_length_of_registers,
+    take_fineness,
+)
 from gateway.commission.files.io_halves import Listed, name_columns, other_name, part_halves, part_overlaps
 from gateway.commission.files.io_models import ModelError, read_model
 from gateway.commission.files.io_places import SIEMENS, AddressCell, ListedPlace, Numbering, parse_place
@@ -52,7 +58,7 @@ from gateway.commission.survey import Register, parse_register
 
 _HEX_NUMBER = re.compile(r"(?:0x|16#)([0-9a-f]{1,16})|([0-9a-f]{1,16})h")
 _WHOLE_NUMBER = re.compile(r"[+-]?\d+")
-_EMPTY = ("", "-", "–", "n/a", "n.a.")
+_EMPTY = ("", "-", "–", "—", "--", "/", "n/a", "n.a.", "N/A", "N.A.")
 _MOST_DIGITS = 20
 """A sign, and those of a whole number of 64 bits, or those alone."""
 _SCALE_DECIMALS = 9
@@ -112,16 +118,17 @@ def read_io_list(path: Path, how: Reading, columns: Mapping[str, str] | None = N
     tags: list[Listed] = []
     problems: list[str] = []
     shorts = any(header_key(line.get("dtype")) in _SHORTS for line in sheet.lines)
-    names = name_columns(sheet)
+    names, bits = name_columns(sheet), _bits_a_length(sheet)
     for line in sheet.lines:
         try:
-            tags.append(_read_row(_ListedRow(sheet, line, how, numbering, shorts, names), tags))
+            tags.append(_read_row(_ListedRow(sheet, line, how, numbering, shorts, names, bits), tags))
         except RowError as error:
             problems.append(f"{sheet.where(line, error.column)}: {error}")
     if not tags and not problems and not sheet.columns:
         raise ListError(f"{path}: has no registers; give a list with one entry a tag")
     if not tags and not problems:
         raise ListError(f"{path}: has a header in line {sheet.header_line} and no row under it; give one row a tag")
+    tags = _texts_of_registers(sheet, tags) if how.registers and not how.wide else tags
     tags, across = part_overlaps(sheet, tags) if how.registers and not how.wide else (tags, [])
     tags, torn, note = part_halves(sheet, tags)
     sheet = replace(sheet, notes=(*sheet.notes, note)) if note else sheet
@@ -214,6 +221,7 @@ def _of_units(sheet: ListSheet, how: Reading) -> ListSheet:
 
     Raises ListError for a column that nobody reads and that may say what readings are made of.
     """
+    sheet = take_fineness(sheet)
     _check_unread(sheet)
     headers = {header_key(text) for text in (*sheet.columns.values(), *sheet.ignored)}
     sheet = _without_plant_units(sheet, how.unit)
@@ -464,7 +472,8 @@ def _beside(cells: Mapping[str, str], said: str) -> dict[str, str]:
 class _ListedRow:
     """A row with what is known of its list; `shorts`: it has types of C, whose INT is no PLC's.
 
-    `names` are its further columns of names (`name_columns`).
+    `names` are its further columns of names (`name_columns`), `length_bits` the bits of what its lengths count (0: not
+    known).
     """
 
     sheet: ListSheet
@@ -473,6 +482,7 @@ class _ListedRow:
     numbering: Numbering
     shorts: bool = False
     names: tuple[int, ...] = ()
+    length_bits: int = 0
 
     def get(self, column: str) -> str:
         return self.line.get(column)
@@ -693,7 +703,8 @@ def _numbering(sheet: ListSheet, how: Reading) -> Numbering:
         doubt = f"{odd!r} of this list is hexadecimal, so this number may be; give --numbers hex or --numbers decimal"
     elif len(bare) > 1 and all(len(cell) == 4 for cell in bare) and all(cell.startswith("0") for cell in bare[:1]):
         doubt = "numbers of four digits with noughts before them may be hexadecimal; give --numbers hex or decimal"
-    return Numbering(False, first, True, doubt)
+    tables = [TABLES.get(header_key(line.get("table")), "") for line in sheet.lines]
+    return Numbering(False, first, True, doubt, doubt_of_references(zip(cells, tables, strict=True)))
 
 
 _WIRE = re.compile(r"\bprotocol (?:address|offset)\b|\bpdu\b.*")
@@ -986,6 +997,8 @@ def _type(row: _ListedRow, cell: TypeCell, place: ListedPlace, address: str) -> 
 def _text_length(row: _ListedRow) -> int:
     """The bytes of a text by the length's column; 0 where it says none. Raises RowError where it may mean others."""
     size, header = _whole(row.line, "length") or 0, row.header("length")
+    if row.length_bits and header not in LENGTHS_IN_BITS and header not in _LENGTHS_IN_BYTES:
+        size, header = size * row.length_bits, "bits"
     if size and header in LENGTHS_OF_NO_UNIT:
         raise RowError("length", f"is {size}, of bytes, characters or bits? Write STRING[n] with n bytes")
     if header not in LENGTHS_IN_BITS:
@@ -993,6 +1006,48 @@ def _text_length(row: _ListedRow) -> int:
     if size % 8:
         raise RowError("length", f"is {size} bits, which are no whole bytes; a text has 8 bits a byte")
     return size // 8
+
+
+_LENGTHS_IN_BYTES = frozenset({"byte", "bytes", "caratteri"})
+
+
+def _bits_a_length(sheet: ListSheet) -> int:
+    """What the list's column of lengths counts, by the rows whose type says how many registers it has."""
+    if "length" not in sheet.columns:
+        return 0
+    numbers = []
+    for line in sheet.lines:
+        with suppress(RowError):
+            cell, length = _type_cell(line), _whole(line, "length")
+            if length and cell.wide and cell.dtype in WIDTHS and cell.dtype not in _HALVES:
+                numbers.append((WIDTHS[cell.dtype], length))
+    return bits_a_length(numbers)
+
+
+_HALVES = frozenset({"bool", "int8", "uint8"})
+"""What does not fill its register."""
+_TEXT_OF = re.compile(r"[a-z ]+\[\s*\d+\s*\]", re.IGNORECASE)
+
+
+def _texts_of_registers(sheet: ListSheet, tags: Sequence[Listed]) -> list[Listed]:
+    """The tags, with STRING[n] of n registers where the list shows that: the next row lies right behind them."""
+    cells = {line.number: line.get("dtype") for line in sheet.lines if _TEXT_OF.fullmatch(line.get("dtype"))}
+    if not cells:
+        return list(tags)
+    places: dict[str, set[int]] = {}
+    for tag in tags:
+        register = parse_register(tag.keys["address"])
+        places.setdefault(register.table, set()).add(register.number)
+
+    def read(tag: Listed) -> Listed:
+        length, register = tag.keys["length"] or 0, parse_register(tag.keys["address"])
+        if tag.line not in cells or not is_length_of_registers(length, register.number, places[register.table]):
+            return tag
+        said = f"{cells[tag.line]} has {length} registers: the next row is right behind them"
+        taken = "; ".join(note for note in (tag.taken, said) if note)
+        return replace(tag, keys={**tag.keys, "length": 2 * length}, taken=taken)
+
+    return [read(tag) for tag in tags]
 
 
 def _order(row: _ListedRow, cell: TypeCell, dtype: str, place: ListedPlace) -> tuple[str | None, str]:

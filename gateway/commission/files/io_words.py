@@ -149,7 +149,7 @@ LENGTHS_IN_BITS = frozenset({"bits", "bit length", "no of bits", "bitlange"})
 LENGTHS_OF_NO_UNIT = frozenset({"size", "data size", "grosse", "groesse", "dimensione", "taille", "tamano"})
 """A number's width shows which unit such a length has; a text's does not."""
 
-_STRING = re.compile(r"(?:w?string|stringa|char|testo|text|ascii(?: string| text| code)?)\s*[\[( ]?\s*(\d*)")
+_STRING = re.compile(r"(?:w?string|str|stringa|char|testo|text|ascii(?: string| text| code)?)\s*[\[( ]?\s*(\d*)")
 
 _TYPES: Mapping[str, str] = {
     **dict.fromkeys(

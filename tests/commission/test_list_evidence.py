@@ -1,0 +1,135 @@
+"""What all rows of a list show of cells that may mean two things each; where they show nothing it is asked."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from gateway.commission.files.io_list import IoList, ListError, Reading, read_io_list
+
+
+def read(folder: Path, text: str, how: Reading | None = None, columns: dict[str, str] | None = None) -> IoList:
+    path = folder / "list.csv"
+    path.write_text(text, encoding="utf-8")
+    return read_io_list(path, how or Reading(), columns)
+
+
+def keys(found: IoList) -> dict[str, dict[str, Any]]:
+    assert not found.problems, found.problems
+    return {tag.name: {key: value for key, value in tag.keys.items() if value is not None} for tag in found.tags}
+
+
+INVERTER = (
+    "Address;Name;R/W;Data Type;Unit;Accuracy;Length\n35000;Version;RO;U16;N/A;1;1\n35003;Serial;RO;STR;N/A;1;8\n"
+    "35103;Voltage;RO;U16;V;10;1\n35105;Power;RO;U32;W;1;2\n"
+)
+
+
+def test_an_inverters_accuracy_scales_its_addresses_are_asked_for_and_its_texts_have_registers(tmp_path: Path) -> None:
+    asked = read(tmp_path, INVERTER)
+    assert len(asked.problems) == 4 and not asked.tags
+    assert all("--numbers decimal" in problem and "--numbers plain" in problem for problem in asked.problems)
+    scaled = read(tmp_path, INVERTER, Reading(numbers="plain"))
+    assert len(scaled.problems) == 1 and "'Accuracy'" in scaled.problems[0] and "--gain divide" in scaled.problems[0]
+    found = keys(read(tmp_path, INVERTER, Reading(numbers="plain", gain="divide")))
+    assert found["Voltage"] == {"address": "holding:35103", "dtype": "uint16", "scale": 0.1, "unit": "V"}
+    assert found["Serial"] == {"address": "holding:35003", "dtype": "string", "length": 16}
+    assert "unit" not in found["Version"]
+
+
+@pytest.mark.parametrize(
+    ("header", "cells", "scales"),
+    [
+        ("Accuracy", ("0.1", "1", "0,01"), (0.1, 1.0, 0.01)),
+        ("Precision", ("0.1", "1", ""), (0.1, 1.0, None)),
+        ("Precision", ("1", "2", "0"), (0.1, 0.01, 1.0)),
+        ("Genauigkeit", ("2", "2", "2"), (0.01, 0.01, 0.01)),
+        ("Accuracy", ("±0.5 %", "±1 %", "+/- 2"), (None, None, None)),
+        ("Accuracy (%)", ("0.1", "1", "1"), (None, None, None)),
+        ("Step", ("1", "1", "1"), (None, None, None)),
+        ("Step size", ("0.1", "1", "1"), (0.1, 1.0, 1.0)),
+    ],
+)
+def test_an_accuracy_is_what_its_cells_show(
+    header: str, cells: tuple[str, ...], scales: tuple[float | None, ...], tmp_path: Path
+) -> None:
+    rows = "".join(f"T{at};{100 + at};INT16;{cell}\n" for at, cell in enumerate(cells))
+    found = keys(read(tmp_path, f"Name;Address;Type;{header}\n{rows}"))
+    assert tuple(found[f"T{at}"].get("scale") for at in range(3)) == scales
+
+
+@pytest.mark.parametrize(
+    ("header", "kind", "cells"),
+    [
+        ("Accuracy", "INT16", ("1", "1")),
+        ("Precision", "INT16", ("0.5", "0.2")),
+        ("Accuracy", "FLOAT32", ("0.1", "0.1")),
+        ("Accuracy", "INT16", ("±0.5 %", "0.1")),
+    ],
+)
+def test_an_accuracy_whose_cells_leave_it_open_is_asked_for(
+    header: str, kind: str, cells: tuple[str, str], tmp_path: Path
+) -> None:
+    rows = "".join(f"T{at};{100 + 2 * at};{kind};{cell}\n" for at, cell in enumerate(cells))
+    with pytest.raises(ListError, match=f"--column scale='{header}'"):
+        read(tmp_path, f"Name;Address;Type;{header}\n{rows}")
+
+
+def test_a_column_of_fractions_of_ten_is_not_passed_over_by_any_name(tmp_path: Path) -> None:
+    text = "Name;Address;Type;{}\nA;100;INT16;0.1\nB;101;INT16;1\n"
+    with pytest.raises(ListError, match="--column scale='Valenza'"):
+        read(tmp_path, text.format("Valenza"))
+    assert keys(read(tmp_path, text.format("Valenza"), None, {"scale": "Valenza"}))["A"]["scale"] == 0.1
+    assert "scale" not in keys(read(tmp_path, text.format("Deadband")))["A"]
+
+
+@pytest.mark.parametrize(
+    "addresses",
+    [("45000", "45103"), ("40000", "40002"), ("35100", "47000"), ("40001", "50010"), ("40070", "100"), ("33022",)],
+)
+def test_numbers_that_may_be_references_or_addresses_are_asked_for(addresses: tuple[str, ...], tmp_path: Path) -> None:
+    text = "Name;Address;Type\n" + "".join(f"T{at};{cell};INT16\n" for at, cell in enumerate(addresses))
+    asked = read(tmp_path, text)
+    long = [cell for cell in addresses if len(cell) > 4]
+    assert sum("--numbers plain" in problem for problem in asked.problems) == sum(cell[0] in "34" for cell in long)
+    plain = keys(read(tmp_path, text, Reading(numbers="plain")))
+    assert [tag["address"] for tag in plain.values()] == [f"holding:{cell}" for cell in addresses]
+
+
+@pytest.mark.parametrize(
+    ("addresses", "first"),
+    [
+        (("40101", "45000"), "holding:100"),
+        (("30001", "45000"), "input:0"),
+        (("400101", "45000"), "holding:100"),
+        (("00001", "45000"), "coil:0"),
+        (("40101", "70000"), "holding:100"),
+    ],
+)
+def test_numbers_near_the_first_or_of_six_digits_are_references(
+    addresses: tuple[str, str], first: str, tmp_path: Path
+) -> None:
+    found = read(tmp_path, "Name;Address\n" + "".join(f"T{at};{cell}\n" for at, cell in enumerate(addresses)))
+    assert found.tags[0].keys["address"] == first
+    assert not any("--numbers" in problem for problem in found.problems)
+
+
+@pytest.mark.parametrize(
+    ("rows", "length"),
+    [
+        ("A;1;UINT16;1\nB;2;UINT32;2\nS;10;STRING;8\n", 16),
+        ("A;1;UINT16;2\nB;2;UINT32;4\nS;10;STRING;8\n", 8),
+        ("A;1;UINT16;16\nB;2;UINT32;32\nS;10;STRING;64\n", 8),
+        ("A;1;BOOL;1\nS;10;STRING;8\n", 8),
+    ],
+)
+def test_a_texts_length_counts_what_the_numbers_of_its_list_do(rows: str, length: int, tmp_path: Path) -> None:
+    assert keys(read(tmp_path, f"Name;Address;Type;Length\n{rows}"))["S"]["length"] == length
+
+
+@pytest.mark.parametrize(("behind", "length"), [("806", 12), ("803", 6), ("807", 6)])
+def test_a_string_of_six_has_registers_where_the_next_row_is_right_behind_them(
+    behind: str, length: int, tmp_path: Path
+) -> None:
+    text = f"Name;Address;Type\nSerial;800;string[6]\nRelay;{behind};uint16\n"
+    assert keys(read(tmp_path, text))["Serial"]["length"] == length
