@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from sim.lab.recordings import bare_cells
 from sim.lab.recordings.foreign_tables import find_layout_of
 from tests.traces.exports import BEGIN, comma, recording
 from tests.traces.test_dialects import EPOCH, asked, is_the_plant, mapped
@@ -207,3 +208,9 @@ def test_blanks_within_names_and_times_of_a_csv_part_no_columns(names: str) -> N
     rows = "".join(f"{moment},{heat},{on}\n" for moment, heat, _, on in ROWS)
     assert find_layout_of(f"{names}\n{rows}") is None
     assert find_layout_of(f"Plant export\n{names}\n{rows}") is None
+
+
+def test_a_text_that_a_table_of_ours_guards_stays_what_it_is() -> None:
+    assert bare_cells(['="45.2"', '\'="45.2"', '="say ""no"""', "'=1+1", "-5"]) == [
+        "45.2", '="45.2"', 'say "no"', "=1+1", "-5"
+    ]  # fmt: skip

@@ -166,7 +166,8 @@ _AS_TEXT = re.compile(r'="(.*)"', re.DOTALL)
 
 def bare_cells(cells: Sequence[str]) -> list[str]:
     """Cells without what stands around them for spreadsheets: an apostrophe before them, or =" and "."""
+    # One that a table of ours guards is a text as it stands.
     return [
-        match[1].replace('""', '"') if cell.startswith('="') and (match := _AS_TEXT.fullmatch(cell.rstrip())) else cell
-        for cell in strip_guards(cells)
+        match[1].replace('""', '"') if cell.startswith('="') and (match := _AS_TEXT.fullmatch(cell.rstrip())) else plain
+        for cell, plain in zip(cells, strip_guards(cells), strict=True)
     ]
