@@ -227,13 +227,26 @@ def test_pairs_are_refused_where_either_cell_may_be_the_time(form: str) -> None:
         name_pairs({"name": "bearing", "data": UNTOLD[form]})
 
 
-def test_elapsed_pairs_are_read_where_only_the_reading_falls() -> None:
-    rows = {name: [[second - SECONDS[0], cell] for second, cell in pairs(each)] for name, each in COLUMNS.items()}
-    named = name_pairs(rows)
-    assert [row["value"] for row in named["bearing_temp"]] == COLUMNS["bearing_temp"]
+def test_pairs_that_count_from_0_are_refused_and_limits_are_none() -> None:
+    """A spectrum became readings: its frequencies count on as elapsed times do, and its amplitudes rise and fall."""
+    for step in (10.0, 0.5):
+        spectrum = [[at * step, heat] for at, heat in enumerate(COLUMNS["bearing_temp"])]
+        with pytest.raises(TraceError, match="nobody can tell the time"):
+            name_pairs({"fft": spectrum})
+        assert name_pairs({"fft": spectrum, "t": pairs(COLUMNS["bearing_temp"])})["fft"] == spectrum
     # Limits beside the readings are no pairs of a time.
     limits = [[0, "green"], [80, "red"]]
     assert name_pairs({"limits": limits, "t": pairs(COLUMNS["bearing_temp"])})["limits"] == limits
+
+
+@pytest.mark.parametrize("depth", [60, 500, 100_000])
+@pytest.mark.parametrize("within", [("[", "]"), ('{"a":', "}")])
+def test_json_that_is_nested_too_deep_is_refused_as_that(depth: int, within: tuple[str, str], tmp_path: Path) -> None:
+    """The sentence was that of the interpreter's stack."""
+    opened, closed = within
+    export = tmp_path / "e.json"
+    export.write_text(f'{{"t": {opened * depth}1{closed * depth}, "rows": [{{"time": 1, "value": 2}}]}}', "utf-8")
+    assert "its JSON holds lists or objects more than 50 deep" in asked(export, tmp_path / "m.toml")
 
 
 def test_a_field_of_a_reading_is_no_time_by_its_name_alone() -> None:

@@ -269,7 +269,10 @@ def read(
         return _read(source, column_map, answers, guess=guess, shown="")
     with TemporaryDirectory() as folder:
         path = Path(folder) / _FRAME
-        _write(source, path)
+        spans = _write(source, path)
+        if column_map is None:
+            said = {text.rpartition("=")[0] for text in answers.unit}
+            answers = replace(answers, unit=(*answers.unit, *(f"{name}=s" for name in spans if name not in said)))
         return _read(path, column_map, answers, guess=guess, shown=str(path))
 
 
@@ -328,8 +331,11 @@ def _draft(path: Path, answers: Answers, *, guess: bool) -> tuple[str, list[str]
         return drafted.text, [*taken, *drafted.report]
 
 
-def _write(frame: Frame, path: Path) -> None:
-    """The frame as the file that a recording is read from. Raises TraceError for one without rows or columns."""
+def _write(frame: Frame, path: Path) -> list[str]:
+    """The frame as the file that a recording is read from, and its columns of spans, which count in seconds there.
+
+    Raises TraceError for one without rows or columns.
+    """
     if frame.empty:
         raise TraceError(
             f"the data frame has {len(frame)} rows and {len(frame.columns)} columns; give one with readings"
@@ -351,6 +357,7 @@ def _write(frame: Frame, path: Path) -> None:
         raise TraceError(f"the data frame has one column, {frame.columns[0]!r}; it needs a clock and a temperature")
     path.parent.mkdir()
     frame.to_csv(path, index=False)
+    return [str(name) for name in spans]
 
 
 def _numbers_rows(frame: Frame) -> bool:

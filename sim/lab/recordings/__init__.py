@@ -11,6 +11,7 @@ if TYPE_CHECKING:
         RUN_WORDS,
         SWITCH_WORDS,
         Points,
+        bare_cells,
         booleans,
         decimal_mark,
         is_lone_point,
@@ -52,13 +53,13 @@ if TYPE_CHECKING:
     from sim.lab.recordings.load_report import LoadReport, TraceError, list_names
     from sim.lab.recordings.readings import join_cells, unread_hash
     from sim.lab.recordings.sources import named_after, read_head, recording_name
+    from sim.lab.recordings.text_encoding import decode_head
     from sim.lab.recordings.text_table import (
         MAX_HEADER_LINE,
         MAX_ROW_LINES,
         SEPARATORS,
         UNNAMED_COLUMN,
         compose_names,
-        decode_head,
         drop_invisible,
         fold_name,
         number_equal_names,

@@ -6,6 +6,7 @@ from typing import Literal
 
 import numpy as np
 
+from drivers.csv_rows import strip_guards
 from sim.lab.recordings.unit_table import conversion, known_unit
 from sim.sha import Array, Mask
 
@@ -157,3 +158,16 @@ def booleans(cells: Sequence[str], on: Sequence[str] = (), off: Sequence[str] = 
     wrong = np.isnan(values)
     wrong[[index for index in np.flatnonzero(wrong).tolist() if not cells[index].strip()]] = False
     return values, wrong
+
+
+_AS_TEXT = re.compile(r'="(.*)"', re.DOTALL)
+"""How exports keep a spreadsheet from reading a cell as anything but a text."""
+
+
+def bare_cells(cells: Sequence[str]) -> list[str]:
+    """Cells without what stands around them for spreadsheets: an apostrophe before them, or =" and "."""
+    # One that a table of ours guards is a text as it stands.
+    return [
+        match[1].replace('""', '"') if cell.startswith('="') and (match := _AS_TEXT.fullmatch(cell.rstrip())) else plain
+        for cell, plain in zip(cells, strip_guards(cells), strict=True)
+    ]

@@ -22,8 +22,9 @@ _DATES: tuple[tuple[Order, str], ...] = (
     ("month", "%b %d, %Y"), ("month", "%b %d %Y"), ("month", "%b %d %y"), ("month", "%b %d, %y"),
 )  # fmt: skip
 _TIMES = (
-    "%H:%M:%S", "%H:%M:%S.%f", "%H:%M:%S,%f", "%H:%M:%S:%f", "%H:%M", "%H.%M.%S", "%H.%M",
-    "%H-%M-%S", "%I:%M:%S %p", "%I:%M:%S.%f %p", "%I:%M %p", "%I.%M.%S %p", "%I.%M.%S.%f %p",
+    "%H:%M:%S", "%H:%M:%S.%f", "%H:%M:%S,%f", "%H:%M:%S:%f", "%H:%M:%S;%f", "%H:%M", "%H.%M.%S", "%H.%M",
+    "%H-%M-%S", "%I:%M:%S %p", "%I:%M:%S.%f %p", "%I:%M:%S;%f %p", "%I:%M:%S %p;%f", "%I:%M %p",
+    "%I.%M.%S %p", "%I.%M.%S.%f %p",
 )  # fmt: skip
 _DATE_TIME_MARKS = (" ", "T", ", ", "  ", "_", " - ", "-", ":", "/")
 _COMPACT = re.compile(
@@ -32,7 +33,7 @@ _COMPACT = re.compile(
 """Of our centuries, and with milliseconds at most: ticks and nanoseconds are as many digits."""
 _COMPACT_DATES = {8: "%Y%m%d", 7: "%Y%j"}
 """By their digits; those of a week have its W."""
-_MARKS = re.compile(r"(?<!%)[-/.:, _]")
+_MARKS = re.compile(r"(?<!%)[-/.:;, _]")
 _DATED = re.compile(r"(?:\d{1,4}[-/. ]|\d{8}\b|[A-Za-z]{3}[- ]\d|\d\d?:\d\d).*\d(?:[:.]\d\d|\d [AP]M$|\d$)")
 _ZONE = re.compile(r" ?(?:[+-]\d\d:?\d\d|Z)$")
 

@@ -3,9 +3,6 @@
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-import numpy as np
-
-from sim.lab.recordings.cells import numbers
 from sim.lab.recordings.clock_formats import tells_time
 from sim.lab.recordings.load_report import TraceError
 
@@ -20,15 +17,14 @@ Pairs = list[list[Any]]
 
 
 def name_pairs(document: Any) -> Any:
-    """A document whose pairs [time, value], in either order, and frames of columns are objects with names.
+    """A document whose pairs of a date and a value, in either order, and frames of columns are objects with names.
 
-    Raises TraceError, without the file's name, where nobody can tell a pair's time or the columns of a frame.
+    Raises TraceError, without the file's name, where nobody can tell a pair's time or the columns of a frame. Pairs
+    that count from 0 are refused too: a spectrum is written like elapsed times.
     """
     lists = list(_pairs_within(document))
     dated = {id(rows): _dated_cells(rows) for rows in lists}
     times = {rows: at[0] for rows, at in dated.items() if len(at) == 1}
-    if not any(dated.values()) and (at := _counting_cell(lists)) is not None:
-        times = dict.fromkeys(dated, at)
     # Few pairs of no time are limits, or places.
     lost = bool(lists) and not times and 4 * sum(map(len, lists)) > _count_cells(document)
     if lost or any(len(at) > 1 for at in dated.values()):
@@ -90,27 +86,6 @@ def _dated_cells(rows: Pairs) -> list[int]:
     """Which cells of pairs are dates, but for a damaged row, which costs itself."""
     shown = rows[:_LOOKED_AT]
     return [at for at in (0, 1) if 2 * sum(tells_time(str(row[at])) for row in shown) > len(shown)]
-
-
-def _counting_cell(lists: Sequence[Pairs]) -> int | None:
-    """Which cell of all pairs counts on from 0 where the other one rises and falls, as only a reading does."""
-    read = [[numbers([_text(row[at]) for row in rows]) for rows in lists] for at in (0, 1)]
-    if any(wrong.any() for cells in read for _, wrong in cells):
-        return None
-    columns = [[values[np.isfinite(values)] for values, _ in cells] for cells in read]
-    in_order = [
-        at for at in (0, 1) if all(np.all(np.diff(each) >= 0) or np.all(np.diff(each) <= 0) for each in columns[at])
-    ]
-    if len(in_order) != 1:
-        return None
-    counts = columns[in_order[0]]
-    step = max((float(np.abs(np.diff(each)).max(initial=0.0)) for each in counts), default=0.0)
-    begins = min((float(each.min(initial=np.inf)) for each in counts), default=np.inf)
-    return in_order[0] if 0.0 <= begins <= step else None
-
-
-def _text(cell: Any) -> str:
-    return "" if cell is None else str(int(cell)) if isinstance(cell, bool) else str(cell)
 
 
 def _frame(document: dict[str, Any]) -> dict[str, Any] | None:

@@ -19,8 +19,10 @@ from typing import Any, BinaryIO, cast
 from drivers.csv_rows import write_rows
 from drivers.named_files import regular
 from sim.lab.recordings.clock_formats import tells_time
+from sim.lab.recordings.foreign_tables import find_layout_of
 from sim.lab.recordings.json_readings import TIME_NAMES, VALUE_NAMES, name_pairs, spread_readings, with_reading
 from sim.lab.recordings.load_report import TraceError
+from sim.lab.recordings.text_encoding import decode_head
 
 UNPACK_ERRORS = (EOFError, zlib.error, zipfile.BadZipFile)
 """What a packed file raises that is cut off, while it is read."""
@@ -39,20 +41,45 @@ MAX_UNPACKED_BYTES = 512 << 20
 
 def open_source(path: Path) -> BinaryIO:
     """The bytes of a recording's text. Raises TraceError for a packed file that holds none or several, OSError."""
-    kind = _KINDS.get(path.suffix.lower())
+    suffix = path.suffix.lower()
+    kind = _KINDS.get(suffix)
     if kind is None:
         stream = regular(path).open("rb")
         if not _holds_json(path, stream):
-            stream.seek(0)
-            return stream
+            return _as_table(path, stream)
         stream.close()
         kind = _json
     try:
-        return kind(regular(path))
+        found = kind(regular(path))
+        return _as_table(path, found) if suffix in _PACKED_SUFFIXES else found
     except (zipfile.BadZipFile, gzip.BadGzipFile, zlib.error, EOFError, *_DAMAGE_ERRORS) as error:
         if isinstance(error, TraceError):
             raise
         raise TraceError(f"{path}: it is no {path.suffix[1:]} file that can be unpacked ({error})") from None
+
+
+_LAYOUT_BYTES = 16_384
+"""Bytes of a text that show how it is laid out."""
+
+
+def _as_table(path: Path, stream: BinaryIO) -> BinaryIO:
+    """A text as it is, or as a CSV where it is laid out otherwise. Raises TraceError for one that cannot be read so."""
+    stream.seek(0)
+    head = stream.read(_LAYOUT_BYTES)
+    stream.seek(0)
+    try:
+        encoding, text, _ = decode_head(path, head, "auto")
+    except TraceError:
+        return stream  # no text, which is refused where it is read
+    if (to_rows := find_layout_of(text)) is None:
+        return stream
+    with io.TextIOWrapper(stream, encoding=encoding, errors="replace", newline=None) as lines:
+        try:
+            return _write_rows(to_rows(lines))
+        except TraceError as error:
+            raise TraceError(f"{path}: {error}") from None
+        except (ValueError, OverflowError) as error:
+            raise TraceError(f"{path}: it is not laid out as its first lines say ({error}); export it anew") from None
 
 
 def read_head(path: Path, size: int) -> bytes:
@@ -212,6 +239,8 @@ def _objects(path: Path) -> Iterator[Mapping[str, str] | str]:
                 )
             try:
                 document = _parse(lines.read())
+            except TraceError as error:
+                raise TraceError(f"{path}: {error}") from None
             except ValueError as error:
                 raise TraceError(f"{path}: its JSON breaks off or is none ({error}); give the whole file") from None
             try:
@@ -231,9 +260,29 @@ def _objects(path: Path) -> Iterator[Mapping[str, str] | str]:
                 yield line.strip()
 
 
+_MAX_DEPTH = 50
+"""Objects and lists within one another, at most: no reading lies deeper."""
+
+
 def _parse(text: str) -> Any:
-    # Numbers as they are written: the digits say how fine a reading is.
-    return json.loads(text, parse_float=str, parse_int=str)
+    """The JSON of a text. Raises ValueError for none, TraceError, without the file's name, for one that is too deep."""
+    deep = f"its JSON holds lists or objects more than {_MAX_DEPTH} deep; give a list of objects, one a reading"
+    try:
+        # Numbers as they are written: the digits say how fine a reading is.
+        found = json.loads(text, parse_float=str, parse_int=str)
+    except RecursionError:
+        raise TraceError(deep) from None
+    level = [found] if text.count("{") + text.count("[") > _MAX_DEPTH else []
+    for _ in range(_MAX_DEPTH):
+        level = [
+            within
+            for each in level
+            for within in (each.values() if isinstance(each, dict) else each)
+            if isinstance(within, dict | list)
+        ]
+    if level:
+        raise TraceError(deep)
+    return found
 
 
 def _collect_rows(document: Any) -> list[dict[str, Any]]:

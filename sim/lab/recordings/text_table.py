@@ -4,13 +4,10 @@ The standard library's reader splits the rows. What is added here: the line on w
 lines between rows, and the rule that one bad row costs one row, a quotation mark that is never closed included.
 """
 
-import codecs
 import csv
 import io
-import re
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import islice, pairwise
 from pathlib import Path
@@ -19,12 +16,12 @@ from unicodedata import category
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.csv_rows import strip_guards
 from drivers.errors import did_you_mean
-from sim.lab.recordings.cells import Points, booleans, numbers, rewrite_points
+from sim.lab.recordings.cells import Points, bare_cells, booleans, numbers, rewrite_points
 from sim.lab.recordings.column_map import ColumnMap, Names
 from sim.lab.recordings.load_report import FileReport, TraceError, list_names
 from sim.lab.recordings.sources import open_source, read_head, recording_name
+from sim.lab.recordings.text_encoding import decode_head
 from sim.lab.recordings.unit_table import known_unit
 
 Lines = NDArray[np.intp]
@@ -50,7 +47,6 @@ _VALUES = frozenset({"value", "wert", "valore", "valeur", "valor"})
 """What stands under a tag's name over its readings."""
 _NOTES = frozenset({"", "comment", "comments", "note", "notes", "remark", "remarks", "kommentar", "bemerkung"})
 """Names of last columns of which rows without a note have no cell."""
-_BOMS = ((codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -242,52 +238,6 @@ def find_layout(
     return TextLayout(encoding, separator, named, skip, tuple(comments), tuple(clock) if fits else (), points)
 
 
-def decode_head(path: Path, head: bytes, encoding: str) -> tuple[str, str, str]:
-    """(encoding, text of the head, a note if it is not what `encoding` says).
-
-    A byte order mark says more than the map. Raises TraceError for what is no text.
-    """
-    bom = next((name for mark, name in _BOMS if head.startswith(mark)), None)
-    if bom is None and (unmarked := _unmarked(head)):
-        bom = unmarked
-    chosen, note = bom or (encoding if encoding != "auto" else "utf-8"), ""
-    try:
-        # Incrementally: the head may end in the middle of a character, which is no fault.
-        text = codecs.getincrementaldecoder(chosen)("strict").decode(head, False)
-    except UnicodeDecodeError:
-        claimed, chosen = chosen, _code_page(head) if encoding == "auto" and bom is None else chosen
-        text = head.decode(chosen, "replace")
-        note = f"it is not clean {claimed} text; read as {chosen}"
-    strange = sum(char < " " and char not in "\t\r\n\f" for char in text[:4096])
-    if "\x00" in text[:4096] or strange * 20 > len(text[:4096]):
-        raise TraceError(f"{path}: this is not a text file; give the CSV, unpacked")
-    return chosen, text, note
-
-
-_HIGH_BYTES = re.compile(rb"[\x80-\xff]+")
-_FIRST_CYRILLIC = 0xC0
-"""The first letter of cp1251, but for those that few words have."""
-_MIN_WORD_BYTES = 4
-"""Bytes above ASCII in a row, which no language of Western Europe writes: a word of another script."""
-
-
-def _code_page(head: bytes) -> str:
-    """The encoding of a head that is not UTF-8: Chinese, Cyrillic or, for any other, Western.
-
-    Western letters beyond ASCII stand alone, Chinese ones take two bytes each, both of them high.
-    """
-    runs = [match[0] for match in _HIGH_BYTES.finditer(head[: head.rfind(b"\n") + 1] or head)]
-    # cp1252 has a character for nearly every byte: umlauts and degree signs of old Windows files come out right.
-    if max(map(len, runs), default=0) < _MIN_WORD_BYTES:
-        return "cp1252"
-    if all(len(run) % 2 == 0 for run in runs):
-        with suppress(UnicodeDecodeError):
-            b"".join(runs).decode("gb2312")
-            return "gb18030"
-    letters = sum(byte >= _FIRST_CYRILLIC for run in runs for byte in run)
-    return "cp1251" if 10 * letters >= 9 * sum(map(len, runs)) else "cp1252"
-
-
 def _is_reading(cell: str) -> bool:
     """Whether a cell is a number or a word of a switch, and no note."""
     return bool(np.isfinite(numbers([cell])[0][0])) or not booleans([cell])[1][0]
@@ -301,30 +251,20 @@ def _narrower(lines: Sequence[str], separator: str, width: int) -> int:
     return min(*counts, width) if narrow and min(counts) > 1 else width
 
 
-def _unmarked(head: bytes) -> str:
-    """The encoding of a head whose every other byte is 0, as two bytes a letter are; "" for any other."""
-    first, second = head[:4096:2], head[1:4096:2]
-    halves = {"utf-16-le": (second, first), "utf-16-be": (first, second)}
-    least = len(second) // 2
-    return next((name for name, (zero, rest) in halves.items() if zero.count(0) > least > rest.count(0) * 20), "")
-
-
 def _header(lines: Sequence[str], separator: str) -> tuple[tuple[str, ...], int]:
     """The names in the row that begins with the first of `lines`, and how many lines it takes; no names: no row."""
     # A name may have marks within, as "DB1".Speed has; only an open one makes no row.
     strict = not lines or lines[0].count('"') % 2 == 1
     reader = csv.reader(lines, delimiter=separator, skipinitialspace=True, strict=strict)
     try:
-        return tuple(_trim_header(strip_guards(next(reader)))), reader.line_num
+        return tuple(_trim_header(bare_cells(next(reader)))), reader.line_num
     except csv.Error:
         return (), 1
 
 
 def _header_of_two(lines: Sequence[str], separator: str) -> tuple[tuple[str, ...], int]:
     """The names in two lines of which the first leaves cells blank; none where it is not so."""
-    rows = [
-        strip_guards(next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])) for line in lines[:2]
-    ]
+    rows = [bare_cells(next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])) for line in lines[:2]]
     if len(rows) < 2 or len(rows[1]) < 2 or all(map(str.strip, rows[0][: len(rows[1])])) or not any(rows[0]):
         return (), 1
     return tuple(_trim_header(compose_names(*rows))), 2
@@ -481,7 +421,7 @@ def _plain_columns(lines: Sequence[str], layout: TextLayout, comment: str) -> Se
         columns = [list(map(_without_first_blanks, column)) for column in columns]
     if _names_a_column(columns, text, layout):
         return None
-    return [strip_guards(column) for column in columns] if "'" in text else columns
+    return [bare_cells(column) for column in columns] if "'" in text or '="' in text else columns
 
 
 def _quoted_columns(lines: Sequence[str], text: str, layout: TextLayout) -> Sequence[Sequence[str]] | None:
@@ -495,7 +435,7 @@ def _quoted_columns(lines: Sequence[str], text: str, layout: TextLayout) -> Sequ
     columns = list(zip(*rows, strict=True))
     if _names_a_column(columns, text, layout):
         return None
-    return [strip_guards(column) for column in columns] if "'" in text else columns
+    return [bare_cells(column) for column in columns] if "'" in text or '="' in text else columns
 
 
 def _without_first_blanks(cell: str) -> str:
@@ -560,7 +500,7 @@ def split_rows(
                     break
                 number = taken[0][0]
                 taken.clear()
-                yield number, strip_guards(cells), ""
+                yield number, bare_cells(cells), ""
             else:
                 return
         except csv.Error as error:

@@ -22,7 +22,7 @@ UNITS = {
     "l/s": "l/s", "l/h": "l/h", "m3/s": "m3/s", "m³/s": "m3/s", "kg/h": "kg/h", "kg/s": "kg/s", "m/s": "m/s",
     "km/h": "km/h", "lx": "lx", "lux": "lx", "w/m2": "W/m2", "w/m²": "W/m2", "kb/s": "kB/s", "mb/s": "MB/s", "mb": "MB",
     "gb": "GB", "mib": "MiB", "gib": "GiB",
-    "s": "s", "sec": "s", "ms": "ms", "h": "h", "min": "min",
+    "s": "s", "sec": "s", "ms": "ms", "us": "us", "µs": "us", "μs": "us", "h": "h", "min": "min",
 }  # fmt: skip
 """Units as they are written (lower case) and as maps call them."""
 

@@ -35,6 +35,18 @@ _COUNT_UNITS = {
     "minutes": "minutes", "h": "hours", "hr": "hours", "hours": "hours", "d": "days", "days": "days",
 }  # fmt: skip
 """Units of elapsed time as headers write them."""
+_UNIT_WORDS = _COUNT_UNITS | {
+    word: unit
+    for unit, words in {
+        "seconds": "second sek sekunde sekunden secondo secondi seconde secondes segundo segundos sekunder seg",
+        "milliseconds": "millisecond millis millisekunden millisecondi millisecondes milisegundos",
+        "microseconds": "microsecond mikrosekunden microsecondi microsecondes microsegundos μs",
+        "minutes": "minute minuten minuti minuto minutos mins", "hours": "hour hrs std stunde stunden ore heures horas",
+        "days": "day tage giorni jours",
+    }.items()
+    for word in words.split()
+}  # fmt: skip
+"""The same and whole words, also of other languages, of columns that count."""
 _WORDS = re.compile(r"[^\W\d_]+")
 _TENTHS_OF_US = re.compile(r"100 ?ns", re.IGNORECASE)
 """What Windows and .NET count in, which is no unit of elapsed time."""
@@ -240,22 +252,26 @@ def counted_clock(place: int, values: Array, header: str, *, named: bool) -> Fou
     if not in_order and not (named and (falls <= _MAX_FALL_SHARE or _restarts_evenly(finite[::-1]))):
         return None
     # Time (ms), elapsed_min, t [h]; of several words that are units, as of h:m:s, none is sure.
-    units = [_COUNT_UNITS[word] for word in _WORDS.findall(header.casefold()) if word in _COUNT_UNITS]
-    sure = units[0] if len(set(units)) == 1 and not _TENTHS_OF_US.search(header) else ""
+    units = _units_named(header)
+    sure = units[0] if says_count_unit(header) else ""
     if dated := dated_format(finite, named=named, unit=sure):
         return FoundClock(place, (dated,), "year", COUNTS[dated].seconds(values))
     if not named or not (in_order or _restarts_evenly(finite)):
         return None
-    # The last word that is a unit; without one, seconds.
-    format_ = units[-1] if units else "seconds"
+    # Without one that is sure, a person is asked.
+    format_ = sure or "seconds"
     times = COUNTS[format_].seconds(values)
     # So large an elapsed time is a count from a beginning that is not known.
     return None if since_1970(float(np.nanmin(times))) else FoundClock(place, (format_,), "year", times)
 
 
 def says_count_unit(header: str) -> bool:
-    """Whether a header says in which unit its times are counted."""
-    return any(word in _COUNT_UNITS for word in _WORDS.findall(header.casefold()))
+    """Whether a header says in which unit its times are counted, and in one only."""
+    return len(set(_units_named(header))) == 1 and not _TENTHS_OF_US.search(header)
+
+
+def _units_named(header: str) -> list[str]:
+    return [_UNIT_WORDS[word] for word in _WORDS.findall(header.casefold()) if word in _UNIT_WORDS]
 
 
 def _restarts_evenly(counts: Array) -> bool:

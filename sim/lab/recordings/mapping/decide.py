@@ -40,9 +40,9 @@ from sim.lab.recordings.mapping.clocks import (
     daily_clock,
     find_clocks,
     looks_rounded_count,
-    says_count_unit,
 )
 from sim.lab.recordings.mapping.columns import FoundColumn, dwells, find_decimal, has_levels, is_slow
+from sim.lab.recordings.mapping.elapsed import in_own_unit
 from sim.lab.recordings.mapping.table import FoundTable
 from sim.lab.recordings.mapping.words import (
     current_score,
@@ -187,36 +187,8 @@ def choose_clock(table: FoundTable, answers: Answers, *, now: float) -> FoundClo
             f"{table.path}: the days of {table.header[chosen]!r} may stand in "
             f"{' or in '.join(repr(table.header[at]) for at in days)}: name that column 'Date', or export only that one"
         )
-    return _one_order(table, [_in_own_unit(table, clock, answers) for clock in found[chosen]], answers, now)
-
-
-def _in_own_unit(table: FoundTable, clock: FoundClock, answers: Answers) -> FoundClock:
-    """The clock in the unit that a person names. Raises Undecided for elapsed times of no unit that are hardly s."""
-    header = table.header[clock.place]
-    said = [text.rpartition("=")[2] for text in answers.unit if text.rpartition("=")[0] == header]
-    if said and said[-1] not in _ELAPSED_UNITS:
-        raise TraceError(f"{table.path}: --unit {header}={said[-1]}: a time is in one of {list_names(_ELAPSED_UNITS)}")
-    if said:
-        return replace(clock, formats=(_ELAPSED_UNITS[said[-1]],))
-    steps = np.abs(np.diff(clock.times))
-    usual = float(np.median(steps[steps > 0])) if np.any(steps > 0) else 0.0
-    plain = clock.formats == ("seconds",) and not since_1970(float(np.nanmin(clock.times)))
-    if not plain or says_count_unit(header) or usual < _HARDLY_S:
-        return clock
-    thousands = 1 if usual <= _HARDLY_S * 1e3 else 2 if usual <= _HARDLY_S * 1e6 else 3
-    choices = [f"{header}={unit}" for unit in list(_ELAPSED_UNITS)[: thousands + 1]]
-    raise Undecided(
-        table.path,
-        f"the times in {header!r} say no unit, and go on by {usual:g}",
-        "unit",
-        choices,
-        guess=choices[thousands],
-    )
-
-
-_ELAPSED_UNITS = {"s": "seconds", "ms": "milliseconds", "us": "microseconds", "ns": "nanoseconds"}
-_HARDLY_S = 3600.0
-"""s between rows from which on elapsed times without a unit may as well count thousandths."""
+    beside = [clocks[0] for place, clocks in found.items() if place != chosen and clocks[0].formats[0] not in _COUNTS]
+    return _one_order(table, [in_own_unit(table, clock, beside, answers) for clock in found[chosen]], answers, now)
 
 
 def _has_days(table: FoundTable, place: int) -> bool:

@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.csv_rows import strip_guards
 from sim.lab.recordings import (
     MAX_HEADER_LINE,
     MAX_ROW_LINES,
@@ -18,6 +17,7 @@ from sim.lab.recordings import (
     UNITS,
     UNNAMED_COLUMN,
     TraceError,
+    bare_cells,
     compose_names,
     decode_head,
     drop_invisible,
@@ -60,6 +60,8 @@ class FoundTable:
     """The pattern of the files that make the table together, one a tag or one after another; "" for a single file."""
     files: tuple[str, ...] = ()
     """Of such a table the name of the file that has the column; "" where several have it."""
+    above: tuple[str, ...] = ()
+    """The lines that stand above the header."""
 
     def column(self, place: int) -> list[str]:
         """The sample cells of a column."""
@@ -132,6 +134,14 @@ def find_table(path: Path) -> FoundTable:
         below = [line for _, line in usable[first:MAX_HEADER_LINE]]
         header = next((o for o in others if len(o) == width and rows_mark(below, width, ",") != ","), header)
     named_rows = with_row_names(header, rows[first : first + _SHOWN_ROWS])
+    names = sum(map(bool, header))
+    shown = rows[first : first + _SHOWN_ROWS]
+    # Numbered rows have a cell more, too, and others a last mark.
+    if separator == "," and len(named_rows) == len(header) and all(_has_commas(row, names) for row in shown):
+        raise TraceError(
+            f"{path}: line {usable[first][0] + 1} has {width} cells under {names} names: its commas are decimal marks "
+            "and part the cells, too; export it with semicolons between the cells, or with decimal points"
+        )
     if len(named_rows) > len(header):
         # The rows between the names and the readings, and that of units, have no cell for the rows' numbers either.
         header, units = named_rows, ["", *units[: width - 1]]
@@ -170,6 +180,7 @@ def find_table(path: Path) -> FoundTable:
         titles=(*(number_equal_names(titles) if titles == header else titles), *names[width:]),
         units=(*units[:width], *[""] * more),
         rows=tuple(sample),
+        above=tuple(lines[: usable[header_at][0]]),
     )
 
 
@@ -284,7 +295,7 @@ def _cells(line: str, mark: str) -> list[str]:
         row = line.split(mark)
     else:
         row = next(csv.reader(line.splitlines(keepends=True), delimiter=mark, skipinitialspace=True), [])
-    return [cell.strip() for cell in strip_guards(row)]
+    return [cell.strip() for cell in bare_cells(row)]
 
 
 def _is_data(row: Sequence[str]) -> bool:
@@ -297,6 +308,14 @@ def _is_data(row: Sequence[str]) -> bool:
         return True
     filled = [cell for cell in row if cell]
     return bool(row[0]) and len(filled) > 1 and all(_numeric(cell) for cell in filled)
+
+
+_WHOLE = re.compile(r"[+-]?\d+")
+
+
+def _has_commas(row: Sequence[str], names: int) -> bool:
+    """Whether a row has more cells than `names`, and behind its time only the wholes and the decimals of numbers."""
+    return sum(map(bool, row)) > names and all(map(_WHOLE.fullmatch, filter(None, row[1:])))
 
 
 def _has_equal(names: Sequence[str]) -> bool:

@@ -26,7 +26,7 @@ _MEDIUM = re.compile(r"fluid|feed|(?<![bcfs])oil|öl|olio|huile|aceite|water|was
 """A temperature of what flows through a machine: not a bearing's, but a boiler's own; a boiler is no oil."""
 _CURRENT = re.compile(
     r"(?:^|[:./_-])i[it][-_]?\d|(?:^|[:./ ])i[it]_|"
-    r"current|strom(?!ung)|corrente|corriente|courant|intensit|assorb|\bi[_ ]|^i\d|_i$|_i_|stromaufn|电流|"
+    r"current|strom(?!ung)|corrente|corriente|courant|intensit|assorb|\bi[_ ]|^i\d|_i$|_i_|stromaufn|电流|電流|"
     # Amperes, but no campus, lamp or damper.
     r"motoramps|milliamp|(?-i:(?<![A-Za-z])[Aa]mp(?:s|[eè]res?)?(?![a-z])|(?<=[a-z])Amp(?:s|eres?)?(?![a-z])|"
     r"(?<![A-Z])AMP(?:S|ERES?)?(?![A-Z]))",
@@ -34,7 +34,7 @@ _CURRENT = re.compile(
 )
 _RUNNING = re.compile(
     r"run|running|marcia|betrieb|läuft|lauf|marche|marcha|motor.?on|in_?funzione|started|_on\b|_ein\b|on_?off|ein.?aus|status|"
-    r"stato|état|estado|zustand|servizio",
+    r"stato|état|estado|zustand|servizio|運転|稼働|运行",
     re.IGNORECASE,
 )
 _ALARM = re.compile(r"alarm|allarm|fault|stör|guasto|défaut|fallo|error|quality|qualit|valid", re.IGNORECASE)

@@ -1,0 +1,94 @@
+"""Elapsed times: their unit is told by the file, or asked; none is believed."""
+
+from collections.abc import Callable
+from datetime import datetime, timedelta
+from pathlib import Path
+
+import pytest
+
+from tests.traces.exports import BEGIN, STEP, recording, wide
+from tests.traces.test_dialects import asked, is_the_plant, mapped
+
+SIZES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0, "h": 3600.0}
+
+
+def counted(unit: str, *, step: float = STEP) -> Callable[[datetime], str]:
+    """A clock that counts in a unit from the beginning of the plant's rows, `step` s apart."""
+    return lambda t: f"{(t - BEGIN).total_seconds() / STEP * step / SIZES[unit]:.9g}"
+
+
+@pytest.mark.parametrize("name", ["t", "Time"])
+@pytest.mark.parametrize(("unit", "step"), [("ms", 0.1), ("ms", 1.0), ("s", 10.0), ("min", 60.0)])
+def test_a_unit_that_nothing_says_is_asked(name: str, unit: str, step: float, tmp_path: Path) -> None:
+    """0, 100, 200 ... were seconds in silence, and with them 0, 1, 2 ... of minutes."""
+    export = wide(tmp_path / "e.csv", header=f"{name},Bearing temperature,Motor current,Running",
+                  clock=counted(unit, step=step))  # fmt: skip
+    question = asked(export, tmp_path / "m.toml")
+    assert f"the times in {name!r} say no unit" in question and f"--unit {name}={unit}" in question
+    (trace,), _, _ = mapped(export, tmp_path / "m.toml", "--unit", f"{name}={unit}")
+    assert trace.times[1] - trace.times[0] == pytest.approx(step)
+
+
+@pytest.mark.parametrize("unit", ["s", "ms", "us"])
+def test_the_guess_is_the_unit_in_which_a_temperature_goes_as_one_of_a_machine(unit: str, tmp_path: Path) -> None:
+    export = wide(tmp_path / "e.csv", clock=counted(unit))
+    (trace,), _, _ = mapped(export, tmp_path / "m.toml", "--yes")
+    is_the_plant(trace, tmp_path / "m.toml")
+
+
+@pytest.mark.parametrize(
+    ("name", "unit"),
+    [("Time (ms)", "ms"), ("t_ms", "ms"), ("Zeit in Sekunden", "s"), ("Tempo [minuti]", "min"), ("Time [hours]", "h")],
+)
+def test_the_name_says_it(name: str, unit: str, tmp_path: Path) -> None:
+    export = wide(tmp_path / "e.csv", header=f"{name},Bearing temperature,Motor current,Running", clock=counted(unit))
+    (trace,), _, _ = mapped(export, tmp_path / "m.toml")
+    is_the_plant(trace, tmp_path / "m.toml")
+
+
+def test_names_of_several_units_say_none(tmp_path: Path) -> None:
+    export = wide(tmp_path / "e.csv", header="Time h:min,Bearing temperature,Motor current,Running", clock=counted("s"))
+    assert "--unit 'Time h:min=s'" in asked(export, tmp_path / "m.toml")
+
+
+@pytest.mark.parametrize(
+    ("line", "unit"),
+    [("Sampling interval: 10 s", "ms"), ("Sample rate;0.1 Hz", "ms"), ("Abtastintervall [ms]: 10000", "s"),
+     ("dt = 10s", "us"), ("Sample Period:,10000 ms", "s")],
+)  # fmt: skip
+def test_what_stands_above_the_table_says_it(line: str, unit: str, tmp_path: Path) -> None:
+    export = wide(tmp_path / "e.csv", clock=counted(unit))
+    export.write_text(f"{line}\nRecorder 7\n{export.read_text(encoding='utf-8')}", encoding="utf-8")
+    (trace,), _, _ = mapped(export, tmp_path / "m.toml")
+    is_the_plant(trace, tmp_path / "m.toml")
+
+
+def test_a_row_of_units_says_it(tmp_path: Path) -> None:
+    export = wide(tmp_path / "e.csv", clock=counted("ms"))
+    name, rows = export.read_text(encoding="utf-8").split("\n", 1)
+    export.write_text(f"{name}\nms,degC,A,\n{rows}", encoding="utf-8")
+    (trace,), _, _ = mapped(export, tmp_path / "m.toml")
+    is_the_plant(trace, tmp_path / "m.toml")
+
+
+def test_another_clock_of_the_file_says_it(tmp_path: Path) -> None:
+    """The column that is called a time counts, and the one beside it is the wall's."""
+    name = "Time,Written,Bearing temperature,Motor current,Running"
+    export = wide(tmp_path / "e.csv", header=name, clock=lambda t: f"{counted('ms')(t)},{t + timedelta(days=3)}")
+    (trace,), _, _ = mapped(export, tmp_path / "m.toml")
+    is_the_plant(trace, tmp_path / "m.toml")
+
+
+def test_numbers_of_rows_are_no_times(tmp_path: Path) -> None:
+    """The lines above say how often one is written, and the column counts them."""
+    export = wide(tmp_path / "e.csv", clock=lambda t: f"{(t - BEGIN).total_seconds() / STEP:.0f}")
+    export.write_text(f"Sample rate: 0.1 Hz\n\n{export.read_text(encoding='utf-8')}", encoding="utf-8")
+    assert "'Time' counts rows, and the lines above say one every 10 s" in asked(export, tmp_path / "m.toml")
+
+
+@pytest.mark.parametrize("unit", ["d", "min", "h"])
+def test_every_unit_can_be_answered(unit: str, tmp_path: Path) -> None:
+    size = SIZES.get(unit, 86400.0)
+    export = wide(tmp_path / "e.csv", clock=lambda t: f"{(t - BEGIN).total_seconds() / size:.12g}")
+    (trace,), _, _ = mapped(export, tmp_path / "m.toml", "--unit", f"Time={unit}")
+    is_the_plant(trace, tmp_path / "m.toml", recording())

@@ -1,0 +1,216 @@
+"""Layouts of programs that are no table of cells between marks: each is the plant, or refused for what it is."""
+
+import gzip
+from collections.abc import Callable, Sequence
+from datetime import datetime
+from pathlib import Path
+
+import pytest
+
+from sim.lab.recordings import bare_cells
+from sim.lab.recordings.foreign_tables import find_layout_of
+from tests.traces.exports import BEGIN, comma, recording
+from tests.traces.test_dialects import EPOCH, asked, is_the_plant, mapped
+
+PLANT = recording()
+ROWS = list(zip(PLANT.moments, PLANT.heat.tolist(), PLANT.current.tolist(), PLANT.running.tolist(), strict=True))
+NAMES = ("Bearing temperature", "Motor current", "Running")
+
+
+def scope(*, mark: str = "\t", decimal: str = ".", each: bool = False) -> str:
+    """TwinCAT Scope: a column of ms for all channels, or one for `each`."""
+    begin = int((BEGIN - datetime(1601, 1, 1)).total_seconds() * 1e7)
+
+    def line(key: str, cells: Sequence[str]) -> str:
+        return mark.join(part for at, cell in enumerate(cells) for part in ([key, cell] if each or not at else [cell]))
+
+    head = [
+        f"Name{mark}plant", f"File{mark}C:\\plant.csv",
+        f"Starttime of export{mark}{begin}{mark}Mittwoch, 13. März 2024{mark}09:58:00.000",
+        f"Endtime of export{mark}{begin}{mark}Mittwoch, 13. März 2024{mark}10:38:00.000", "", "", line("Name", NAMES),
+        line("SymbolComment", ("", "", "")), line("SampleTime[ms]", ("10000",) * 3),
+        line("BitMask", ("0xffffffffffffffff",) * 3), line("Unit", ("(None)", "A (Current)", "(None)")), "",
+    ]  # fmt: skip
+    body = (
+        line(str(number * 10_000), [str(value).replace(".", decimal) for value in values])
+        for number, (_, *values) in enumerate(ROWS)
+    )
+    return "\n".join((*head, *body, "EOF")) + "\n"
+
+
+def measurement() -> str:
+    """LabVIEW's, without a column of times."""
+    head = [
+        "LabVIEW Measurement\t", "Writer_Version\t2", "Separator\tTab", "Decimal_Separator\t.", "X_Columns\tNo",
+        "Date\t2024/03/13", "Time\t09:58:00,938945770263671875", "***End_of_Header***\t", "\t", "Channels\t3\t\t",
+        "Samples\t240\t240\t240", "Date\t2024/03/13\t2024/03/13\t2024/03/13", "Time\t09:58:00\t09:58:00\t09:58:00",
+        "X_Dimension\tTime\tTime\tTime", "X0\t0.0000000000000000E+0\t0.0\t0.0", "Delta_X\t10.0\t10.0\t10.0",
+        "***End_of_Header***\t", "\t".join(("X_Value", *NAMES, "Comment")),
+    ]  # fmt: skip
+    return "\n".join((*head, *(f"\t{heat}\t{load}\t{on}" for _, heat, load, on in ROWS))) + "\n"
+
+
+def fast_load() -> str:
+    tags = ("Bearing.Temperature", "Motor.Current", "Motor.Running")
+    body = [
+        f"{tag}|0|{moment:%Y/%m/%d}|{moment:%H:%M:%S}.000|1|{value}|192"
+        for moment, *values in ROWS
+        for tag, value in zip(tags, values, strict=True)
+    ]
+    return "\n".join(("ASCII", "|", "Admin,1,Server Local,1,2", *body)) + "\n"
+
+
+def recorder() -> str:
+    """A paper recorder's: tags and units in rows of their own."""
+    head = ('"Ch.","","","CH1","CH2","CH3"', '"Tag","","","Bearing temperature","Motor current","Running"',
+            '"Unit","","","°C","A",""', '"Date","Time","sec","Value","Value","Value"')  # fmt: skip
+    body = (f'"{moment:%Y/%m/%d}","{moment:%H:%M:%S}","0.0",{heat},{load},{on}' for moment, heat, load, on in ROWS)
+    return "\n".join((*head, *body)) + "\n"
+
+
+def trend() -> str:
+    """A controller's trend: thousandths of a second behind a semicolon."""
+    head = ('Controller Name:,"Line"', "Trend Tags:,3", "Sample Period:,10000 ms", "",
+            'Header:,Date,Time,"Bearing_temperature","Motor_current","Running"')  # fmt: skip
+    body = (f"Data,{moment:%m/%d/%Y},{moment:%H:%M:%S};000,{heat},{load},{on}" for moment, heat, load, on in ROWS)
+    return "\n".join((*head, *body)) + "\n"
+
+
+def aligned(names: Sequence[str], widths: Sequence[int], cells: Callable[[datetime], str], number: object = str) -> str:
+    rows = [names, *((cells(row[0]), *map(number, row[1:])) for row in ROWS)]  # type: ignore[operator]
+    return "\n".join("  ".join(str(c).rjust(w) for c, w in zip(row, widths, strict=True)) for row in rows) + "\n"
+
+
+def ruled() -> str:
+    """A console of a database, with what it says behind its rows."""
+    widths = (23, 22, 22, 7)
+    rows = [("Time", *NAMES), tuple("-" * width for width in widths),
+            *((f"{moment:%Y-%m-%d %H:%M:%S}.000", *values) for moment, *values in ROWS)]  # fmt: skip
+    body = (" ".join(str(cell).ljust(width) for cell, width in zip(row, widths, strict=True)) for row in rows)
+    return "\n".join((*body, "", "(240 rows affected)", "", "Completion time: 2024-03-13T10:38:00+01:00")) + "\n"
+
+
+def ns(moment: datetime) -> int:
+    return int((moment - EPOCH).total_seconds()) * 10**9
+
+
+def points() -> str:
+    return "".join(
+        f"decanter,machine=D\\ 1 bearing_temperature={heat},motor_current={load},running={'tf'[not on]} {ns(moment)}\n"
+        for moment, heat, load, on in ROWS
+    )
+
+
+def points_by_measurement() -> str:
+    return "".join(
+        f"{name},host=plc value={value} {ns(moment)}\n"
+        for moment, heat, load, on in ROWS
+        for name, value in (("bearing_temperature", heat), ("motor_current", load), ("running", f"{on}i"))
+    )
+
+
+WIDTHS = (19, 20, 14, 8)
+LAYOUTS: dict[str, tuple[str, Callable[[], str]]] = {
+    "scope": ("e.csv", scope),
+    "scope, a clock each": ("e.txt", lambda: scope(mark=";", decimal=",", each=True)),
+    "measurement": ("e.lvm", measurement),
+    "fast load": ("e.csv", fast_load),
+    "recorder": ("e.csv", recorder),
+    "trend": ("e.csv", trend),
+    "aligned": ("e.txt", lambda: aligned(("Time", *NAMES), WIDTHS, "{:%Y-%m-%d %H:%M:%S}".format)),
+    "aligned, German": (
+        "e.txt",
+        lambda: aligned(
+            ("Zeit", "Lagertemperatur", "Motorstrom", "Betrieb"), WIDTHS, "{:%d.%m.%Y %H:%M:%S}".format, comma
+        ),
+    ),
+    "blanks": (
+        "e.dat",
+        lambda: (
+            "Date Time Bearing_temp Motor_current Running\n"
+            + "".join(f"{moment:%Y-%m-%d %H:%M:%S} {heat} {load} {on}\n" for moment, heat, load, on in ROWS)
+        ),
+    ),
+    "ruled": ("e.rpt", ruled),
+    "points": ("e.lp", points),
+    "points by measurement": ("e.txt", points_by_measurement),
+    "for a spreadsheet": (
+        "e.csv",
+        lambda: (
+            '="Time",="Bearing temperature",="Motor current",="Running"\n'
+            + "".join(f'="{moment}",="{heat}",="{load}","=""{on}"""\n' for moment, heat, load, on in ROWS)
+        ),
+    ),
+}
+
+
+@pytest.mark.parametrize("layout", [*LAYOUTS, "packed"])
+def test_a_layout_of_a_program_is_the_plant(layout: str, tmp_path: Path) -> None:
+    """They were refused for reasons that were none, such as a column BitMask that holds no times."""
+    name, text = LAYOUTS.get(layout, LAYOUTS["scope"])
+    export = tmp_path / (f"{name}.gz" if layout == "packed" else name)
+    export.write_bytes(gzip.compress(text().encode()) if layout == "packed" else text().encode())
+    (trace,), report, _ = mapped(export, tmp_path / "m.toml")
+    is_the_plant(trace, tmp_path / "m.toml")
+    assert trace.times[0] == (BEGIN - EPOCH).total_seconds()
+    assert report.refused == (2 if layout == "ruled" else 0)
+
+
+def test_names_in_shift_jis(tmp_path: Path) -> None:
+    """They were read in a Western code page, and asked for as such."""
+    export = tmp_path / "e.csv"
+    rows = "".join(f"{moment:%Y/%m/%d %H:%M:%S},{heat},{load},{on}\n" for moment, heat, load, on in ROWS)
+    export.write_bytes(f"日時,軸受温度,モータ電流,運転\n{rows}".encode("cp932"))
+    (trace,), _, said = mapped(export, tmp_path / "m.toml")
+    is_the_plant(trace, tmp_path / "m.toml")
+    assert said["temperature"] == "軸受温度" and said["current"] == "モータ電流"
+
+
+@pytest.mark.parametrize("words", ["Lagertemperatur [°C] Kälte für Wärme", "Température étuve – entrée", "“Tür” €"])
+def test_western_names_are_not_taken_for_japanese(words: str, tmp_path: Path) -> None:
+    export = tmp_path / "e.csv"
+    rows = "".join(f"{moment};{heat};{load};{on}\n" for moment, heat, load, on in ROWS)
+    export.write_bytes(f"Time;Bearing temperature;Motor current;Running {words}\n{rows}".encode("cp1252"))
+    mapped(export, tmp_path / "m.toml")
+    assert words in (tmp_path / "m.toml").read_text(encoding="utf-8").replace('\\"', '"')
+
+
+def test_commas_that_are_decimal_marks_and_part_the_cells_are_refused_as_such(tmp_path: Path) -> None:
+    """The reason was that no form of a time reads a blank cell."""
+    export = tmp_path / "e.csv"
+    rows = (f"{moment},{comma(heat)},{comma(load)},{on}\n" for moment, heat, load, on in ROWS)
+    export.write_text(f"Time,{','.join(NAMES)}\n{''.join(rows)}", encoding="utf-8")
+    assert "its commas are decimal marks and part the cells" in asked(export, tmp_path / "m.toml")
+
+
+def test_channels_of_several_steps_have_no_common_time(tmp_path: Path) -> None:
+    export = tmp_path / "e.lvm"
+    export.write_text(measurement().replace("Delta_X\t10.0\t10.0\t10.0", "Delta_X\t10.0\t1.0\t10.0"), encoding="utf-8")
+    assert "Delta_X and X0 are not one value" in asked(export, tmp_path / "m.toml")
+
+
+def test_what_is_no_row_of_the_layout_costs_itself_alone(tmp_path: Path) -> None:
+    """It is counted among the rows, and refused."""
+    for name, text, odd in (("e.lp", points(), "decanter bearing_temperature=\n"),
+                            ("e.csv", fast_load(), "Bearing.Temperature|0|2024/03/13\n"),
+                            ("e.txt", LAYOUTS["aligned"][1](), "recorder restarted\n")):  # fmt: skip
+        export = tmp_path / name
+        lines = text.splitlines(keepends=True)
+        export.write_text("".join([*lines[:100], odd, *lines[100:]]), encoding="utf-8")
+        (trace,), report, _ = mapped(export, tmp_path / f"{name}.toml")
+        is_the_plant(trace, tmp_path / f"{name}.toml")
+        assert report.refused == 1, name
+
+
+@pytest.mark.parametrize("names", ["Time,Bearing temperature,Standstill", "Time,Motor running,Bearing temperature"])
+def test_blanks_within_names_and_times_of_a_csv_part_no_columns(names: str) -> None:
+    """Its rows have as many blanks as its header."""
+    rows = "".join(f"{moment},{heat},{on}\n" for moment, heat, _, on in ROWS)
+    assert find_layout_of(f"{names}\n{rows}") is None
+    assert find_layout_of(f"Plant export\n{names}\n{rows}") is None
+
+
+def test_a_text_that_a_table_of_ours_guards_stays_what_it_is() -> None:
+    assert bare_cells(['="45.2"', '\'="45.2"', '="say ""no"""', "'=1+1", "-5"]) == [
+        "45.2", '="45.2"', 'say "no"', "=1+1", "-5"
+    ]  # fmt: skip
