@@ -76,8 +76,9 @@ def trend() -> str:
     return "\n".join((*head, *body)) + "\n"
 
 
-def aligned(names: Sequence[str], widths: Sequence[int], cells: Callable[[datetime], str], number: object = str) -> str:
-    rows = [names, *((cells(row[0]), *map(number, row[1:])) for row in ROWS)]  # type: ignore[operator]
+def aligned(names: Sequence[str], widths: Sequence[int], clock: Callable[[datetime], str],
+            number: Callable[[float], str] = str) -> str:  # fmt: skip
+    rows = [names, *((clock(moment), *map(number, values)) for moment, *values in ROWS)]
     return "\n".join("  ".join(str(c).rjust(w) for c, w in zip(row, widths, strict=True)) for row in rows) + "\n"
 
 

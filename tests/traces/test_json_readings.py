@@ -205,7 +205,7 @@ def test_a_date_is_the_time_of_a_pair_beside_a_reading_that_rises(form: str) -> 
     """By every date that columns are read by: the reading that rose was taken for the time."""
     dates = [moment.strftime(form) for moment in PLANT.moments]
     for place in (0, 1):
-        rows = [[date, str(20 + at / 10)][:: 1 - 2 * place] for at, date in enumerate(dates)]
+        rows: list[list[Any]] = [[date, str(20 + at / 10)][:: 1 - 2 * place] for at, date in enumerate(dates)]
         rows[1][place] = None
         named = name_pairs({"bearing_temp": rows})["bearing_temp"]
         assert [row["value"] for row in named] == [str(20 + at / 10) for at in range(len(rows))]

@@ -141,9 +141,11 @@ def _fastest(times: Array, values: Array) -> float:
     """By how much a temperature goes on in one count of time where it is fastest, over half of its way; 0 for none."""
     known = np.isfinite(times) & np.isfinite(values)
     times, values = times[known], values[known]
-    rows = np.unique(np.linspace(0, times.size - 1, min(times.size, _SHOWN_READINGS)).astype(int)) if times.size else []
+    if times.size < 3:
+        return 0.0
+    rows = np.unique(np.linspace(0, times.size - 1, min(times.size, _SHOWN_READINGS)).astype(np.intp))
     times, values = times[rows], values[rows]
-    if times.size < 3 or not (half := float(np.ptp(np.quantile(values, (0.02, 0.98)))) / 2.0):
+    if not (half := float(np.ptp(np.quantile(values, (0.02, 0.98)))) / 2.0):
         return 0.0
     apart = np.abs(times[:, None] - times)[np.abs(values[:, None] - values) >= half]
     shortest = float(apart.min()) if apart.size else 0.0
