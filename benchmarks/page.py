@@ -7,7 +7,8 @@ Chromium. An update's latency is from the reading's own time to the frame in whi
 clients cost is the gateway's processor time with them less that without. What a scan notices is how far its begin is
 off the period, and how long it takes, without clients and with them. What a tab costs is the processor time of the
 browser's process that draws it. A day in one tab is what its script holds and how many nodes there are after an hour
-and after a day of pictures ten seconds apart, handed to it as fast as it draws them.
+and after a day of pictures ten seconds apart, handed to it as fast as it draws them. There the browser does without its
+compilers: machine code, which it makes of whatever ran often and throws away again, would be taken for what is kept.
 """
 
 import asyncio
@@ -95,8 +96,8 @@ def processor(pid: int) -> float:
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
-def follow(port: int, stop: threading.Event, late: list[float]) -> None:
-    """One client of the stream; notes how late each picture comes after it was taken."""
+def follow(port: int, stop: threading.Event, seen: dict[float, float]) -> None:
+    """One client of the stream; notes when each picture was taken, and how late it comes after that (s)."""
     connection = http.client.HTTPConnection("127.0.0.1", port, timeout=10.0)
     connection.request("GET", "/api/live")
     stream = connection.getresponse()
@@ -105,7 +106,7 @@ def follow(port: int, stop: threading.Event, late: list[float]) -> None:
         if line.startswith(b"data: "):
             taken = re.search(rb'"taken": ([0-9.]+)', line)
             if taken:
-                late.append(time.time() - float(taken[1]))
+                seen[float(taken[1])] = time.time() - float(taken[1])
     connection.close()
 
 
@@ -144,6 +145,7 @@ def browser(port: int, seconds: float) -> dict[str, Any]:
     return {"first_paint_ms": paints, "shown": shown, "heap_mb": heap / 1e6}
 
 
+NO_COMPILERS = "--js-flags=--no-opt,--no-maglev,--no-sparkplug"
 DRAWN_VIEWS = ("plant", "wall", "machine/decanter")
 HOLD_STREAM = """
 const Stream = window.EventSource;
@@ -176,41 +178,53 @@ def measure_tab(seconds: float) -> list[Figure]:
 
     figures = []
     with tempfile.TemporaryDirectory() as name, running(Path(name)) as (_, port), sync_playwright() as started:
-        chromium = started.chromium.launch(executable_path="/usr/bin/chromium", args=["--no-sandbox", "--disable-gpu"])
-        page, whole = chromium.new_page(), chromium.new_browser_cdp_session()
-        page.add_init_script(HOLD_STREAM)
-
-        def drawing() -> float:
-            told = whole.send("SystemInfo.getProcessInfo")["processInfo"]
-            return sum(float(one["cpuTime"]) for one in told if one["type"] == "renderer")
-
-        for view in DRAWN_VIEWS:
-            page.goto(f"http://127.0.0.1:{port}/#/{view}")
-            page.wait_for_timeout(5000.0)
-            before = drawing()
-            page.wait_for_timeout(1000.0 * seconds)
-            cost = 100.0 * (drawing() - before) / seconds
-            figures.append(Figure(f"one tab, {view}", cost, "% of a core", "goal", 2.0))
-        session = page.context.new_cdp_session(page)
-
-        def held() -> tuple[float, int]:
-            session.send("HeapProfiler.collectGarbage")
-            nodes = session.send("Memory.getDOMCounters")["nodes"]
-            return session.send("Runtime.getHeapUsage")["usedSize"] / 1e6, nodes
-
-        for view in DRAWN_VIEWS:
-            page.goto("about:blank")
-            page.goto(f"http://127.0.0.1:{port}/#/{view}")
-            page.wait_for_timeout(2000.0)
-            page.evaluate(A_DAY, [0, 3600, 10])
-            (heap, nodes), _ = held(), page.evaluate(A_DAY, [3600, 86_400, 10])
-            heap_after, nodes_after = held()
-            figures += [
-                Figure(f"script's memory after a day, {view}", heap_after, "MB", "after an hour", heap),
-                Figure(f"nodes after a day, {view}", nodes_after, "", "after an hour", nodes),
-            ]
-        chromium.close()
+        with opened(started) as (whole, page):
+            for view in DRAWN_VIEWS:
+                page.goto(f"http://127.0.0.1:{port}/#/{view}")
+                page.wait_for_timeout(5000.0)
+                before = drawing(whole)
+                page.wait_for_timeout(1000.0 * seconds)
+                cost = 100.0 * (drawing(whole) - before) / seconds
+                figures.append(Figure(f"one tab, {view}", cost, "% of a core", "goal", 2.0))
+        with opened(started, NO_COMPILERS) as (_, page):
+            page.add_init_script(HOLD_STREAM)
+            for view in DRAWN_VIEWS:
+                page.goto("about:blank")
+                page.goto(f"http://127.0.0.1:{port}/#/{view}")
+                page.wait_for_timeout(2000.0)
+                page.evaluate(A_DAY, [0, 3600, 10])
+                (heap, nodes), _ = held(page), page.evaluate(A_DAY, [3600, 86_400, 10])
+                heap_after, nodes_after = held(page)
+                figures += [
+                    Figure(f"script's memory after a day, {view}", heap_after, "MB", "after an hour", heap),
+                    Figure(f"nodes after a day, {view}", nodes_after, "", "after an hour", nodes),
+                ]
     return figures
+
+
+@contextmanager
+def opened(started: Any, *flags: str) -> Iterator[tuple[Any, Any]]:
+    """A browser's own CDP session and a page of it; `started` is Playwright."""
+    arguments = ["--no-sandbox", "--disable-gpu", *flags]
+    chromium = started.chromium.launch(executable_path="/usr/bin/chromium", args=arguments)
+    page = chromium.new_page()
+    page.set_default_timeout(600_000.0)
+    yield chromium.new_browser_cdp_session(), page
+    chromium.close()
+
+
+def drawing(whole: Any) -> float:
+    """Processor seconds so far of the processes of a browser that draw."""
+    told = whole.send("SystemInfo.getProcessInfo")["processInfo"]
+    return sum(float(one["cpuTime"]) for one in told if one["type"] == "renderer")
+
+
+def held(page: Any) -> tuple[float, int]:
+    """What a page's script holds (MB), and how many nodes there are."""
+    session = page.context.new_cdp_session(page)
+    session.send("HeapProfiler.collectGarbage")
+    nodes = session.send("Memory.getDOMCounters")["nodes"]
+    return session.send("Runtime.getHeapUsage")["usedSize"] / 1e6, nodes
 
 
 SPANS = {"1 min": 60, "1 h": 3600, "1 d": 86_400, "7 d": 7 * 86_400, "90 d": 90 * 86_400}
@@ -267,8 +281,8 @@ def measure(seconds: float, clients: int) -> list[Figure]:
         begun, before = time.time(), processor(pid)
         time.sleep(seconds)
         alone, alone_end = processor(pid) - before, time.time()
-        stop, late = threading.Event(), list[float]()
-        threads = [threading.Thread(target=follow, args=(port, stop, late), daemon=True) for _ in range(clients)]
+        stop, seen_by = threading.Event(), [dict[float, float]() for _ in range(clients)]
+        threads = [threading.Thread(target=follow, args=(port, stop, own), daemon=True) for own in seen_by]
         for thread in threads:
             thread.start()
         time.sleep(2.0)
@@ -278,6 +292,10 @@ def measure(seconds: float, clients: int) -> list[Figure]:
         stop.set()
         for thread in threads:
             thread.join(3.0)
+        late = [delay for own in seen_by for delay in own.values()]
+        # What was taken while all of them followed; the newest may be on its way to some.
+        told = {taken for own in seen_by for taken in own if with_begun < taken < with_end - 1.0}
+        missed = sum(len(told - set(own)) for own in seen_by)
         seen = browser(port, seconds)
         time.sleep(2.0)
         with reading(folder / "history.sqlite") as connection:
@@ -297,6 +315,8 @@ def measure(seconds: float, clients: int) -> list[Figure]:
                 for name, share in (("p50", 0.5), ("p99", 0.99))
             ),
             Figure(f"{clients} clients", 100 * (crowd - alone) / seconds, "% of a core", "goal", 15.0),
+            Figure("a picture for a client", 1e6 * (crowd - alone) / max(len(told) * clients, 1), "us of a core"),
+            Figure(f"pictures that one of {clients} clients missed", missed, "", "of", len(told) * clients),
             Figure(f"a scan's delay with {clients} clients, p99", with_ms, "ms", "without a client", alone_ms),
             Figure("memory of the page's script", seen["heap_mb"], "MB"),
         ]

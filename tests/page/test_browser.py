@@ -229,6 +229,141 @@ def test_a_row_is_three_figures_and_one_sentence_and_its_picture_fills_what_was_
     expect(row.locator(".action .doing")).to_have_text("scoprire perché non si misura")
 
 
+def test_of_many_machines_those_that_ask_for_something_are_named_above_them_the_worst_first(page: Page) -> None:
+    def machine(name: str, value: float, median: float | None, **changes: Any) -> dict[str, Any]:
+        forecast = picture()["forecast"]
+        block = {**forecast["block"], "minutes_low": median, "minutes_median": median}
+        told: dict[str, Any] = {
+            "machine": name,
+            "values__" + TEMPERATURE: tag(value),
+            "forecast": {**forecast, "block": block},
+        }
+        return as_shown("en", **told, **changes)
+
+    calm = {name: machine(name, 45.0, None) for name in "bcd"}
+    also = {**calm, "e": machine("e", 70.0, 9.0), "f": machine("f", 84.0, 0.0), "g": machine("g", 71.0, 4.0)}
+    page.set_viewport_size({"width": 390, "height": 844})
+    show(page, also=also, **as_shown("en", **{"values__" + TEMPERATURE: tag(None, "TIMEOUT")}))
+    asking = page.locator(".asking li")
+    said = ["f gearbox bearing: 4.0 °C above it", "Decanter 2 gearbox bearing: not known"]
+    said += ["g gearbox bearing: Time to the limit 4 min", "e gearbox bearing: Time to the limit 9 min"]
+    expect(asking).to_contain_text(said)
+    expect(asking.first).to_be_in_viewport(ratio=1.0)
+    expect(page.locator(".row b:first-child")).to_contain_text(["Decanter 2", *"bcdefg"])
+    asking.first.get_by_role("link").click()
+    expect(page.locator("main h2")).to_have_text("f")
+    # Above the limit no minutes are left, whatever was foreseen before.
+    fact = page.locator(".fact", has=page.get_by_text("Minutes to the limit", exact=True))
+    expect(fact.locator("dd")).to_have_text("04.0 °C above it")
+    # Where all is seen at once, or asks for nothing, there is no second list.
+    page.goto("/#/plant")
+    show(page, also=calm, **machine("a", 45.0, None))
+    expect(page.locator(".row")).to_have_count(4)
+    expect(asking).to_have_count(0)
+
+
+def test_why_nothing_is_read_is_said_in_the_readers_language_or_marked_as_english(page: Page) -> None:
+    silent = tag(None, "TIMEOUT", reason="holding:100 count 12: no reply within 0.3 s")
+    strange = tag(None, "DEVICE_FAILURE", reason="the maker's own words")
+    for language, said in (
+        ("de", "holding:100 count 12: keine Antwort innerhalb von 0,3 s"),
+        ("it", "holding:100 count 12: nessuna risposta entro 0,3 s"),
+        ("en", "holding:100 count 12: no reply within 0.3 s"),
+    ):
+        links = [
+            {
+                "name": "main",
+                "place": "10.0.0.7:502",
+                "active": True,
+                "connected": False,
+                "reason": "no connection within 3 s",
+            }
+        ]
+        values = {TEMPERATURE: silent, "Assorbimento": strange}
+        page.goto(f"/?lang={language}#/machine/decanter")
+        show(page, **as_shown(language, values=values, links=links, link__alive=False, link__reason=silent["reason"]))
+        expect(page.locator(".findings")).to_contain_text(said)
+        reasons = page.locator(".readings .reason")
+        expect(reasons).to_contain_text(
+            [said, "the maker's own words" if language == "en" else "the maker's own words (en)"]
+        )
+        assert reasons.evaluate_all("cells => cells.map((cell) => cell.lang)") == ["", "" if language == "en" else "en"]
+        page.goto("/#/communication")
+        expect(page.locator("main .error")).to_have_text(said)
+        if language == "de":
+            expect(page.locator("main tbody").first).to_contain_text("keine Verbindung innerhalb von 3 s")
+
+
+def test_after_a_clock_was_set_back_no_line_lies_in_the_future(page: Page) -> None:
+    # The page has begun with readings of today; the gateway's clock says another year now.
+    show(page, **as_shown("en"))
+    expect(page.locator(".row .big")).to_have_text("45.7 °C")
+    expect(page.locator(".spark .now")).to_have_count(1)
+    eventually(lambda: not page.locator("svg.spark").evaluate(AHEAD) or page.wait_for_timeout(50), 20.0)
+
+
+AHEAD = """svg => {
+  const now = Number(svg.querySelector('.now').getAttribute('x1'));
+  const along = svg.querySelector('.was').getAttribute('d').match(/[-\\d.]+/g).filter((_, place) => place % 2 === 0);
+  return along.some((x) => Number(x) > now + 1);
+}"""
+"""Whether the line of what was measured goes on behind the present moment."""
+
+
+def test_all_is_done_by_the_keyboard_alone_and_each_place_is_seen(page: Page) -> None:
+    def tab_to(where: str) -> None:
+        for _ in range(60):
+            page.keyboard.press("Tab")
+            if page.evaluate("where => document.activeElement.matches(where)", where):
+                outline = "getComputedStyle(document.activeElement).outlineStyle"
+                assert page.evaluate(outline) != "none", f"{where}: nothing shows where the keyboard is"
+                return
+        raise AssertionError(f"{where} is not reached by Tab")
+
+    show(page, **as_shown("en", alarm_summary=[hot("over limit", possible=["acknowledge", "shelve"])]))
+    expect(page.locator(".row .chip")).to_have_count(1)
+    tab_to("[data-act=login]")
+    page.keyboard.press("Enter")
+    page.keyboard.type("olga")
+    page.keyboard.press("Tab")
+    page.keyboard.type(PASSWORD)
+    page.keyboard.press("Enter")
+    expect(page.locator(".who")).to_contain_text("olga")
+    expect(page.get_by_role("dialog")).to_be_hidden()
+    for view in VIEWS:
+        if not view.startswith("machine"):
+            page.locator(".skip").focus()
+            tab_to(f"nav a[href='#/{view}']")
+            page.keyboard.press("Enter")
+            expect(page.locator("nav a[aria-current=page]")).to_have_attribute("href", f"#/{view}")
+    page.goto("/#/alarms")
+    expect(page.locator("li.entry")).to_have_count(1)
+    tab_to("li.entry [data-change=shelve]")
+    page.keyboard.press("Enter")
+    expect(page.get_by_role("dialog")).to_contain_text("Shelve: Decanter 2: gearbox bearing: over its limit")
+    page.keyboard.press("Escape")
+    expect(page.get_by_role("dialog")).to_be_hidden()
+    assert page.evaluate("document.activeElement.dataset.change") == "shelve", "the place is lost with the dialog"
+    page.goto("/#/plant")
+    tab_to(".row")
+    page.keyboard.press("Enter")
+    expect(page.locator("main h2").first).to_have_text("Decanter 2")
+
+
+def test_nothing_moves_for_whom_it_makes_sick(browser: Browser, gateway: Served) -> None:
+    motion: Any  # one of the words that Playwright has for it
+    for motion, names in (("reduce", ["none"]), ("no-preference", ["alarm"])):
+        context = browser.new_context(reduced_motion=motion, base_url=f"http://127.0.0.1:{gateway.port}/")
+        page = context.new_page()
+        page.goto("/?lang=en")
+        show(page, **as_shown("en", alarm_summary=[hot("over limit")]))
+        expect(page.locator(".row .sign.alarm")).to_have_count(1)
+        moving = "nodes => [...new Set(nodes.map((node) => getComputedStyle(node).animationName))]"
+        assert page.locator(".sign.alarm").evaluate_all(moving) == names
+        assert motion != "reduce" or page.evaluate("document.getAnimations().length") == 0
+        context.close()
+
+
 def test_no_word_is_broken_on_a_phone_in_any_language(page: Page) -> None:
     page.set_viewport_size({"width": 390, "height": 844})
     for language in LANGUAGES:
@@ -735,7 +870,10 @@ def test_an_automaton_lies_by_running_and_load_and_a_version_says_what_comes_of_
     origin = {"written": EPOCH, "method": "lsha", "traces": 7, "synthetic": False}
     found["temperatures"][TEMPERATURE] = model | {
         "locations": places,
-        "edges": [{"source": "ON/0", "target": "OFF/0", "symbols": ["x"], "share": 0.5}],
+        "edges": [
+            {"source": "ON/0", "target": "ON/2", "symbols": ["x"], "share": 0.5},
+            {"source": "ON/1", "target": "ON/1", "symbols": ["y"], "share": 0.5},
+        ],
         "versions": ["0001-a", "0002-b", "0003-c"],
         "version": "0002-b",
         "verdicts": {"0003-c": verdict},
@@ -753,6 +891,8 @@ def test_an_automaton_lies_by_running_and_load_and_a_version_says_what_comes_of_
     (off_2, off_0, off_1), (on_2, on_0, on_1) = at[:3], at[3:]
     assert off_0[0] == on_0[0] < off_1[0] == on_1[0] < off_2[0] == on_2[0], "a column is a load"
     assert max(y for _, y in (on_0, on_1, on_2)) < min(y for _, y in (off_0, off_1, off_2)), "what runs lies above"
+    # A move that would run through a state between goes around it.
+    assert page.locator(".automaton .move path").evaluate(THROUGH) == []
     versions = page.locator(".versions > li")
     for text in ("0003-c", "fit for use: it is 40 % better than persistence", "Learned by lsha", "recordings: 7"):
         expect(versions.first).to_contain_text(text)
@@ -760,6 +900,15 @@ def test_an_automaton_lies_by_running_and_load_and_a_version_says_what_comes_of_
     versions.last.get_by_role("button", name="Go back to it").click()
     dialog = page.get_by_role("dialog")
     expect(dialog).to_contain_text("0001-a foresees in place of 0002-b")
+
+
+THROUGH = """path => {
+  const circles = [...document.querySelectorAll('.automaton .place circle')];
+  const between = circles.map((node) => [node.cx.baseVal.value, node.cy.baseVal.value]), all = path.getTotalLength();
+  const points = Array.from({ length: 60 }, (_, place) => path.getPointAtLength((all * (place + 4)) / 68));
+  return between.filter(([x, y]) => points.some((point) => Math.hypot(point.x - x, point.y - y) < 22)).map(String);
+}"""
+"""The circles of states that the middle of a move's line runs through."""
 
 
 def test_forecasts_are_scored_by_how_long_the_machine_had_been_running(page: Page) -> None:

@@ -1,15 +1,22 @@
 """What the page says in words: sentences from a status, in three languages from one table."""
 
+import errno
 import re
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 from string import Formatter
 from typing import Any
 
 import pytest
 
+import drivers
+import gateway.machine
 import gateway.outside.texts
 import gateway.outside.web
+from drivers.codec import judge
+from drivers.modbus.wire import no_connection
+from drivers.tag import Tag
 from gateway.outside.panel import status_rows
 from gateway.outside.status import read_status
 from gateway.outside.status.health import CHECKS
@@ -294,6 +301,49 @@ def test_what_is_found_of_model_and_blocks_is_said_in_the_readers_language() -> 
         for language, wanted in (("de", german), ("it", italian)):
             found = machine_view(all_words()[language], {}, status)["findings"]
             assert any(each["check"] == check and each["sentence"].startswith(wanted) for each in found), found
+
+
+def test_what_drivers_say_has_words_in_each_language() -> None:
+    high = Tag("T", "holding:0", high=150.0, unit="degC")
+    said = [
+        judge(high, 151.5)[1],
+        judge(replace(high, low=-5.5), -20.5)[1],
+        str(no_connection("10.0.0.7:502", ConnectionRefusedError(errno.ECONNREFUSED, "Connect call failed"), None)),
+        f"not connected: {no_connection('10.0.0.7:502', OSError(errno.EHOSTUNREACH, 'No route to host'), None)}",
+        "2.0 s ago holding:100 count 12: no reply within 0.3 s",
+        "has not moved for 61 s (limit 60 s)",
+    ]
+    assert [WORDS["de"].reason(text) for text in said] == [
+        "151,5 degC liegt über dem größten glaubhaften Wert 150",
+        "-20,5 degC liegt unter dem kleinsten glaubhaften Wert -5,5",
+        "10.0.0.7:502 verbindet sich nicht: Verbindung abgelehnt",
+        "nicht verbunden: 10.0.0.7:502 verbindet sich nicht: kein Weg zum Gerät",
+        "vor 2,0 s holding:100 count 12: keine Antwort innerhalb von 0,3 s",
+        "hat sich seit 61 s nicht bewegt (Grenze 60 s)",
+    ]
+    assert [WORDS["en"].reason(text) for text in said] == said
+    # What nobody has put into words is not cut to fit.
+    for strange in (
+        "",
+        "boiling",
+        "a while ago: no reply within reason",
+        "not connected: a cable of the maker's own",
+        "not connected: " * 9999,
+    ):
+        assert WORDS["it"].reason(strange) == ""
+
+
+def test_the_sentences_that_are_put_into_words_are_those_of_the_drivers() -> None:
+    homes = [Path(module.__file__ or "").parent for module in (drivers, gateway.machine)]
+    said = "".join(file.read_text(encoding="utf-8") for home in homes for file in home.rglob("*.py"))
+    said = re.sub(r"\\(.)", r"\1", re.sub(r'"\s*\n\s*f?"', "", said))
+    # Those of the C library, and those that a driver makes of two: the test above has such as they are made.
+    apart = {"refused", "no_route", "no_network", "reset", "closed_within", "too_low", "too_high"}
+    for key, text in WORDS["en"].texts.items():
+        name = key.removeprefix("reason.")
+        if name != key and name not in apart:
+            for part in re.split(r"\{\w+\}", text):
+                assert part.strip(" ()") in said, f"{key}: no driver says {part!r}"
 
 
 def test_a_phrase_is_filled_in_every_language_with_its_own_decimal_sign() -> None:

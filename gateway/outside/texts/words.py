@@ -3,13 +3,17 @@
 import re
 import tomllib
 from collections.abc import Mapping
-from functools import cache
+from functools import cache, lru_cache
 from math import isclose
 from pathlib import Path
 
 from gateway.settings import ALARM_KINDS
 from sim.phrase import translate
 
+_NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:e[+-]?\d+)?")
+_FIGURE = re.compile(rf"{_NUMBER.pattern}(?: [^ .]+)?")
+LONGEST_REASON = 400
+"""Letters of a sentence that is put into words."""
 LANGUAGES = ("en", "it", "de")
 """The first one is what a browser gets that asks for none of them."""
 
@@ -28,6 +32,10 @@ class Words:
         """The text of a code such as a quality (`section.code`); the code itself where there is none."""
         return self.texts.get(key.replace(" ", "_"), key.partition(".")[2])
 
+    def reason(self, sentence: str) -> str:
+        """A driver's sentence on why something is not read, in this language; "" for one that has no words in it."""
+        return sentence if self.language == LANGUAGES[0] else _worded(self.language, sentence)
+
     def by_whom(self, who: str) -> str:
         """Who did something, a name and the address that it was done from: one word behind the last `at`."""
         found = re.fullmatch(r"(.*) at (\S+)", who)
@@ -42,6 +50,49 @@ class Words:
         """Seconds of a horizon in minutes, which need not be whole ones: 90 s are 1.5."""
         minutes = seconds / 60.0
         return self.number(minutes, next((digits for digits in (0, 1) if isclose(round(minutes, digits), minutes)), 2))
+
+
+@lru_cache(maxsize=256)
+def _worded(language: str, sentence: str) -> str:
+    # The readings of one request that failed say the same: it is looked for once. No driver's own is longer than that.
+    if len(sentence) > LONGEST_REASON:
+        return ""
+    for key, pattern in _reason_patterns():
+        if (found := pattern.fullmatch(sentence)) is None:
+            continue
+        parts = {
+            name: part.replace(".", ",", 1) if _FIGURE.fullmatch(part) else part
+            for name, part in found.groupdict().items()
+        }
+        if "reason" in parts:
+            parts["reason"] = _worded(language, found["reason"])
+        if parts.get("reason") != "":
+            return all_words()[language].say(f"reason.{key}", **parts)
+    return ""
+
+
+@cache
+def _reason_patterns() -> tuple[tuple[str, re.Pattern[str]], ...]:
+    """What a driver says, as patterns of its English sentences by their keys.
+
+    One that holds another sentence is tried before it: those that begin with words of their own first, of these the
+    longest, which says most.
+    """
+    texts = all_words()[LANGUAGES[0]].texts
+    own = {key.removeprefix("reason."): text for key, text in texts.items() if key.startswith("reason.")}
+
+    def place(text: str) -> tuple[bool, int]:
+        return text.startswith("{") and not text.startswith("{time}"), -len(text)
+
+    return tuple(
+        (key, re.compile(re.sub(r"\\\{(\w+)\\\}", _any_part, re.escape(text))))
+        for key, text in sorted(own.items(), key=lambda one: place(one[1]))
+    )
+
+
+def _any_part(place: re.Match[str]) -> str:
+    # Seconds and the like are numbers: a sentence of another kind is not cut to fit.
+    return rf"(?P<{place[1]}>{_NUMBER.pattern if place[1] == 'time' else '.+?'})"
 
 
 @cache

@@ -57,6 +57,8 @@ def machine_view(words: Words, labels: Mapping[str, str], status: GatewayStatus)
             {"check": each.check, "sentence": _finding_text(words, status, alarms, each)} for each in findings(status)
         ],
         "link_reason": link_reason(words, status),
+        "link_reasons": [_told(words, link.get("reason") or "") for link in status.links],
+        "reasons": {name: _told(words, tag.reason) for name, tag in status.values.items() if tag.reason},
         "temperatures": temperatures,
         "labels": {name: labels[name] for name in status.values if name in labels},
         "alarms": alarms,
@@ -92,15 +94,19 @@ def _action(words: Words, row: Mapping[str, Any], alarms: Sequence[Mapping[str, 
 
 
 def reading_reason(words: Words, tag: TagStatus) -> str:
-    """Why a reading is not good: by the code of its quality; in English the driver's own sentence, which says more."""
-    own = tag.reason if words.language == "en" else ""
-    return own or words.of_code(f"quality.{tag.quality.lower()}")
+    """Why a reading is not good: the driver's sentence where this language has words for it, else by its quality."""
+    return words.reason(tag.reason) or words.of_code(f"quality.{tag.quality.lower()}")
+
+
+def _told(words: Words, reason: str) -> str:
+    """A driver's sentence where it stands beside the quality: marked where it is English, as this language has none."""
+    return words.reason(reason) or translate(words.language, reason) if reason else ""
 
 
 def link_reason(words: Words, status: GatewayStatus) -> str:
     """Why no good readings arrive: what most tags say; "" while they do."""
     bad = Counter(reading_reason(words, tag) for tag in status.values.values() if tag.quality != "GOOD")
-    own = status.link.reason if words.language == "en" else ""
+    own = words.reason(status.link.reason)
     return "" if status.link.alive else own or (bad.most_common(1)[0][0] if bad else "")
 
 
@@ -215,6 +221,7 @@ def _temperature(
         # This is measured: what the forecast is worth says nothing of it.
         level, sentence = "alarm", words.say("sentence.over", what=what, value=shown, limit=limit)
         row["when"] = ["0\u00a0min", words.say("when.over_by", value=words.number(value - one.limit, 1), unit=unit)]
+        row["to_limit"] = row["to_limit"] and {"median": "0", "band": row["when"][1]}
         worth = ("good", words.say("validity.measured"))
     elif worth[0] != "none" and forecast is not None and minutes_to_limit(forecast)[1] is not None:
         level = "attention"

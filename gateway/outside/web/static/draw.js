@@ -26,6 +26,8 @@ export function recent(machine, tag) {
   }
   const rows = kept.get(key);
   const reading = picture.status.values[tag];
+  // A clock that was set back: what it said of later moments is not what will be.
+  while (rows.times.at(-1) > picture.status.time) rows.times.pop(), rows.values.pop();
   if (reading && reading.time > (rows.times.at(-1) ?? -Infinity)) {
     rows.times.push(reading.time);
     rows.values.push(reading.quality === "GOOD" ? reading.value : null);
@@ -145,7 +147,7 @@ export function fanChart(place, machine, row, forecast) {
   const newest = points.length ? read : Math.max(read ?? -Infinity, state.machines[machine].status.time);
   const pixel = last && ((points.at(-1)?.time ?? newest) - first) / last.made.width;
   const key = [rows.values.at(-1) === null, row.limit, points[0]?.time].join();
-  if (last?.key === key && newest - last.newest < pixel && first >= last.first) return;
+  if (last?.key === key && Math.abs(newest - last.newest) < pixel && first >= last.first) return;
   const ahead = points.length ? points.slice(1) : newest > read ? [{ time: newest, q: LEVELS.map(() => null) }] : [];
   const times = [...rows.times, ...ahead.map((p) => p.time)];
   const line = [...rows.values, ...ahead.map(() => null)];

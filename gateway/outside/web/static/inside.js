@@ -1,7 +1,7 @@
 // What is inside: the model, the links, the computer.
 import { ask, bytes, clock, duration, explained, fact, grid, h, moment, number, s, say, shown, withUnit } from "./dom.js";
 import { isCut, state } from "./live.js";
-import { badge, linkWord } from "./plant.js";
+import { badge, english, linkWord } from "./plant.js";
 import { can } from "./records.js";
 import { strip } from "./draw.js";
 import { scoreOf } from "./scores.js";
@@ -65,21 +65,22 @@ function modelCard(model, unit, card, prediction) {
       model.written && fact(say("model.written"), moment(model.written)), fact(say("model.method"), from.method),
       from.traces.length > 0 && fact(say("model.traces"), from.traces.slice(0, 6).join(", ") + (from.traces.length > 6 ? " …" : ""), from.synthetic && h("small", {}, say("model.synthetic")))),
     h("h3", {}, say("model.automaton")),
-    h("p", { class: "quiet" }, say("model.locations", { locations: model.locations.length, edges: model.edges.length }), " · ", h("span", { class: "key present" }, present ?? say("word.unknown")), ` ${say("model.present")}`),
+    h("p", { class: "quiet" }, say("model.locations", { locations: model.locations.length, edges: movesOf(model).length }), " · ", h("span", { class: "key present" }, present ?? say("word.unknown")), ` ${say("model.present")}`),
     shareChoice(model), automaton(model, present), stateTable(model, unit, present, card?.by_location), startTable(card, unit));
 }
 
 // Of many moves those are drawn that are taken often; where the model does not know how often, all.
 const SHARES = [0, 0.05, 0.1, 0.25];
 let least = 0.1;
-const taken = (model) => model.edges.filter((edge) => edge.source !== edge.target && (edge.share === null || edge.share >= least));
+const movesOf = (model) => model.edges.filter((edge) => edge.source !== edge.target); // an event that leaves the state is none
+const taken = (model) => movesOf(model).filter((edge) => edge.share === null || edge.share >= least);
 addEventListener("change", ({ target }) => {
   if (target.dataset?.share === undefined) return;
   least = Number(target.value);
   dispatchEvent(new HashChangeEvent("hashchange"));
 });
 function shareChoice(model) {
-  const moves = model.edges.filter((edge) => edge.source !== edge.target);
+  const moves = movesOf(model);
   return moves.some((edge) => edge.share !== null) && h("div", { class: "controls" }, h("label", {}, h("span", {}, say("model.least")),
     h("select", { "data-share": "" }, SHARES.map((share) => h("option", { value: share, selected: share === least }, share ? `${number(100 * share, 0)} %` : say("model.all"))))),
   h("span", { class: "quiet" }, say("model.drawn", { count: taken(model).length, all: moves.length })));
@@ -137,11 +138,15 @@ function layOut(locations) {
 }
 
 // Moves are arcs that keep to their right, so that there and back are two lines, the wider the more often they are taken.
+const BENDS = [0.16, 0.3, 0.45, 0.6], CLEARANCE = 26, COURSE = Array.from({ length: 19 }, (_, place) => (place + 1) / 20);
 function automaton(model, present) {
   const few = model.locations.length <= 8, { at, heads, width, height, byLoad } = layOut(model.locations);
   const moves = taken(model).map((edge) => {
     const a = at[edge.source], b = at[edge.target], dx = b.x - a.x, dy = b.y - a.y, length = Math.hypot(dx, dy) || 1;
-    const bend = 0.16 * length, cx = (a.x + b.x) / 2 + (dy / length) * bend, cy = (a.y + b.y) / 2 - (dx / length) * bend;
+    // The least bend by which it runs through no other state.
+    const across = (share) => [(a.x + b.x) / 2 + dy * share, (a.y + b.y) / 2 - dx * share], others = Object.values(at).filter((each) => each !== a && each !== b);
+    const clear = ([x, y]) => others.every((each) => COURSE.every((t) => Math.hypot((1 - t) ** 2 * a.x + 2 * t * (1 - t) * x + t ** 2 * b.x - each.x, (1 - t) ** 2 * a.y + 2 * t * (1 - t) * y + t ** 2 * b.y - each.y) > CLEARANCE));
+    const [cx, cy] = across(BENDS.find((share) => clear(across(share))) ?? BENDS[0]);
     const near = (from, to, by) => { const l = Math.hypot(to.x - from.x, to.y - from.y) || 1; return [from.x + ((to.x - from.x) / l) * by, from.y + ((to.y - from.y) / l) * by]; };
     const [x1, y1] = near(a, { x: cx, y: cy }, 24), [x2, y2] = near(b, { x: cx, y: cy }, 30);
     const here = edge.source === present, often = edge.share === null ? "" : ` (${number(100 * edge.share, 0)} %)`;
@@ -155,7 +160,7 @@ function automaton(model, present) {
       s("text", { x, y: y + 38 }, place.name), s("title", {}, `${place.name} (${place.flow})${place.borrowed ? `, ${say("model.borrowed")}` : ""}`));
   });
   const words = new Map([[true, "model.running"], [null, "model.either"], [false, "model.resting"]]);
-  return h("div", { class: "scroll automaton", tabindex: "0" }, s("svg", { viewBox: `0 0 ${width} ${height}`, width, height, role: "img", "aria-label": `${say("model.automaton")}: ${say("model.present")} ${present ?? say("word.unknown")}` },
+  return h("div", { class: `scroll automaton${width <= 560 ? " small" : ""}`, tabindex: "0" }, s("svg", { viewBox: `0 0 ${width} ${height}`, width, height, role: "img", "aria-label": `${say("model.automaton")}: ${say("model.present")} ${present ?? say("word.unknown")}` },
     s("defs", {}, s("marker", { id: "tip", viewBox: "0 0 8 8", refX: 6, refY: 4, markerWidth: 9, markerHeight: 9, markerUnits: "userSpaceOnUse", orient: "auto" }, s("path", { d: "M0 0 L8 4 L0 8 z" }))),
     heads.length > 1 && heads.map(({ runs, y }) => s("text", { class: "side", x: 6, y: y + 4 }, say(words.get(runs)))),
     s("text", { class: "side", x: 6, y: height - 8 }, `${say(byLoad ? "model.by_load" : "model.by_target")} →`), moves, places));
@@ -168,14 +173,14 @@ const counterName = (key) => (say(`counter.${key}`) === `counter.${key}` ? key.r
 
 export function communicationView() {
   return h("section", { class: "view" }, state.order.map((name) => {
-    const { status, label, link_reason } = state.machines[name];
+    const { status, label, link_reason, link_reasons } = state.machines[name];
     const outages = [...status.link.outages].reverse().slice(0, 10);
     return h("section", { class: "card", "data-key": name }, h("h2", {}, label),
       h("div", { class: "linkline" }, h("span", {}, say("word.link_hour")), strip(status), linkWord(status, isCut(name))),
       link_reason && h("p", { class: "error" }, link_reason),
       h("dl", { class: "facts" }, fact(say("link.scans"), status.scan.count), fact(say("link.missed"), status.scan.missed), fact(say("link.period"), `${number(status.scan.period, 1)} s`)),
       h("p", {}, `${say("word.writeback")}: `, badge(status.writeback)),
-      grid([say("word.link"), say("link.place"), say("link.active"), say("link.connected"), say("word.reason")], status.links.map((link) => [link.name, link.place, shown(link.active), shown(link.connected), link.reason ? h("span", { lang: "en" }, link.reason) : ""])),
+      grid([say("word.link"), say("link.place"), say("link.active"), say("link.connected"), say("word.reason")], status.links.map((link, place) => [link.name, link.place, shown(link.active), shown(link.connected), link_reasons[place] ? h("span", { lang: english(link_reasons[place]) }, link_reasons[place]) : ""])),
       outages.length > 0 && [h("h3", {}, say("link.outages")), grid([say("link.begin"), say("link.end")], outages.map((each) => [clock(each.last_good), each.recovered_s === null ? say("link.lasts") : duration(each.recovered_s)]))],
       Object.keys(status.driver).length > 0 && [h("h3", {}, say("link.counters")), grid([say("word.name"), say("word.count")], Object.entries(status.driver).map(([key, count]) => [counterName(key), shown(count)]))],
       Object.keys(status.writeback).includes("written") && grid([say("word.writeback"), say("word.count")], ["written", "accepted", "refused", "failed"].filter((key) => key in status.writeback).map((key) => [counterName(key), shown(status.writeback[key])])));

@@ -63,8 +63,29 @@ const figures = ({ name, row, cut }) => [
   h("span", { class: `figure when ${row.valid}` }, h("small", {}, say("when.title")), h("span", { class: "amount" }, cut ? "–" : row.when[0]), h("small", {}, cut ? say("word.unknown") : row.when[1])),
   h("span", { class: "figure action" }, h("small", {}, say("action.title")), h("span", { class: "doing" }, cut ? "–" : row.action))];
 
+// Rows keep their places. Of more than are seen at once those that ask for something stand above them too, the worst
+// first and of these the soonest: which it is needs no search.
+const SEEN_AT_ONCE = 2, MOST_ASKING = 5;
+function askingRows(rows) {
+  const asking = rows.filter((each) => !each.cut && rank(each) >= rank({ level: "attention" }));
+  if (rows.length <= SEEN_AT_ONCE || !asking.length) return null;
+  asking.sort((a, b) => rank(b) - rank(a) || soonest(a) - soonest(b));
+  return h("ul", { class: "asking", "data-key": "asking", "aria-label": say("plant.asking") }, asking.slice(0, MOST_ASKING).map(({ name, machine, row, level, alarms }) => h("li", { "data-key": `${name} ${row.tag}` },
+    h("a", { href: `#/machine/${encodeURIComponent(name)}` }, sign(level), h("span", {}, h("b", {}, machine.label), ` ${row.label}: ${why(row, alarms)}`)))),
+    asking.length > MOST_ASKING && h("li", {}, `+ ${asking.length - MOST_ASKING}`));
+}
+const soonest = ({ machine, row }) => forecastOf(machine, row.tag).forecast?.block.minutes_median ?? Infinity;
+// What it asks for something by: that it is not known or above its limit, its worst alarm, or when it is at its limit.
+function why(row, alarms) {
+  if (row.level === "alarm" || row.level === "unknown") return row.when[1];
+  return alarms.find((alarm) => alarm.section === "standing")?.title ?? `${say("when.title")} ${row.when[0]}`;
+}
+
+const aboveRows = (...parts) => parts.some(Boolean) && h("div", { class: "above", "data-key": "above" }, parts);
+
 export function plantView() {
-  return h("section", { class: "plant", "aria-label": say("nav.plant") }, plantAlarms(), temperatureRows().map((each) => {
+  const rows = temperatureRows();
+  return h("section", { class: "plant", "aria-label": say("nav.plant") }, aboveRows(plantAlarms(), askingRows(rows)), rows.map((each) => {
     const { name, machine, row, alarms, level } = each, [said, worth] = sentence(row, name);
     return h("a", { class: `row ${level} ${row.valid}`, href: `#/machine/${encodeURIComponent(name)}`, "data-key": `${name} ${row.tag}`, "data-machine": name, "data-tag": row.tag },
       sign(level),
@@ -133,7 +154,7 @@ export function machineView(name, cut) {
     machine.alarms.some((alarm) => !alarm.of_plant) && h("section", { class: "card" }, h("h3", {}, say("nav.alarms")), alarmTable([name], false)),
     h("div", { class: "columns" },
       h("section", { class: "card" }, h("h3", {}, say("word.events")), eventList(status)),
-      h("section", { class: "card wide" }, h("h3", {}, say("word.inputs")), inputs(status, machine.labels, extra, cut))),
+      h("section", { class: "card wide" }, h("h3", {}, say("word.inputs")), inputs(machine, extra, cut))),
   );
   return [parts, () => machine.temperatures.forEach((row) => {
     const place = document.querySelector(`[data-chart="${CSS.escape(`${name} ${row.tag}`)}"]`);
@@ -201,7 +222,11 @@ const tagHead = (labels, name) => h("th", { scope: "row" }, labels[name] ? [labe
 const MOST_IN_A_LINE = 24;
 const valueCell = (text, cut) => h("td", { class: text.length > MOST_IN_A_LINE ? null : "number" }, cut ? h("span", { class: "old" }, say("live.was", { value: text })) : text);
 
-function inputs(status, labels, extra, cut) {
+// What a driver says and this language has no words for is English, and marked as such.
+export const english = (text) => (text.endsWith(" (en)") ? "en" : null);
+const reasonCell = (text) => h("td", { class: "reason", lang: english(text) }, text);
+
+function inputs({ status, labels, reasons }, extra, cut) {
   const rank = (tag) => (tag.quality === "GOOD" ? 1 : 0);
   const rows = Object.entries(status.values).sort(([, a], [, b]) => rank(a) - rank(b));
   return h("div", { class: "scroll", tabindex: "0" }, h("table", { class: "stacks readings" },
@@ -210,5 +235,5 @@ function inputs(status, labels, extra, cut) {
       tagHead(labels, name),
       valueCell(withUnit(shown(tag.value), unit(tag.unit)), cut),
       h("td", { class: "number", "data-head": say("word.age") }, duration(tag.age / status.speed + extra)),
-      h("td", { "data-head": say("word.quality") }, cut ? say("word.unknown") : qualityWord(tag.quality)), h("td", { lang: "en" }, tag.reason))))));
+      h("td", { "data-head": say("word.quality") }, cut ? say("word.unknown") : qualityWord(tag.quality)), reasonCell(reasons[name] ?? ""))))));
 }
