@@ -27,6 +27,7 @@ from drivers.modbus.replies import ID_REUSE_DELAY_S, ReplyStream, TransactionIds
 from drivers.modbus.verify import (
     REGISTER_BYTES,
     Asked,
+    as_asked,
     check_reply,
     leaves_open,
     parse_request,
@@ -71,7 +72,8 @@ class NumberedWire(asyncio.Protocol):
     """A connection, from `connect` to `abandon`.
 
     `on_lost` hears why it broke, `on_late` of which unit a reply came when nobody waited for it any more, and whether
-    the unit gave it itself."""
+    the unit gave it itself. With `answers_as` what that unit says is the answer of the one that was asked.
+    """
 
     def __init__(
         self,
@@ -83,8 +85,10 @@ class NumberedWire(asyncio.Protocol):
         on_lost: Callable[[str], None],
         on_late: Callable[[int, bool], None],
         secured: Secured | None = None,
+        answers_as: int | None = None,
     ) -> None:
         self._host, self._port, self._secured = host, port, secured
+        self._answers_as = answers_as
         self._ids = ids
         self._clock, self._on_lost, self._on_late = clock, on_lost, on_late
         self._transport: asyncio.Transport | None = None
@@ -259,6 +263,7 @@ class NumberedWire(asyncio.Protocol):
         number = int.from_bytes(frame[:2], "big")
         question = self._questions.pop(number, None)
         if question is not None:
+            frame = as_asked(question.asked, frame, self._answers_as)
             self._ids.note_reply(number)
             self._since_answer.clear()
             self._any_answer.set()

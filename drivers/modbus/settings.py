@@ -151,7 +151,9 @@ class ModbusSettings(Reconnecting):
     def _what_a_line_carries(self) -> "ModbusSettings":
         if self.transport in _LINES and not 1 <= self.unit <= _LAST_UNIT:
             raise ValueError(f"unit is {self.unit}, and on a serial line a device has one of 1 to 247 (0 is for all)")
-        if self.by_shape and self.transport != "tcp":
+        if (self.by_shape and self.transport != "tcp") or (
+            self.answers_as is not None and self.transport not in ("tcp", "tls")
+        ):
             raise ValueError(f"transaction_id and answers_as mean nothing with transport {self.transport!r}")
         if self.aligned > 1 and self.max_registers <= 2 * (self.aligned - 1):
             raise ValueError(f"max_registers is {self.max_registers}, too few for reads aligned to {self.aligned}")
@@ -165,7 +167,7 @@ class ModbusSettings(Reconnecting):
     @property
     def by_shape(self) -> bool:
         """Whether replies over TCP are told apart as on a serial line, one question at a time."""
-        return self.transaction_id == "any" or self.answers_as is not None
+        return self.transaction_id == "any"
 
     @property
     def on_line(self) -> bool:

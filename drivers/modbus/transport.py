@@ -69,12 +69,14 @@ def make_transport(
     With `on_late` its wires carry the requests of several units; it hears of which unit a reply came too late,
     and whether the unit itself gave it.
     """
-    place = (settings.host, settings.port)
+    place, answers_as = (settings.host, settings.port), settings.answers_as
 
     def make_wire(on_lost: Callable[[str], None], secured: Secured | None = None) -> AnyWire:
         if on_late is None:
-            return Wire(*place, ids=ids, clock=clock, on_lost=on_lost, secured=secured)
-        return NumberedWire(*place, ids=ids, clock=clock, on_lost=on_lost, on_late=on_late, secured=secured)
+            return Wire(*place, ids=ids, clock=clock, on_lost=on_lost, secured=secured, answers_as=answers_as)
+        return NumberedWire(
+            *place, ids=ids, clock=clock, on_lost=on_lost, on_late=on_late, secured=secured, answers_as=answers_as
+        )
 
     if settings.transport == "tcp" and not settings.by_shape:
         return ModbusTransport(make_wire, tuple)

@@ -94,6 +94,11 @@ def split_frames(stream: bytes) -> tuple[list[bytes], bytes]:
     return frames, stream
 
 
+def as_asked(request: Asked, frame: bytes, answers_as: int | None) -> bytes:
+    """The reply with the unit that was asked in the place of the one as which the device answers."""
+    return frame if frame[6] != answers_as else frame[:6] + bytes((request.unit,)) + frame[7:]
+
+
 def leaves_open(request: Asked, frame: bytes) -> bool:
     """Whether the answer may still come behind a frame with the request's number: another unit's, or the request.
 

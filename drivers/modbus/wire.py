@@ -44,6 +44,7 @@ from drivers.modbus.verify import (
     WIDE_REGISTER_BYTES,
     WRITES,
     Asked,
+    as_asked,
     check_reply,
     leaves_open,
     parse_request,
@@ -137,7 +138,10 @@ class Secured:
 
 
 class Wire:
-    """A connection, from `connect` to `abandon`, for one exchange at a time. `on_lost` hears why it broke."""
+    """A connection, from `connect` to `abandon`, for one exchange at a time. `on_lost` hears why it broke.
+
+    With `answers_as` what that unit says is the answer of the one that was asked.
+    """
 
     def __init__(
         self,
@@ -148,11 +152,13 @@ class Wire:
         clock: Clock,
         on_lost: Callable[[str], None],
         secured: Secured | None = None,
+        answers_as: int | None = None,
     ) -> None:
         self._ids = ids
         self._clock = clock
         self._on_lost = on_lost
         self._secured = secured
+        self._answers_as = answers_as
         self._client = self._make_client(host, port, secured)
         self._client.ctx.callback_disconnected = self._on_disconnect  # type: ignore[method-assign]
         self._client.ctx.callback_data = self._take  # type: ignore[method-assign]
@@ -349,6 +355,8 @@ class Wire:
             self.foreign += 1
             return
         self._received, self._request = self._clock(), None
+        # Whose answer it is its transaction id has shown.
+        frame = as_asked(request, frame, self._answers_as)
         try:
             check_reply(request, frame)
         except (ReplyMismatch, DeviceException) as error:

@@ -46,8 +46,7 @@ def test_an_inverters_accuracy_scales_its_addresses_are_asked_for_and_its_texts_
         ("Genauigkeit", ("2", "2", "2"), (0.01, 0.01, 0.01)),
         ("Accuracy", ("±0.5 %", "±1 %", "+/- 2"), (None, None, None)),
         ("Accuracy (%)", ("0.1", "1", "1"), (None, None, None)),
-        ("Step", ("1", "1", "1"), (None, None, None)),
-        ("Step size", ("0.1", "1", "1"), (0.1, 1.0, 1.0)),
+        ("Step size", ("5", "1", "2"), (None, None, None)),
     ],
 )
 def test_an_accuracy_is_what_its_cells_show(
@@ -81,6 +80,8 @@ def test_a_column_of_fractions_of_ten_is_not_passed_over_by_any_name(tmp_path: P
         read(tmp_path, text.format("Valenza"))
     assert keys(read(tmp_path, text.format("Valenza"), None, {"scale": "Valenza"}))["A"]["scale"] == 0.1
     assert "scale" not in keys(read(tmp_path, text.format("Deadband")))["A"]
+    with pytest.raises(ListError, match="--column scale='Step size'"):
+        read(tmp_path, text.format("Step size"))
 
 
 @pytest.mark.parametrize(
@@ -133,3 +134,66 @@ def test_a_string_of_six_has_registers_where_the_next_row_is_right_behind_them(
 ) -> None:
     text = f"Name;Address;Type\nSerial;800;string[6]\nRelay;{behind};uint16\n"
     assert keys(read(tmp_path, text))["Serial"]["length"] == length
+
+
+HEAT_PUMP = (
+    "Title\tRegister type\tRegister\tDivision factor\tUnit\tSize of variable\tMin value\tMax value\n"
+    "Outdoor\tMODBUS_INPUT_REGISTER\t1\t10\t°C\ts16\t0\t0\n"
+    "Supply\tMODBUS_HOLDING_REGISTER\t32\t10\t°C\ts16\t50\t800\n"
+    "Degrees\tMODBUS_HOLDING_REGISTER\t33\t10\t\ts16\t-30000\t30000\n"
+    "Return\tMODBUS_HOLDING_REGISTER\t34\t10\t°C\ts16\t50\t700\n"
+    "Mode\tMODBUS_HOLDING_REGISTER\t39\t1\t\tu8\t0\t0\n"
+    "Odd\tMODBUS_HOLDING_REGISTER\t40\t1\t\t3\t0\t0\n"
+)
+
+
+def test_a_heat_pumps_list_is_read_by_its_sizes_division_and_ranges_of_counts(tmp_path: Path) -> None:
+    found = read(tmp_path, HEAT_PUMP)
+    outdoor, supply, degrees, _, _ = (tag.keys for tag in found.tags)
+    assert (outdoor["address"], outdoor["dtype"], outdoor["scale"]) == ("input:1", "int16", 0.1)
+    assert outdoor["low"] is None and "0 to 0 is no range" in found.tags[0].taken
+    assert (supply["address"], supply["low"], supply["high"]) == ("holding:32", 5.0, 80.0)
+    assert (degrees["low"], degrees["high"]) == (-3000.0, 3000.0)
+    assert "as line 4 shows" in found.tags[1].taken
+    assert len(found.problems) == 1 and "'3' is no type" in found.problems[0]
+
+
+@pytest.mark.parametrize("other", ["Degrees;33;s16;10;-30000.5;30000", "Degrees;33;s16;10;-300;300", ""])
+def test_ranges_of_a_list_are_in_units_unless_one_of_them_shows_counts(other: str, tmp_path: Path) -> None:
+    head = "Name;Register;Type;Division factor;Min;Max\n"
+    found = read(tmp_path, f"{head}Supply;32;s16;10;50;800\nReturn;34;s16;10;50;700\n{other}\n")
+    assert (found.tags[0].keys["low"], found.tags[0].keys["high"]) == (50.0, 800.0)
+
+
+def test_an_example_in_a_remark_says_which_way_a_scale_goes(tmp_path: Path) -> None:
+    text = (
+        "Name;Address;Type;Unit;Scale Factor;Description\nA;100;int16;°C;*10;Target (e.g. 450 = 45.0°C)\n"
+        "B;101;int16;°C;*10;Target of circuit 2\nC;102;int16;°C;1/10;Flow (e.g. 490 = 49.0°C)\n"
+        "D;103;int16;W;*100;Power\n"
+    )
+    found = read(tmp_path, text)
+    assert [tag.keys["scale"] for tag in found.tags] == [0.1, 0.1, 0.1, 100.0]
+    assert "'450 = 45.0' of line 2" in found.tags[1].taken
+
+
+@pytest.mark.parametrize(("kind", "order"), [("ASCII_LE", "BADC"), ("STRING BADC", "BADC"), ("ASCII", None)])
+def test_a_text_whose_type_says_low_bytes_first_is_read_so(kind: str, order: str | None, tmp_path: Path) -> None:
+    found = read(tmp_path, f"Name;Address;Type;Length\nS;100;{kind};10\n")
+    assert (found.tags[0].keys["dtype"], found.tags[0].keys["order"]) == ("string", order)
+
+
+def test_a_text_of_swapped_words_is_refused(tmp_path: Path) -> None:
+    assert "swaps words" in read(tmp_path, "Name;Address;Type;Length\nS;100;STRING CDAB;10\n").problems[0]
+
+
+def test_a_type_of_r_and_rw_is_no_type(tmp_path: Path) -> None:
+    found = read(tmp_path, "Name;Address;Type\nA;100;R/W\nB;101;R\nC;102;W\n")
+    assert [tag.keys["dtype"] for tag in found.tags] == ["uint16", "uint16"]
+    assert len(found.problems) == 1 and "cannot be read" in found.problems[0]
+
+
+def test_a_list_without_headers_is_told_to_have_one_and_registers_may_be_addresses(tmp_path: Path) -> None:
+    with pytest.raises(ListError, match="has no line of headers, its line 1 has '0x0000'"):
+        read(tmp_path, "0x0000;v1\n0x0002;v2\n")
+    with pytest.raises(ListError, match="perhaps --column address='Registers'"):
+        read(tmp_path, "Name;Registers;Data Type\nA;3000;Uint16\nB;3001;Uint16\n")

@@ -20,7 +20,7 @@ from drivers.modbus.survey import open_survey
 from drivers.modbus.wire import WireReply
 from drivers.tag import Quality
 from tests.rig.device_habits import HABITS, PAGE, PTY, DeviceHabit, page
-from tests.rig.habit_wires import TAGS, WALKED, Habit, Together, draw_habits, driven, served
+from tests.rig.habit_wires import MOVING, TAGS, WALKED, Habit, Together, draw_habits, driven, served
 
 
 async def values(driver: ModbusDriver, done: Callable[[list[int | None]], bool]) -> list[int | None]:
@@ -59,6 +59,30 @@ async def values(driver: ModbusDriver, done: Callable[[list[int | None]], bool])
 async def test_a_habit_is_read(habit: Habit, settings: dict[str, Any]) -> None:
     async with driven(habit, **settings) as driver:
         assert await values(driver, lambda found: None not in found) == list(range(8))
+
+
+@pytest.mark.parametrize("habit", [Habit(unit=255, silent_at=5), Habit(unit=255, ends_connections=True)], ids=str)
+@pytest.mark.parametrize("settings", [{}, {"outstanding": 2}], ids=["one at a time", "several"])
+async def test_who_answers_as_another_unit_is_known_by_the_transaction_id_and_not_waited_for(
+    habit: Habit, settings: dict[str, Any]
+) -> None:
+    lost = habit.silent_at >= 0
+    async with driven(habit, answers_as=255, **settings) as driver:
+        for _ in range(12):
+            assert not any("not asked" in sample.reason for sample in await driver.read(TAGS))
+        found = await values(driver, lambda found: found.count(None) == lost)
+        assert not lost or found[5] is None
+
+
+async def test_a_late_answer_of_another_unit_is_no_later_questions() -> None:
+    habit = Habit(unit=255, late=0.2, moving=True)
+    async with driven(habit, answers_as=255, timeout=0.15, attempts=1) as driver:
+        for _ in range(20):
+            samples = await driver.read(TAGS)
+            for number in MOVING:
+                sent, value = samples[number].sent, samples[number].value
+                if samples[number].quality.is_good and sent is not None and value is not None:
+                    assert habit.held(number, int(value), sent, samples[number].time)
 
 
 @pytest.mark.parametrize("place", [0, 5, 7])

@@ -128,11 +128,11 @@ HABITS: tuple[DeviceHabit, ...] = (
     DeviceHabit(
         habit="answers as another unit than the one that is asked",
         found="`probe`: the reply names its unit; it is tried with the setting",
-        done="with the setting its answers are taken for the unit's, one question at a time",
+        done="with the setting its answers are taken for the unit's; whose they are the transaction id shows",
         setting="answers_as",
         wire={"unit": 255},
         needs={"answers_as": 255},
-        over=(TCP,),
+        over=(TCP, TLS),
     ),
     DeviceHabit(
         habit="hands on what another unit of its line says, before the answer",

@@ -104,8 +104,10 @@ def read_sheet(
         if all(name in columns for name in (*needed, *given)):
             below = [row for _, row in rows[place + 1 :]]
             for name, tells in (told_by or {}).items():
-                if name not in columns and (at := _told_by(tells, set(columns.values()), cells, below)) is not None:
-                    columns[name] = at
+                # `Size` may be that of a type, as s16.
+                used = {at for column, at in columns.items() if (name, column) != ("dtype", "length")}
+                if name not in columns and (at := _told_by(tells, used, cells, below)) is not None:
+                    columns = {column: place for column, place in columns.items() if place != at} | {name: at}
             used = set(columns.values())
             unread = [at for at, cell in enumerate(cells) if at not in used and cell.strip()]
             lines = tuple(
@@ -138,9 +140,16 @@ def read_sheet(
     number, cells = rows[place]
     missing = [name for name in needed if name not in found]
     wanted = " and ".join(f"{name} ({', '.join(synonyms[name][:4])}, ...)" for name in missing)
-    free = [at for at in range(len(cells)) if cells[at].strip() and at not in found.values()]
+    # `Registers` may be addresses.
+    taken = {at for column, at in found.items() if column != "count"}
+    free = [at for at in range(len(cells)) if cells[at].strip() and at not in taken]
     below = [row for _, row in rows[place + 1 :]]
     likely = {name: at for name in missing if (at := _by_content(name, free, below)) is not None}
+    if not found and any(re.fullmatch(r"\d+|0x[0-9a-f]+", cell.strip().lower()) for cell in rows[0][1]):
+        raise ListError(
+            f"{path}: has no line of headers, its line {first} has {headers}; write one above it, such as Address;Name;"
+            "Type;Scale;Unit"
+        )
     perhaps = " ".join(f"--column {name}={cells[at].strip()!r}" for name, at in likely.items())
     headers = ", ".join(repr(cell.strip()) for cell in cells if cell.strip())
     raise ListError(
@@ -277,6 +286,7 @@ _NOT_BESIDE: Mapping[str, frozenset[str]] = {
     "order": frozenset({"sort", "work", "tag", "display", "row", "scan"}),
     "unit": frozenset({"no", "nr", "number", "id", "modbus", "slave", "address", "per", "zero", "full"}).union(*_ENDS),
     "length": frozenset({"offset", "address", "order", "index", "max", "step"}),
+    "name": frozenset({"size", "length", "type", "kind", "format", "width"}),
 }  # fmt: skip
 """Words beside which a column's own mean something else: `High Alarm` is no end of a range, `Byte Offset` no offset."""
 OF_SOMETHING_ELSE = _NOT_BESIDE["scale"] | {"service", "safety", "filter", "smoothing", "damping", "crest", "form"}

@@ -7,7 +7,8 @@ import re
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
-from gateway.commission.files.cells import OF_SOMETHING_ELSE, ListError, ListSheet, header_key
+from gateway.commission.files.cells import OF_SOMETHING_ELSE, ListError, ListSheet, header_key, parse_decimal
+from gateway.commission.files.io_units import parse_factor
 
 # ---------------------------------------------------------------- references or addresses
 
@@ -46,7 +47,7 @@ def _is_reference(text: str) -> bool:
 
 # ---------------------------------------------------------------- accuracy and precision
 
-_FINENESS = re.compile(r"^(?:\w+ )?(?:accuracy|precision|precisione|genauigkeit|prazision|exactitud|step(?: size)?)$")
+_FINENESS = re.compile(r"^(?:\w+ )?(?:accuracy|precision|precisione|genauigkeit|prazision|exactitud)$")
 """Headers under which lists say units per count, counts per unit or decimals, or how well the device measures."""
 _POWER_OF_TEN = re.compile(r"0[.,]0*1|10{0,6}(?:[.,]0+)?")
 _MOST_DECIMALS = 6
@@ -90,7 +91,7 @@ def _all_powers(cells: Sequence[str]) -> bool:
 def _meaning(sheet: ListSheet, header: str, cells: Sequence[str]) -> str:
     """`scale` for powers of ten, `decimals` for small whole numbers, "" for `±0.5 %`. Raises ListError."""
     measured = [cell for cell in cells if re.search(r"[%±]|\+/?-", cell)]
-    if len(measured) == len(cells) or ("step" in header_key(header).split() and set(cells) == {"1"}):
+    if len(measured) == len(cells):
         return ""
     whole = {int(cell) for cell in cells if cell.isdecimal() and len(cell) == 1}
     # A float is shown with so many digits, and not made of counts.
@@ -119,6 +120,28 @@ def _taken_as(sheet: ListSheet, at: int, column: str) -> ListSheet:
     )
     ignored = (*sheet.ignored[:at], *sheet.ignored[at + 1 :])
     return replace(sheet, columns={**sheet.columns, column: sheet.ignored[at]}, ignored=ignored, lines=lines)
+
+
+# ---------------------------------------------------------------- examples
+
+_EXAMPLE = re.compile(r"(?<![\d.,=-])(\d{2,6})\s*=\s*(\d+(?:[.,]\d+)?)(?![\d.,]|\s*=)")
+_EQUAL = 1e-9
+
+
+def inverted_scales(sheet: ListSheet) -> dict[str, str]:
+    """The scale's cells that an example in a remark contradicts (`*10` beside `450 = 45.0°C`), with that example."""
+    found: dict[str, str] = {}
+    for line in sheet.lines:
+        match = _EXAMPLE.search(line.get("remark"))
+        if match is None or not (text := line.get("scale")):
+            continue
+        try:
+            number, value = parse_factor(text).number, parse_decimal(match[2])
+        except ValueError:
+            continue
+        if number not in (0, 1) and value and abs(value * number / float(match[1]) - 1) < _EQUAL:
+            found.setdefault(text, f"{match[0]!r} of line {line.number}")
+    return found
 
 
 # ---------------------------------------------------------------- lengths of texts

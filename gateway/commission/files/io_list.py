@@ -28,6 +28,7 @@ from gateway.commission.files.cells import (
 from gateway.commission.files.io_evidence import (
     bits_a_length,
     doubt_of_references,
+    inverted_scales,
     is_length_of_registers,
     take_fineness,
 )
@@ -118,10 +119,10 @@ def read_io_list(path: Path, how: Reading, columns: Mapping[str, str] | None = N
     tags: list[Listed] = []
     problems: list[str] = []
     shorts = any(header_key(line.get("dtype")) in _SHORTS for line in sheet.lines)
-    names, bits = name_columns(sheet), _bits_a_length(sheet)
+    shown = _Shown(name_columns(sheet), _bits_a_length(sheet), _raw_range(sheet), inverted_scales(sheet))
     for line in sheet.lines:
         try:
-            tags.append(_read_row(_ListedRow(sheet, line, how, numbering, shorts, names, bits), tags))
+            tags.append(_read_row(_ListedRow(sheet, line, how, numbering, shorts, shown), tags))
         except RowError as error:
             problems.append(f"{sheet.where(line, error.column)}: {error}")
     if not tags and not problems and not sheet.columns:
@@ -221,7 +222,7 @@ def _of_units(sheet: ListSheet, how: Reading) -> ListSheet:
 
     Raises ListError for a column that nobody reads and that may say what readings are made of.
     """
-    sheet = take_fineness(sheet)
+    sheet = take_fineness(_with_access(sheet))
     _check_unread(sheet)
     headers = {header_key(text) for text in (*sheet.columns.values(), *sheet.ignored)}
     sheet = _without_plant_units(sheet, how.unit)
@@ -230,6 +231,22 @@ def _of_units(sheet: ListSheet, how: Reading) -> ListSheet:
     if "unit_id" in sheet.columns:
         return _of_one_unit(sheet, [ListedUnit(row, row.get("unit_id")) for row in rows], how.unit)
     return replace(sheet, lines=tuple(rows)) if own else sheet
+
+
+def _with_access(sheet: ListSheet) -> ListSheet:
+    """The list with a column `Type` that says R and R/W as that of access."""
+    told = {header_key(line.get("dtype")) for line in sheet.lines} - {""}
+    if "access" in sheet.columns or not told or not told <= _ACCESSES:
+        return sheet
+    columns = {("access" if name == "dtype" else name): text for name, text in sheet.columns.items()}
+    lines = (
+        replace(line, cells={("access" if name == "dtype" else name): cell for name, cell in line.cells.items()})
+        for line in sheet.lines
+    )
+    return replace(sheet, columns=columns, lines=tuple(lines))
+
+
+_ACCESSES = frozenset({"r", "w", "rw", "r w", "ro", "wo", "read", "write", "read write", "read only", "write only"})
 
 
 def _check_unread(sheet: ListSheet) -> None:
@@ -469,11 +486,23 @@ def _beside(cells: Mapping[str, str], said: str) -> dict[str, str]:
 
 
 @dataclass(frozen=True, slots=True)
+class _Shown:
+    """What the rows of a list show together: further columns of names (`name_columns`), the bits of what lengths count.
+
+    `raw_range` is the line whose range is of raw counts, 0 for none; `inverted` the scales that examples contradict.
+    """
+
+    names: tuple[int, ...] = ()
+    length_bits: int = 0
+    raw_range: int = 0
+    inverted: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
 class _ListedRow:
     """A row with what is known of its list; `shorts`: it has types of C, whose INT is no PLC's.
 
-    `names` are its further columns of names (`name_columns`), `length_bits` the bits of what its lengths count (0: not
-    known).
+    `shown` is what its other rows show.
     """
 
     sheet: ListSheet
@@ -481,8 +510,7 @@ class _ListedRow:
     how: Reading
     numbering: Numbering
     shorts: bool = False
-    names: tuple[int, ...] = ()
-    length_bits: int = 0
+    shown: _Shown = field(default_factory=_Shown)
 
     def get(self, column: str) -> str:
         return self.line.get(column)
@@ -510,7 +538,7 @@ def _read_row(row: _ListedRow, before: Sequence[Listed]) -> Listed:
         raise RowError("", f"{line.get('name')}: {refused}")
     listed, named = line.get("name"), ""
     if not listed:
-        listed, named = other_name(row.sheet, line, row.names)
+        listed, named = other_name(row.sheet, line, row.shown.names)
     if not listed:
         raise RowError("name", "is empty; give the tag's name, or take the row out")
     name = how.rename.get(listed, listed)
@@ -737,6 +765,7 @@ _MULTIPLIERS = frozenset(
 )
 _DIVISORS = frozenset(
     {"div", "divisor", "divider", "divisore", "teiler", "diviseur", "divide", "inverse", "inverso", "reciprocal"}
+    | {"division", "divisione", "dividing", "divided", "kehrwert"}
 )
 
 
@@ -794,6 +823,8 @@ def _scaling(row: _ListedRow, dtype: str) -> _Scaling:
     """Scale, offset and range as they are given, or from a raw range and the range in units. Raises RowError."""
     line = row.line
     low, high, column = _range(line)
+    nothing = low == high == 0
+    low, high = (None, None) if nothing else (low, high)
     offset = _number(line, "offset")
     raw_low, raw_high = _number(line, "raw_low"), _number(line, "raw_high")
     kind = header_key(line.get("scale"))
@@ -808,7 +839,7 @@ def _scaling(row: _ListedRow, dtype: str) -> _Scaling:
         )
     except ValueError as error:
         raise RowError("unit", str(error)) from None
-    scale, taken = _scale(row, dtype, of_unit, (low, high))
+    scale, taken = _scale(row, dtype, of_unit, (None, None) if row.shown.raw_range else (low, high))
     raw = (raw_low, raw_high) != (None, None) and kind not in ("none", "nessuna", "no")
     if scale is None and raw and not line.get("scale_from"):
         if raw_high is None or low is None or high is None:
@@ -825,7 +856,12 @@ def _scaling(row: _ListedRow, dtype: str) -> _Scaling:
         scale, offset, taken = -(scale or 1.0), -(offset or 0.0), f"{taken}; negated".removeprefix("; ")
     if low is not None and high is not None and not low < high:
         raise RowError("low", f"{low:g} is not below the highest value {high:g}; swap or correct them")
+    if row.shown.raw_range and scale not in (None, 1.0) and (low, high) != (None, None):
+        ends = [end if end is None else round(end * scale + (offset or 0.0), _SCALE_DECIMALS) for end in (low, high)]
+        low, high = ends if scale > 0 else reversed(ends)
+        taken = "; ".join(note for note in (taken, f"range of raw counts, as line {row.shown.raw_range} shows") if note)
     low, high, said = _plausible(column, dtype, (scale, offset), (low, high))
+    said = "0 to 0 is no range" if nothing else said
     names = f"names of values: {unit_text}" if named else ""
     taken = "; ".join(note for note in (taken, said, names) if note)
     return _Scaling(scale, offset, low=low, high=high, unit=unit or None, taken=taken)
@@ -869,6 +905,8 @@ def _scale(
         own = _same(own, of_unit, "unit")
     if own is None:
         return None, shown
+    if said := row.shown.inverted.get(line.get("scale")):
+        return round(1 / own.number, 12), f"{line.get('scale')} is what the register holds of one, as {said} says"
     if not own.either:
         said = f"scale {own.number:g} from the unit" if of_unit is not None else shown
         return round(own.number, 12), said
@@ -888,6 +926,33 @@ def _scale(
 
 
 _FLOATS = frozenset({DType.FLOAT32, DType.FLOAT64})
+
+
+_FEWEST_RANGES = 3
+"""Of fewer one may be a slip."""
+
+
+def _raw_range(sheet: ListSheet) -> int:
+    """The first line whose range no reading in units can have, and all ranges of the list fit raw counts; 0 for none.
+
+    A list has its ranges in counts or in units, so one row shows it for all.
+    """
+    found = ranges = 0
+    for line in sheet.lines:
+        with suppress(RowError):
+            low, high, _ = _range(line)
+            factor, limits = _scale_cell(line), _limits(_type_cell(line).dtype)
+            if low is None or high is None or low == high:
+                continue
+            if factor is None or factor.number in (0, 1) or limits is None:
+                continue
+            ranges += 1
+            if not (low.is_integer() and high.is_integer() and limits[0] <= low and high <= limits[1]):
+                return 0
+            fine = min(abs(factor.number), 1 / abs(factor.number))
+            beyond = high > limits[1] * fine * (1 + _RANGE_TOLERANCE) or low < limits[0] * fine * (1 + _RANGE_TOLERANCE)
+            found = found or line.number * beyond
+    return found if ranges >= _FEWEST_RANGES else 0
 
 
 def _same(own: CountFactor | None, other: CountFactor, column: str) -> CountFactor:
@@ -997,8 +1062,8 @@ def _type(row: _ListedRow, cell: TypeCell, place: ListedPlace, address: str) -> 
 def _text_length(row: _ListedRow) -> int:
     """The bytes of a text by the length's column; 0 where it says none. Raises RowError where it may mean others."""
     size, header = _whole(row.line, "length") or 0, row.header("length")
-    if row.length_bits and header not in LENGTHS_IN_BITS and header not in _LENGTHS_IN_BYTES:
-        size, header = size * row.length_bits, "bits"
+    if row.shown.length_bits and header not in LENGTHS_IN_BITS and header not in _LENGTHS_IN_BYTES:
+        size, header = size * row.shown.length_bits, "bits"
     if size and header in LENGTHS_OF_NO_UNIT:
         raise RowError("length", f"is {size}, of bytes, characters or bits? Write STRING[n] with n bytes")
     if header not in LENGTHS_IN_BITS:
@@ -1060,7 +1125,10 @@ def _order(row: _ListedRow, cell: TypeCell, dtype: str, place: ListedPlace) -> t
         raise RowError("order", f"{text!r} is {own}, and the type's cell says {cell.order}; correct one of them")
     order = cell.order or own
     if dtype == "string":
-        return ("BADC", "low byte first") if place.swapped else (None, "")
+        if order == "CDAB" and cell.order:
+            raise RowError("dtype", f"{row.get('dtype')!r} swaps words, which a text has not; give STRING, or BADC")
+        swapped = place.swapped or cell.order in ("BADC", "DCBA")
+        return ("BADC", "low byte first") if swapped else (None, "")
     if (
         dtype in _SINGLE
     ):  # one register alone has no order of words, and its bytes are Modbus's unless it says otherwise
@@ -1160,7 +1228,7 @@ def _table(row: _ListedRow) -> str:
     text = row.get("table")
     if text in _EMPTY:
         return ""
-    key, header = header_key(text), row.header("table")
+    key, header = header_key(text).removeprefix("modbus "), row.header("table")
     if known := TABLES.get(key):
         return known
     if any(word in header for word in ("func", "funz", "code", "codice", "fc")) or "fc" in key:

@@ -13,7 +13,7 @@ COLUMNS: Mapping[str, tuple[str, ...]] = {
         *("signal", "simbolo", "symbol", "nome variabile", "nome segnale", "etichetta", "item", "punto", "point"),
         *("variablenname", "signalname", "messstelle", "datenpunkt", "kennzeichen", "nom", "nom de variable"),
         *("nom du signal", "repere", "mnemonique", "nombre", "nombre de variable", "senal", "simbolo", "bezeichnung"),
-        *("designation", "naam", "nazwa"),
+        *("designation", "naam", "nazwa", "title", "titel", "titolo", "titre", "titulo"),
     ),
     "address": (
         *("indirizzo", "address", "indirizzo modbus", "modbus address", "registro", "register", "addr", "ind"),
@@ -258,6 +258,7 @@ TOLD_BY: Mapping[str, Callable[[str, frozenset[str]], bool]] = {
         and (told.isdisjoint(_OF_SIGNALS) or _DIRECTIONS.isdisjoint(header.split()))
     ),
     "order": lambda _, told: told <= _ORDER_WORDS,
+    "dtype": lambda _, told: 2 * sum(map(_names_a_width, told)) > len(told),  # the others' rows are refused
 }
 """Column -> whether it is told by its header and its cells, both as `cells.header_key` writes them."""
 _READ_BY = {1: "coil", 2: "discrete", 3: "holding", 4: "input"}
@@ -267,6 +268,11 @@ _FUNCTION_WORDS = re.compile(
     r"\b(?:fc|fn|f|function|functions|funzione|code|read|write|r|w|and|e|or|holding|input|h"
     r"|funktion|eingang|eingange|ausgang|lesen|schreiben|und|fonction|lire|ecrire|entree|et|funcion|leer|escribir|entrada|y)\b"
 )
+
+
+def _names_a_width(key: str) -> bool:
+    """Whether a cell is a type that says its width itself, as `s16` and `float32`: nothing else looks so."""
+    return re.fullmatch(r"[a-z]+ ?(?:8|16|32|64)", key) is not None and parse_type(key) is not None
 
 
 def parse_tables(key: str) -> tuple[str, ...] | None:
