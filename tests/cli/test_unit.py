@@ -94,7 +94,7 @@ def test_tuning_and_correcting_say_kw(
 
 def test_a_diagnosis_says_kw_and_so_does_its_report(tmp_path: Path) -> None:
     """Of a plant whose hidden churning is named and whose targets have moved, its readings called kW."""
-    trace = replace(plant_of(7, days=2, churning=0.006), units={"T": "kW"})
+    trace = replace(plant_of(7, days=2, churning=0.006, period=60.0), units={"T": "kW"})
     given = model_of(shift=0.06)  # says degC: the trace's unit counts
     request = DiagnosisRequest(
         where="plant", out=tmp_path / "out", source="a test", seed=0, most=1, created=0.0, report=True
