@@ -44,7 +44,7 @@ class Absent:
 
 def test_rank_says_where_persistence_is_better_than_the_model_and_where_it_is_not(plant: Path, tmp_path: Path) -> None:
     page = tmp_path / "rank.html"
-    options = ("--runs", 100, "--skill", "--page", page, "--json")
+    options = ("--runs", 100, "--jobs", 1, "--skill", "--page", page, "--json")
     lost = only_object(
         decanter("model", "judge", "rank", plant / "model", "--traces", plant / "still", *options).stdout
     )
@@ -62,7 +62,7 @@ def test_rank_says_where_persistence_is_better_than_the_model_and_where_it_is_no
     assert {(row["machine"], row["method"]) for row in rows} == {("own", "two modes"), ("own", "persistence")}
     assert all(0.0 <= row["coverage"] <= 1.0 and 0 < row["forecasts"] <= 40 for row in rows)
     without = only_object(
-        decanter("model", "judge", "rank", plant / "model", "--traces", plant / "own", "--json").stdout
+        decanter("model", "judge", "rank", plant / "model", "--traces", plant / "own", "--jobs", 1, "--json").stdout
     )
     assert without["forecasts"] is None
 
@@ -112,7 +112,7 @@ def test_what_has_no_forecast_is_a_note_and_the_ranking_goes_on(plant: Path, tmp
     write_trace(measured(50.0), tmp_path / "short.csv")
     elsewhere = replace(two_modes(), temperature="TCuscinettiAlimentazione")
     write_model_directory(tmp_path / "elsewhere", replace(elsewhere, sha=replace(elsewhere.sha, name="elsewhere")))
-    options = ("--traces", tmp_path / "short.csv", "--runs", 100, "--skill", "--json")
+    options = ("--traces", tmp_path / "short.csv", "--runs", 100, "--jobs", 1, "--skill", "--json")
     found = only_object(decanter("model", "judge", "rank", plant / "model", tmp_path / "elsewhere", *options).stdout)[
         "forecasts"
     ]

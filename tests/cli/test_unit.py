@@ -67,7 +67,7 @@ def test_every_command_says_kw_and_none_says_degrees(plant: tuple[Path, Path, Pa
         ("simulate", model, "--word", "@0,T=2 fast@30,m=4 @60"),
         ("prove", model),
         ("check", model, "Pr[<=60](<> Power > 4)", "--events", one, "--map", column_map, "--runs", "50"),
-        ("rank", model, "--traces", traces, "--map", column_map),
+        ("rank", model, "--traces", traces, "--map", column_map, "--jobs", "1"),
     ):
         done = decanter("model", *command)
         assert done.exit_code in (0, 1), done.output
@@ -94,7 +94,7 @@ def test_tuning_and_correcting_say_kw(
 
 def test_a_diagnosis_says_kw_and_so_does_its_report(tmp_path: Path) -> None:
     """Of a plant whose hidden churning is named and whose targets have moved, its readings called kW."""
-    trace = replace(plant_of(7, days=2, churning=0.006), units={"T": "kW"})
+    trace = replace(plant_of(7, days=2, churning=0.006, period=60.0), units={"T": "kW"})
     given = model_of(shift=0.06)  # says degC: the trace's unit counts
     request = DiagnosisRequest(
         where="plant", out=tmp_path / "out", source="a test", seed=0, most=1, created=0.0, report=True
@@ -119,8 +119,8 @@ def test_a_diagnosis_says_kw_and_so_does_its_report(tmp_path: Path) -> None:
 def test_a_validation_says_kw_in_its_records_and_its_report(plant: tuple[Path, Path, Path], tmp_path: Path) -> None:
     column_map, traces, model = plant
     out = tmp_path / "out"
-    command = ("validate", model, "--traces", traces / "p1.csv", "--map", column_map, "--runs", "100", "--out", out)
-    done = decanter("model", *command)
+    command = ("validate", model, "--traces", traces / "p1.csv", "--map", column_map, "--runs", "100", "--jobs", "1")
+    done = decanter("model", *command, "--out", out)
     assert done.exit_code == 0, done.output
     files = (out / "decanter" / "report.html", out / "index.html", out / "campaign.log")
     for text in (done.output, *(file.read_text(encoding="utf-8") for file in files)):
