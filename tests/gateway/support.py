@@ -38,12 +38,15 @@ class JumpClock:
         self.time = max(self.time, moment)
 
 
+@dataclass
 class PacedClock(JumpClock):
-    """Leaves real time before each jump, for what takes real time meanwhile: a forecast's thread, and a person at the
-    gateway's socket, who would find the arming over on a busy machine."""
+    """Leaves `pause_s` of real time before each jump, for what takes real time meanwhile: a thread of a store or of a
+    forecast, and a person at the gateway's socket, who would find the arming over on a busy machine."""
+
+    pause_s: float = 0.02
 
     async def sleep_until(self, moment: float, stop: asyncio.Event | None = None) -> None:
-        await asyncio.sleep(0.02)
+        await asyncio.sleep(self.pause_s)
         await super().sleep_until(moment, stop)
 
 

@@ -29,6 +29,7 @@ from tests.gateway.support import (
     TEMPERATURE,
     Bench,
     JumpClock,
+    PacedClock,
     at_rest,
     config_in,
     logged,
@@ -63,17 +64,9 @@ def table(config: Config, query: str) -> list[tuple[Any, ...]]:
         return connection.execute(query).fetchall()
 
 
-class Patient(JumpClock):
-    """Jumps only every now and then, so that forecasts made in a thread keep up with the plant's time."""
-
-    async def sleep_until(self, moment: float, stop: asyncio.Event | None = None) -> None:
-        await asyncio.sleep(0.002)
-        self.time = max(self.time, moment)
-
-
 async def test_armed_it_predicts_forecasts_writes_and_stores_side_by_side(tmp_path: Path) -> None:
     config = config_in(tmp_path, model=two_modes(), forecast__period=5.0, **ARMED)
-    bench = Bench(config, Patient(), armed=True)
+    bench = Bench(config, PacedClock(pause_s=0.002), armed=True)
     heating(bench, 5, 200)
     status = await go(config, bench, 200, status_path=tmp_path / "status.json")
     blocks = bench.written

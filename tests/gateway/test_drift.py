@@ -20,8 +20,18 @@ from gateway.plant.log import open_log
 from gateway.settings.config import load_config
 from sim.sha.model import Model
 from sim.sha.trace import UNKNOWN, Event
-from tests.gateway.support import CURRENT, EPOCH, RUNNING, TEMPERATURE, Bench, config_in, logged, plant_file, two_modes
-from tests.gateway.test_app import Patient
+from tests.gateway.support import (
+    CURRENT,
+    EPOCH,
+    RUNNING,
+    TEMPERATURE,
+    Bench,
+    PacedClock,
+    config_in,
+    logged,
+    plant_file,
+    two_modes,
+)
 
 CYCLE, SCANS = 1000.0, 100
 
@@ -174,7 +184,7 @@ async def test_a_running_gateway_raises_the_alarm_on_the_third_cycle_and_its_log
     keys = {f"writeback__{name}": value for name, value in armed.items()}
     # It cools by 7 degC in a second, as no bearing does: its sensor would be found jumping, and not be believed.
     config = config_in(tmp_path, model=two_modes(), forecast__runs=50, alarms__sensors=False, **keys)
-    bench = Bench(config, Patient(), armed=True)
+    bench = Bench(config, PacedClock(pause_s=0.002), armed=True)
     for read in range(3, 290):  # 60 s on and 20 s off again and again, and it warms twice as fast as the model
         on, age = (read - 3) % 80 < 60, (read - 3) % 80
         reading = 25.0 + 1.0 * min(age, 60) * np.exp(-max(age - 60, 0) / 8.0)

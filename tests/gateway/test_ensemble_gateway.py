@@ -33,6 +33,7 @@ from tests.gateway.support import (
     RUNNING,
     TEMPERATURE,
     Bench,
+    PacedClock,
     config_in,
     logged,
     one_machine,
@@ -40,7 +41,7 @@ from tests.gateway.support import (
     scan_of,
     two_modes,
 )
-from tests.gateway.test_app import Patient, heating, table
+from tests.gateway.test_app import heating, table
 
 FAST = {"forecast__horizons": [10.0, 60.0], "forecast__runs": 50, "forecast__period": 2.0}
 
@@ -74,7 +75,7 @@ async def go(config: Config, bench: Bench, reads: int) -> dict[str, Any]:
 
 async def test_the_model_that_is_right_gets_the_weight_and_status_and_historian_say_so(tmp_path: Path) -> None:
     config = together(tmp_path, "half_life = 5.0")
-    bench = Bench(config, Patient())
+    bench = Bench(config, PacedClock(pause_s=0.002))
     heating(bench, 3, 300)
     status = await go(config, bench, 300)
     said = status["guards"]["ensemble"]
@@ -97,7 +98,7 @@ async def test_with_all_the_weight_on_the_first_model_the_forecast_is_that_of_a_
         folder = tmp_path / name
         folder.mkdir()
         config = config_in(folder, model=two_modes(), **FAST) if keys is None else together(folder, keys)
-        bench = Bench(config, Patient())
+        bench = Bench(config, PacedClock(pause_s=0.002))
         heating(bench, 3, 60)
         await go(config, bench, 60)
         query = "SELECT time, horizon, quantiles, p_limit FROM forecasts ORDER BY time, horizon"
@@ -134,7 +135,7 @@ async def test_a_member_that_fails_is_left_out_said_so_and_begun_anew(
 
     monkeypatch.setattr(Ensemble, "__init__", with_a_broken_member)
     config = together(tmp_path)
-    bench = Bench(config, Patient())
+    bench = Bench(config, PacedClock(pause_s=0.002))
     heating(bench, 3, 60)
     status = await go(config, bench, 60)
     assert status["failures"] == 0 and status["forecast"] is not None
@@ -144,7 +145,7 @@ async def test_a_member_that_fails_is_left_out_said_so_and_begun_anew(
     later = tmp_path / "later"
     later.mkdir()
     config = together(later)
-    bench = Bench(config, Patient())
+    bench = Bench(config, PacedClock(pause_s=0.002))
     heating(bench, 3, 120)
     status = await go(config, bench, 120)
     assert status["guards"]["ensemble"]["failures"] == {}, "60 s after its failure it was begun anew"
@@ -152,7 +153,7 @@ async def test_a_member_that_fails_is_left_out_said_so_and_begun_anew(
 
 async def test_weights_beliefs_and_reviews_outlive_a_restart(tmp_path: Path) -> None:
     config = together(tmp_path, "half_life = 5.0")
-    bench = Bench(config, Patient())
+    bench = Bench(config, PacedClock(pause_s=0.002))
     heating(bench, 3, 300)
     before = (await go(config, bench, 300))["guards"]
     with open_log(None, "info") as log:
@@ -286,7 +287,7 @@ async def test_readings_beyond_three_sigma_raise_the_review_alarm_and_its_bit(tm
         "writeback__minutes": 60.0,
     }
     config = config_in(tmp_path, model=two_modes(), **{**FAST, **keys})
-    bench = Bench(config, Patient(), armed=True)
+    bench = Bench(config, PacedClock(pause_s=0.002), armed=True)
     heating(bench, 3, 200)
     for read in range(100, 200):  # ever faster than any location of the model
         bench.plan[read] = {**bench.plan[read], TEMPERATURE: 35.0 + 0.02 * (read - 100) ** 1.7}
@@ -300,7 +301,7 @@ async def test_readings_beyond_three_sigma_raise_the_review_alarm_and_its_bit(tm
 
 async def test_a_belief_beyond_the_models_range_is_counted_logged_and_stored(tmp_path: Path) -> None:
     config = config_in(tmp_path, model=two_modes(), **FAST)
-    bench = Bench(config, Patient())
+    bench = Bench(config, PacedClock(pause_s=0.002))
     for read in range(3, 120):  # a winter's night: the model's range ends at 0 degC, the sensor's does not
         bench.plan[read] = {TEMPERATURE: max(28.0 - read, -6.0)}
     status = await go(config, bench, 120)
@@ -312,7 +313,7 @@ async def test_a_belief_beyond_the_models_range_is_counted_logged_and_stored(tmp
 
 async def test_a_corrected_model_predicts_what_the_sensor_reads(tmp_path: Path) -> None:
     config = config_in(tmp_path, model=replace(two_modes(), correction=Correction(1.0, 10.0)), **FAST)
-    bench = Bench(config, Patient())
+    bench = Bench(config, PacedClock(pause_s=0.002))
     for read in range(3, 200):
         reading = 60.0 - 35.0 * float(np.exp(-0.01 * (read - 3)))
         bench.plan[read] = {RUNNING: True, CURRENT: 150.0, TEMPERATURE: reading}

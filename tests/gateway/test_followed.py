@@ -8,8 +8,8 @@ from typing import Any
 from gateway.settings import load_config
 from gateway.store import history, machines, reading, stored_rows
 from sim.artefacts.model_json import model_text
-from tests.gateway.support import CURRENT, RUNNING, TEMPERATURE, Bench, plant_file, two_modes
-from tests.gateway.test_app import ARMED, Patient, go
+from tests.gateway.support import CURRENT, RUNNING, TEMPERATURE, Bench, PacedClock, plant_file, two_modes
+from tests.gateway.test_app import ARMED, go
 
 OTHER = "TCuscinettiAlimentazione"
 SCANS = 60
@@ -25,7 +25,7 @@ async def through(folder: Path) -> tuple[dict[str, Any], Bench]:
     )
     given = {key.replace("__", ".", 1): value for key, value in (ARMED | {"forecast__period": 5.0}).items()}
     config = load_config(plant_file(folder, tables), given)
-    bench = Bench(config, Patient(), armed=True)
+    bench = Bench(config, PacedClock(pause_s=0.002), armed=True)
     for read in range(5, SCANS):
         share = read / SCANS
         bench.plan[read] = {RUNNING: True, CURRENT: 150.0, TEMPERATURE: 25.0 + 15.0 * share, OTHER: 25.0 + 45.0 * share}

@@ -20,8 +20,18 @@ from sim.artefacts.store import Force, promote
 from sim.lab.formats.write_model import save, write_model_directory
 from sim.sha.model import Model
 from tests.checking.verify_models import thesis
-from tests.gateway.support import CURRENT, RUNNING, TEMPERATURE, Bench, config_in, logged, scan_of, two_modes
-from tests.gateway.test_app import Patient, heating, table
+from tests.gateway.support import (
+    CURRENT,
+    RUNNING,
+    TEMPERATURE,
+    Bench,
+    PacedClock,
+    config_in,
+    logged,
+    scan_of,
+    two_modes,
+)
+from tests.gateway.test_app import heating, table
 
 STORE = '[model]\npath = "store"\n'
 HOT = replace(thesis(), temperature=TEMPERATURE)
@@ -70,7 +80,7 @@ def slip_in(folder: Path, version: str) -> None:
 
 def running(config: Config, *, armed: bool = True) -> Plant:
     """A decanter that starts at read 5 and warms towards 50 degC."""
-    plant = Plant(config, Patient(), armed=armed)
+    plant = Plant(config, PacedClock(pause_s=0.002), armed=armed)
     heating(plant, 5, READS)
     return plant
 
@@ -222,7 +232,7 @@ async def test_a_model_that_fails_on_the_plants_readings_is_refused(
 async def test_the_drift_alarm_is_closed_by_the_promotion_of_the_model_that_was_adopted(tmp_path: Path) -> None:
     _, adopted = stocked(tmp_path, two_modes(), other(47.0, "adopted"))
     config = config_in(tmp_path, STORE, forecast__runs=50, alarms__sensors=False)
-    plant = Plant(config, Patient())
+    plant = Plant(config, PacedClock(pause_s=0.002))
     for read in range(3, 320):  # as in test_drift: it warms twice as fast as the model, cycle after cycle
         on, age = (read - 3) % 80 < 60, (read - 3) % 80
         reading = 25.0 + min(age, 60) * exp(-max(age - 60, 0) / 8.0)

@@ -21,8 +21,18 @@ from gateway.outside.status import findings, judge_health, read_status
 from gateway.plant import check_plant
 from gateway.plant.app import run
 from gateway.settings import load_plant
-from tests.gateway.support import CURRENT, EPOCH, MAP, RUNNING, TEMPERATURE, Bench, config_in, plant_file, two_modes
-from tests.gateway.test_app import Patient
+from tests.gateway.support import (
+    CURRENT,
+    EPOCH,
+    MAP,
+    RUNNING,
+    TEMPERATURE,
+    Bench,
+    PacedClock,
+    config_in,
+    plant_file,
+    two_modes,
+)
 from tests.sha.test_calibration import fan
 
 AUDIT = ("writeback.audit", "writeback.audit_key", "writeback.audit_heads")
@@ -170,7 +180,7 @@ async def test_that_no_usable_forecast_comes_is_an_alarm_a_finding_with_its_caus
 ) -> None:
     monkeypatch.setattr(Outlook, "begin", lambda *_, **__: None)
     config = config_in(tmp_path, model=two_modes(), forecast__runs=50)
-    bench = Bench(config, Patient(), stop_after=120)
+    bench = Bench(config, PacedClock(pause_s=0.002), stop_after=120)
     bench.plan[2] = {RUNNING: True, CURRENT: 150.0, TEMPERATURE: 26.0}
     plain = await asyncio.wait_for(run(config, clock=bench.clock, stop=bench.stop, driver=bench), 300.0)
     status = read_status(plain)

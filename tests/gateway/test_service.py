@@ -12,7 +12,7 @@ import pytest
 from drivers.tag import Sample, Tag
 from gateway.plant.app import run
 from gateway.plant.service import ScanProgress, ServiceManager, service_manager
-from tests.gateway.support import Bench, JumpClock, config_in
+from tests.gateway.support import Bench, PacedClock, config_in
 
 
 @dataclass
@@ -105,14 +105,6 @@ def test_the_environment_says_whether_and_to_whom_anything_is_told(systemd: Syst
     assert asyncio.run(watched(ours | {"WATCHDOG_PID": "1"}))
 
 
-class Patient(JumpClock):
-    """Scans follow one another every two milliseconds."""
-
-    async def sleep_until(self, moment: float, stop: asyncio.Event | None = None) -> None:
-        await asyncio.sleep(0.002)
-        self.time = max(self.time, moment)
-
-
 class HangingBench(Bench):
     """A device whose driver does not come back from a reading while `lost` is set."""
 
@@ -128,7 +120,7 @@ class HangingBench(Bench):
 async def test_a_gateway_that_hangs_in_a_scan_feeds_no_more_and_says_that_it_stops(
     systemd: SystemdSocket, tmp_path: Path
 ) -> None:
-    bench = HangingBench(config_in(tmp_path), Patient())
+    bench = HangingBench(config_in(tmp_path), PacedClock(pause_s=0.002))
     service = ServiceManager(systemd.path, watchdog=0.2)
     stop = asyncio.Event()
     work: asyncio.Task[dict[str, Any]] = asyncio.create_task(

@@ -33,8 +33,7 @@ from sim.lab.learning import Coverage
 from sim.lab.learning.calibrate import Scored, UnitScore, horizon_coverage, score_forecasts
 from sim.sha import SHA, Alphabet, Edge, Flow, Location, Model, Switch, Trace, encode_trace
 from tests.gateway.status_picture import picture
-from tests.gateway.support import CURRENT, RUNNING, TEMPERATURE, Bench, plant_file, two_modes
-from tests.gateway.test_app import Patient
+from tests.gateway.support import CURRENT, RUNNING, TEMPERATURE, Bench, PacedClock, plant_file, two_modes
 
 DAY_S, ROW_S, STAY_S = 86_400.0, 60.0, 4 * 3600.0
 MODEL = two_modes(gap=150.0)
@@ -563,7 +562,7 @@ async def test_a_gateway_says_of_each_kind_what_the_judge_said_in_status_alarm_a
     verdict = CASES[what][0]()
     write_model_directory(tmp_path / "model", MODEL, more={VERDICT_FILE: verdict.text()})
     config = load_config(plant_file(tmp_path, '[model]\npath = "model"\n[forecast]\nruns = 50\n'))
-    bench = Bench(config, Patient(), stop_after=10)
+    bench = Bench(config, PacedClock(pause_s=0.002), stop_after=10)
     plain = await asyncio.wait_for(run(config, clock=bench.clock, stop=bench.stop, driver=bench), 300.0)
     status = read_status(plain)
     assert status.model is not None

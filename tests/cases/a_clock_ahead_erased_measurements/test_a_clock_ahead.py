@@ -12,17 +12,9 @@ from gateway.machine.trust import ClockCheck
 from gateway.plant.app import run
 from gateway.settings.config import Config
 from gateway.store.read_back import recent, to_trace
-from tests.gateway.support import EPOCH, TEMPERATURE, Bench, JumpClock, config_in, one_machine
+from tests.gateway.support import EPOCH, TEMPERATURE, Bench, JumpClock, PacedClock, config_in, one_machine
 
 DAY = 86_400.0
-
-
-class Slow(JumpClock):
-    """Leaves the historian's thread the time to delete between two scans."""
-
-    async def sleep_until(self, moment: float, stop: asyncio.Event | None = None) -> None:
-        await asyncio.sleep(0.002)
-        self.time = max(self.time, moment)
 
 
 @pytest.fixture(autouse=True)
@@ -33,7 +25,7 @@ def often(monkeypatch: pytest.MonkeyPatch) -> None:
 
 async def hours(config: Config, start: float, reads: int = 130) -> dict[str, Any]:
     """The status after scans of a minute each from `start`: more than the hour after which is deleted."""
-    bench = Bench(config, Slow(start), stop_after=reads)
+    bench = Bench(config, PacedClock(start, pause_s=0.002), stop_after=reads)
     return await asyncio.wait_for(run(config, clock=bench.clock, stop=bench.stop, driver=bench), 300.0)
 
 

@@ -18,18 +18,10 @@ import pytest
 from gateway.plant.app import run
 from gateway.settings import Config
 from gateway.store.audit import DISARMED, read, verify
-from tests.gateway.support import JumpClock, config_in, two_modes
+from tests.gateway.support import PacedClock, config_in, two_modes
 from tests.gateway.test_pickup import ARMED, Plant
 
 SOONER, AGAIN, LATER = 8, 20, 40
-
-
-class Turns(JumpClock):
-    """Leaves the stores' threads their turn between two scans."""
-
-    async def sleep_until(self, moment: float, stop: asyncio.Event | None = None) -> None:
-        await asyncio.sleep(0.01)
-        self.time = max(self.time, moment)
 
 
 def mounted(*words: str) -> subprocess.CompletedProcess[str]:
@@ -89,7 +81,9 @@ async def seen(config: Config, deeds: dict[int, Callable[[], Any]]) -> tuple[dic
 
         return once
 
-    bench = Plant(config, Turns(), armed=True, deeds={read: counted(deed) for read, deed in deeds.items()})
+    bench = Plant(
+        config, PacedClock(pause_s=0.01), armed=True, deeds={read: counted(deed) for read, deed in deeds.items()}
+    )
     bench.stop_after = LATER
     # Until the disk is taken, no block is held back where it is only slow.
     with pytest.MonkeyPatch.context() as patient:

@@ -14,7 +14,7 @@ from gateway.plant.app import run
 from gateway.plant.log import open_log
 from gateway.settings.config import Config
 from gateway.store.audit import verify
-from tests.gateway.support import TEMPERATURE, Bench, JumpClock, config_in, two_modes
+from tests.gateway.support import TEMPERATURE, Bench, PacedClock, config_in, two_modes
 
 ARMED = {
     "writeback__mode": "armed",
@@ -23,14 +23,6 @@ ARMED = {
     "writeback__minutes": 60.0,
 }
 SHADOW = {"writeback__mode": "shadow"}
-
-
-class Paced(JumpClock):
-    """Leaves threads their turn between two scans."""
-
-    async def sleep_until(self, moment: float, stop: asyncio.Event | None = None) -> None:
-        await asyncio.sleep(0.005)
-        self.time = max(self.time, moment)
 
 
 @pytest.fixture
@@ -55,7 +47,7 @@ async def test_it_starts_with_the_alarms_and_is_not_armed(
     tmp_path: Path, refusing: Path, mode: dict[str, Any], what: str
 ) -> None:
     config = config_in(tmp_path, model=two_modes(), **mode, **where(refusing, what))
-    bench = Bench(config, Paced(), armed=True)
+    bench = Bench(config, PacedClock(pause_s=0.005), armed=True)
     bench.plan[3] = {TEMPERATURE: 85.0}
     status = await go(config, bench, 20)
     assert status["scan"]["count"] > 15 and status["writeback"]["mode"] == "shadow" and bench.written == []
@@ -68,7 +60,7 @@ async def test_once_the_folder_takes_it_the_audit_log_is_made_and_what_waited_is
 ) -> None:
     monkeypatch.setattr("gateway.store.audit._RETRY_SECONDS", 0.01)
     config = config_in(tmp_path, model=two_modes(), **SHADOW, **where(refusing, "audit"))
-    bench = Bench(config, Paced(), armed=True)
+    bench = Bench(config, PacedClock(pause_s=0.005), armed=True)
     with open_log(tmp_path / "log.jsonl") as log:
         machine = Machine(config, driver=bench, clock=bench.clock, log=log, rng=Random(1))
     try:
@@ -91,7 +83,7 @@ async def test_a_log_that_can_be_written_again_is(
 ) -> None:
     monkeypatch.setattr("gateway.plant.log_file.RETRY_SECONDS", 0.0)
     config = config_in(tmp_path, **SHADOW, alarms__off_delay=0.0, **where(refusing, "log"))
-    bench = Bench(config, Paced())
+    bench = Bench(config, PacedClock(pause_s=0.005))
     bench.plan[10] = {TEMPERATURE: 25.0}
     opened = bench.open
 

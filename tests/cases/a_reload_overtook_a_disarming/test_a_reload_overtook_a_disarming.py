@@ -34,7 +34,7 @@ from gateway.store.arming_rows import given_words
 from gateway.store.audit import ARMED, EXPIRED, Audit, read
 from sim.artefacts.model_json import model_hash
 from sim.artefacts.store import promote
-from tests.gateway.support import EPOCH, MAP, JumpClock, at_rest, config_in, two_modes
+from tests.gateway.support import EPOCH, MAP, JumpClock, PacedClock, at_rest, config_in, two_modes
 from tests.gateway.test_pickup import other, stocked
 from tests.rig.memory import folder_in_memory
 
@@ -47,14 +47,6 @@ FILES = {
     "off": '[writeback]\nmode = "off"\n',
 }
 USELESS = '[alarms]\nlimit = "hot"\n'
-
-
-class Turns(JumpClock):
-    """Leaves other threads their turn between two scans."""
-
-    async def sleep_until(self, moment: float, stop: asyncio.Event | None = None) -> None:
-        await asyncio.sleep(0.001)
-        self.time = max(self.time, moment)
 
 
 @dataclass
@@ -208,7 +200,7 @@ async def gateway(folder: Path, monkeypatch: pytest.MonkeyPatch, file: str = "a"
         stocked(folder, two_modes(), other())
     (folder / "plant.toml").write_text(plant_text(FILES[file]), encoding="utf-8")
     machines = load_plant(folder / "plant.toml")
-    clock = Turns(EPOCH)
+    clock = PacedClock(EPOCH, pause_s=0.001)
     plc = Plc(clock, machines[0].audit)
     monkeypatch.setattr(fleets, "make_driver", lambda config, *_: Link(plc, config))
     with open_log(folder / "log.jsonl") as log:

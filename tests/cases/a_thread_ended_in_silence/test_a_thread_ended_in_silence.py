@@ -30,7 +30,7 @@ from gateway.settings.config import load_config
 from tests.drivers.bench_can import can_bench
 from tests.drivers.bench_canopen import canopen_bench
 from tests.drivers.scripted import ScriptedPlc
-from tests.gateway.support import ROOT, Bench, JumpClock, config_in, logged, plant_file, two_modes
+from tests.gateway.support import ROOT, Bench, PacedClock, config_in, logged, plant_file, two_modes
 
 POOL = "asyncio_"
 """The threads of the event loop's pool begin so: what they carry are tasks that somebody waits for."""
@@ -160,14 +160,6 @@ async def test_nothing_lasts_in_a_driver_that_it_does_not_say(bench: Callable[[]
         await anext(made, None)
 
 
-class Paced(JumpClock):
-    """Leaves threads their turn between two scans."""
-
-    async def sleep_until(self, moment: float, stop: asyncio.Event | None = None) -> None:
-        await asyncio.sleep(0.005)
-        self.time = max(self.time, moment)
-
-
 async def thrown() -> None:
     """A callback, a thread and a task of nobody's that end with an error."""
 
@@ -200,7 +192,7 @@ async def test_a_part_that_dies_is_in_status_log_and_alarm_and_is_begun_anew(
         "forecast__period": 1.0,
     }
     config = config_in(tmp_path, model=two_modes(), **writeback)
-    bench = Bench(config, Paced())
+    bench = Bench(config, PacedClock(pause_s=0.005))
     bench.stop_after = 40
     await_at_open = bench.open
 

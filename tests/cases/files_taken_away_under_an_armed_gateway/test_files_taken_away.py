@@ -21,7 +21,7 @@ from gateway.plant.app import run
 from gateway.settings import Config
 from gateway.store import default_places, examine
 from gateway.store.audit import DISARMED, read
-from tests.gateway.support import Bench, JumpClock, config_in, logged, two_modes
+from tests.gateway.support import Bench, PacedClock, config_in, logged, two_modes
 from tests.rig.memory import folder_in_memory
 
 ARMED: dict[str, Any] = {
@@ -107,14 +107,6 @@ class Tampered(Bench):
         return await super().read(tags)
 
 
-class Turns(JumpClock):
-    """Leaves the stores' threads their turn between two scans."""
-
-    async def sleep_until(self, moment: float, stop: asyncio.Event | None = None) -> None:
-        await asyncio.sleep(0.005)
-        self.time = max(self.time, moment)
-
-
 def armed_config(folder: Path, **more: Any) -> Config:
     page = {"page__enabled": True, "page__port": 0} if more.pop("page", False) else {}
     config = config_in(folder, model=two_modes(), **ARMED, **page, **more)
@@ -124,7 +116,7 @@ def armed_config(folder: Path, **more: Any) -> Config:
 
 
 async def tampered(config: Config, deed: Callable[[], None]) -> tuple[dict[str, Any], Tampered]:
-    bench = Tampered(config, Turns(), armed=True, stop_after=LATER, deed=deed)
+    bench = Tampered(config, PacedClock(pause_s=0.005), armed=True, stop_after=LATER, deed=deed)
     status = await asyncio.wait_for(run(config, clock=bench.clock, stop=bench.stop, driver=bench), 300.0)
     if bench.failure is not None:
         raise bench.failure

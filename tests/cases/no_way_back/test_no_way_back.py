@@ -20,7 +20,7 @@ from gateway.store import examine, open_historian
 from gateway.store.arming_rows import find_arming, given_words
 from gateway.store.audit import ARMED, DISARMED, AuditEntry, AuditError, open_audit, read, verify
 from gateway.store.backup import MANIFEST, BackupError, _seal, read_manifest
-from tests.gateway.support import EPOCH, MAP, Bench, JumpClock, config_in, logged, two_modes
+from tests.gateway.support import EPOCH, MAP, Bench, JumpClock, PacedClock, config_in, logged, two_modes
 
 ARMED_BY_FILE: dict[str, Any] = {"armed_by": "Ada", "reason": "test", "minutes": 480.0}
 OLD = Path(__file__).with_name("audit_layout_1.sql")
@@ -44,17 +44,20 @@ def decanter(*words: object) -> Result:
 
 
 async def go(config: Config, clock: JumpClock, reads: int, at: int = 0, backup: Path | None = None) -> Bench:
-    """Run for some reads; a backup is made at read `at`, while the gateway goes on."""
+    """Run for some reads; a backup is made at read `at`, and the gateway goes on meanwhile and afterwards."""
     bench = Bench(config, clock, armed=True)
-    bench.stop_after = reads
+    bench.stop_after = reads if backup is None else None
     running = asyncio.create_task(run(config, clock=clock, stop=bench.stop, driver=bench))
     if backup is not None:
         while bench.reads < at:
+            assert not running.done()
             await asyncio.sleep(0)
         done = await asyncio.to_thread(decanter, "backup", backup, "--config", config.path)
         assert done.exit_code == 0, done.output
-        assert bench.reads < reads or bench.stop.is_set()
+        assert not running.done(), "the backup ended the gateway"
+        bench.stop_after = max(reads, bench.reads + 20)
     await asyncio.wait_for(running, 300.0)
+    assert bench.stop_after is not None and bench.reads >= bench.stop_after
     return bench
 
 
@@ -62,13 +65,14 @@ async def go(config: Config, clock: JumpClock, reads: int, at: int = 0, backup: 
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A backup that was made while its gateway ran."""
     home = tmp_path_factory.mktemp("made")
-    asyncio.run(go(armed_config(home / "plant"), JumpClock(), 200, at=30, backup=home / "backup"))
+    clock = PacedClock(pause_s=0.002)
+    asyncio.run(go(armed_config(home / "plant"), clock, 200, at=30, backup=home / "backup"))
     return home / "backup"
 
 
 @pytest.fixture
 def backed(tmp_path: Path) -> tuple[Config, JumpClock, Path]:
-    config, clock = armed_config(tmp_path / "plant"), JumpClock()
+    config, clock = armed_config(tmp_path / "plant"), PacedClock(pause_s=0.002)
     asyncio.run(go(config, clock, 200, at=30, backup=tmp_path / "backup"))
     return config, clock, tmp_path / "backup"
 

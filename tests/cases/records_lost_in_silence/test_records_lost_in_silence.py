@@ -13,7 +13,7 @@ from gateway.plant.app import run
 from gateway.settings.config import Config
 from gateway.store.historian import Historian
 from gateway.store.read_back import reading, stored_rows
-from tests.gateway.support import Bench, JumpClock, config_in, logged, plant_file, two_modes
+from tests.gateway.support import Bench, PacedClock, config_in, logged, plant_file, two_modes
 
 ARMED = {
     "writeback__mode": "armed",
@@ -21,14 +21,6 @@ ARMED = {
     "writeback__reason": "test",
     "writeback__minutes": 60.0,
 }
-
-
-class Slow(JumpClock):
-    """Leaves the historian's thread its turn between two scans."""
-
-    async def sleep_until(self, moment: float, stop: asyncio.Event | None = None) -> None:
-        await asyncio.sleep(0.01)
-        self.time = max(self.time, moment)
 
 
 def refuse(monkeypatch: pytest.MonkeyPatch, error: Exception, *, times: int = 10**9) -> None:
@@ -69,7 +61,7 @@ async def test_a_disk_that_refuses_raises_the_alarm_and_is_said_once(
 ) -> None:
     config = config_in(tmp_path)
     refuse(monkeypatch, sqlite3.OperationalError("disk I/O error"))
-    status = await go(config, Bench(config, Slow()), 60)
+    status = await go(config, Bench(config, PacedClock(pause_s=0.01)), 60)
     assert status["alarms"]["records"] == "unacknowledged"
     assert "disk I/O error" in status["historian"]["failure"]
     lines = [row for row in logged(tmp_path) if row["event"] == "the records cannot be relied on"]
@@ -81,7 +73,7 @@ async def test_a_thread_that_fails_raises_it_as_well_and_its_rows_come_late(
 ) -> None:
     config = config_in(tmp_path)
     refuse(monkeypatch, RuntimeError("nobody has thought of it"), times=1)
-    status = await go(config, Bench(config, Slow()), 60)
+    status = await go(config, Bench(config, PacedClock(pause_s=0.01)), 60)
     assert status["alarms"]["records"] == "unacknowledged"
     assert status["parts"]["historian"]["restarts"] == 1
     assert status["historian"]["dropped"] == 0
@@ -95,7 +87,7 @@ async def test_armed_it_disarms_itself_once_nothing_has_been_on_record_for_the_s
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, seconds: float | None, armed: bool
 ) -> None:
     config = config_in(tmp_path, model=two_modes(), historian__disarm_after=seconds or False, **ARMED)
-    bench = Bench(config, Slow(), armed=True)
+    bench = Bench(config, PacedClock(pause_s=0.01), armed=True)
     real = Historian._store
 
     def failing(self: Historian, *args: Any) -> None:
