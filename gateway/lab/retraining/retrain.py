@@ -117,7 +117,7 @@ def retrain_command(
                 )
                 reason = ripe.reason
                 fresh = len(new_cycles(library, source.model))
-                said = f"not due: {cut} cycles came, fewer than {after} that are not ordinary; {drift.why_not_due()}"
+                said = f"not due: {cut} cycles came; {drift.why_not_due()}; fewer than {after} that are not ordinary"
                 if ripe.score:
                     said += f"; {ripe.score}"
                 if reason and fresh < MIN_NEW_CYCLES:
