@@ -72,7 +72,7 @@ def test_a_finding_that_was_damaged_is_refused_by_its_name(store: Path) -> None:
             read_finding(file.parent)
 
 
-def guarded(path: Path, cycles: int, **more: int) -> Path:
+def guarded(path: Path, cycles: int, **more: float | None) -> Path:
     """A historian of a short run, after which the model's free run was beyond its limit on so many cycles."""
     trace = scenario("cd1")
     kept(path, trace)
@@ -81,6 +81,27 @@ def guarded(path: Path, cycles: int, **more: int) -> Path:
     store.view("decanter", temperature="TCuscinettiRiduttore").put("guards", [(float(trace.times[-1]), guards)])
     assert store.close()
     return path
+
+
+def test_a_drift_that_nobody_looked_at_is_not_called_none(model: Path, tmp_path: Path) -> None:
+    never, fresh = tmp_path / "never.sqlite", guarded(tmp_path / "fresh.sqlite", 0, error=None, limit=None)
+    trace = scenario("cd1")
+    kept(never, trace)
+    records, _ = one_machine(never)
+    long_ago = float(trace.times[0]) - 7200.0
+    records.view("decanter", temperature="TCuscinettiRiduttore").put("guards", [(long_ago, "{}")])
+    assert records.close()
+    store = tmp_path / "store"
+    promote(store, save(store, find_model(str(model)).runnable(), created=1.0))
+    for historian, reason in (
+        (never, f"the newest hour of {never} has nothing of a model of TCuscinettiRiduttore"),
+        (fresh, "no whole cycle has been judged"),
+    ):
+        said = decanter(
+            "diagnose", "--model", store, "--if-drifting", "--out", tmp_path / "o", "--historian", historian
+        )
+        assert said.exit_code == 0, said.stderr
+        assert f"not due: drift was not looked at: {reason}" in said.stdout
 
 
 def test_a_schedule_diagnoses_only_while_the_drift_alarm_stands(model: Path, tmp_path: Path) -> None:

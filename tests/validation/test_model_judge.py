@@ -103,6 +103,31 @@ def strays_at_rest(column: np.ndarray) -> np.ndarray:
     return column
 
 
+def half(change: Callable[[np.ndarray], np.ndarray], name: str = TEMPERATURE, days: int = 4) -> Trace:
+    """A record whose second half was changed."""
+    whole = record(days)
+    column = whole.signals[name]
+    late = whole.times - whole.times[0] >= days / 2 * DAY_S
+    return with_signal(whole, name, np.where(late, change(column), column))
+
+
+def other_machine() -> Trace:
+    """A record that goes on as one of a machine that warms twice as much, in a warmer place."""
+    return half(lambda value: 2.0 * value + 10.0)
+
+
+def greased() -> Trace:
+    """A record of which the second half warms by a fifth less, as after a greasing, on warmer days."""
+    return half(lambda value: 0.8 * (value - 20.0) + 26.0)
+
+
+def rounded_at_rest() -> Trace:
+    """A record of whole degrees that rests for its second half: its reading stands still, as it should."""
+    still = half(lambda value: np.full_like(value, 20.0))
+    late = still.times - still.times[0] >= 2 * DAY_S
+    return with_signal(still, RUNNING, np.where(late, 0.0, still.signals[RUNNING]))
+
+
 def cold_room() -> Trace:
     """It cools while it runs, and its suction pressure is lower then."""
     whole = record()
@@ -177,6 +202,44 @@ CASES: dict[str, tuple[Callable[[], ModelVerdict], str, str]] = {
     ),
     "a compressor that cools a room": (lambda: judged(cold_room()), "limited", "or does it cool?"),
     "rows of an hour": (lambda: judged(rare_rows()), "fit", ""),
+    "a switch upside down in half of it": (
+        lambda: judged(half(lambda on: 1.0 - on, RUNNING)),
+        "unfit",
+        "and falls then on 2023-11-17 and 2023-11-18: it is upside down there",
+    ),
+    "the same without a load, in half of it": (
+        lambda: judged(half(lambda on: 1.0 - on, RUNNING), switch_alone()),
+        "limited",
+        "is it upside down there?",
+    ),
+    "degrees Fahrenheit in half of it": (
+        lambda: judged(half(lambda value: 1.8 * value + 32.0)),
+        "unfit",
+        "are the latter degrees Fahrenheit?; next: learn without the days that are not like",
+    ),
+    "kelvin in half of it": (lambda: judged(half(lambda value: value + 273.15)), "unfit", "are the latter kelvin?"),
+    "tenths in half of it": (
+        lambda: judged(half(lambda value: 10.0 * value)),
+        "unfit",
+        "are the latter tenths of a degree?",
+    ),
+    "another machine in half of it": (
+        lambda: judged(other_machine()),
+        "limited",
+        "another machine, sensor or unit, or work on it?",
+    ),
+    "a sensor that is frozen for half of it": (
+        lambda: judged(half(lambda value: np.full_like(value, 33.3))),
+        "unfit",
+        "TCuscinettiRiduttore stands still at 33.3 through 5 whole runs",
+    ),
+    "a greasing, and warmer days": (lambda: judged(greased()), "fit", ""),
+    "whole degrees at rest for half of it": (lambda: judged(rounded_at_rest()), "fit", ""),
+    "tenths of a degree": (
+        lambda: judged(spoiled(lambda value: 10.0 * value)),
+        "limited",
+        "and it rises by 300 °C: are these tenths of a degree (20 °C)?",
+    ),
     "degrees Fahrenheit": (lambda: judged(spoiled(lambda value: 1.8 * value + 32.0)), "limited", "Fahrenheit (20 °C)?"),
     "a unit that is too large": (
         lambda: judged(spoiled(lambda value: 1e-4 * value)),

@@ -245,10 +245,7 @@ def diagnose(
             with reading(historian) as connection:
                 drift = recorded_drift(connection, historian, machine=machine, temperature=model.temperature)
             if not drift.stands:
-                said = (
-                    f"not due: the free run was beyond its limit on {drift.cycles} cycles running, fewer than "
-                    f"{drift.alarm_cycles}"
-                )
+                said = f"not due: {drift.why_not_due()}"
                 conclude(CommandResult({"due": False, "drifting": drift.cycles}), lambda _: [said], as_json=as_json)
                 return
         if historian is None:

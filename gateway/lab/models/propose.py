@@ -28,16 +28,24 @@ HOUR = 3600.0
 class RecordedDrift:
     """On how many `cycles` running the model's free run was beyond its limit, and from how many on the alarm comes.
 
-    `alarm_cycles` is the plant's own number (`alarms.drift_cycles`), which its gateway puts on record.
+    `alarm_cycles` is the plant's own number (`alarms.drift_cycles`), which its gateway puts on record. `not_looked_at`
+    is the reason where no cycle was judged.
     """
 
     cycles: int
     alarm_cycles: int
+    not_looked_at: str = ""
 
     @property
     def stands(self) -> bool:
         """Whether the drift alarm's condition holds."""
-        return self.cycles >= self.alarm_cycles
+        return not self.not_looked_at and self.cycles >= self.alarm_cycles
+
+    def why_not_due(self) -> str:
+        """Why it starts nothing, where it does not stand."""
+        if self.not_looked_at:
+            return f"drift was not looked at: {self.not_looked_at}"
+        return f"the free run was beyond its limit on {self.cycles} cycles running, fewer than {self.alarm_cycles}"
 
 
 def recorded_drift(
@@ -54,7 +62,13 @@ def recorded_drift(
     said = json.loads(rows[-1][1] or "{}").get("drift", {}) if rows else {}
     # A gateway of a former release does not say from how many cycles on its alarm comes.
     alarm = said.get("alarm_cycles", AlarmSection.model_fields["drift_cycles"].default)
-    return RecordedDrift(int(said.get("cycles", 0)), int(alarm))
+    cycles = int(said.get("cycles", 0))
+    reason = ""
+    if not rows:
+        reason = f"the newest hour of {historian} has nothing of a model of {temperature}"
+    elif not cycles and said.get("error") is None:
+        reason = "no whole cycle has been judged; one goes from a start of the machine to the next"
+    return RecordedDrift(cycles, int(alarm), reason)
 
 
 def require_store(where: str) -> Path:

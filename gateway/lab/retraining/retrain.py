@@ -16,7 +16,7 @@ from gateway.console import (
     progress,
 )
 from gateway.entry import interruptible, sentences
-from gateway.lab.models.propose import recorded_drift
+from gateway.lab.models.propose import RecordedDrift, recorded_drift
 from gateway.lab.resource_usage import peak_megabytes
 from gateway.lab.retraining.cycle_library import open_library
 from gateway.lab.retraining.report import Retraining
@@ -77,11 +77,9 @@ def retrain_command(
             if last is None:
                 raise ValueError(f"{historian}: this historian has no scan yet; let the gateway run first")
             name = machine if machine is not None else next(iter(known))
-            drifting = (
-                if_due
-                and temperature in known[name]
-                and recorded_drift(connection, historian, machine=name, temperature=temperature).stands
-            )
+            drift = RecordedDrift(0, 0, f"{historian} has no model of {temperature}")
+            if if_due and temperature in known[name]:
+                drift = recorded_drift(connection, historian, machine=name, temperature=temperature)
         request = RetrainingRequest(
             store=store,
             historian=historian,
@@ -108,10 +106,18 @@ def retrain_command(
                 learned = creation_time(version_directory(store, source.version))
                 age = time.time() - max(learned, (library.fact("finished") or {"at": learned})["at"])
                 limit = float("inf") if every is None else every * 86_400.0
-                ripe = due(request, library, source, after=after, drifting=drifting, age=age, every=limit)
+                ripe = due(
+                    request,
+                    library,
+                    source,
+                    after=after,
+                    drifting=drift.stands,
+                    age=age,
+                    every=limit,
+                )
                 reason = ripe.reason
                 fresh = len(new_cycles(library, source.model))
-                said = f"not due: {cut} cycles came, no drift, fewer than {after} that are not ordinary"
+                said = f"not due: {cut} cycles came; {drift.why_not_due()}; fewer than {after} that are not ordinary"
                 if ripe.score:
                     said += f"; {ripe.score}"
                 if reason and fresh < MIN_NEW_CYCLES:

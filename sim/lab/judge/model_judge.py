@@ -19,6 +19,7 @@ from sim.artefacts import (
     ModelVerdict,
     rate_criteria,
 )
+from sim.lab.judge.days import REVERSED_LOAD_RATIO, judge_days
 from sim.lab.judge.rows import MIN_FORECASTS
 from sim.lab.learning import HORIZONS_S, MOST_WIDENING, Coverage, first_switch, level_signals
 from sim.lab.recordings import FAHRENHEIT_REST_RANGE
@@ -43,11 +44,11 @@ HEAT_STEP_DEGC = 5.0
 """Heat moves a bearing by no more from row to row (75 s at most)."""
 MAX_CODE_SHARE = 0.005
 """The share of such readings above which they are no accidents but a code for "no reading", or a loose contact."""
-REVERSED_LOAD_RATIO = 20.0
-"""The load while "off" over that while "on" from which a switch is upside down: what runs draws something. A level that
-is merely lower while a machine runs, as a compressor's suction pressure is, says nothing."""
 KELVIN_REST_RANGE = (270.0, 310.0)
 """Where a machine at rest settles if its degrees are kelvin (-3 to 37 °C)."""
+TENTHS_REST_RANGE, MIN_TENTHS_RISE = (100.0, 400.0), 100.0
+"""Where a machine at rest settles if its readings are tenths of a degree (10 to 40 °C), and by how much it then rises:
+an oven that is kept warm does not rise by so much, and no other machine rests so hot."""
 NOISE_ROW_S, MIN_NOISE_DEGC, MAX_NOISE_SHARE = 60.0, 1.0, 0.1
 """Heat takes minutes: from row to row within so many seconds no bearing jumps by as many degC, and by such a share of
 all that it moves (from its 5th to its 95th percentile; of noise alone that is 3.3 times its sigma)."""
@@ -342,6 +343,10 @@ def _degrees_are_celsius(case: LearnedCase) -> Said:
     if rest is None:
         return True, "it was never seen at rest"
     said = f"at rest it is never below {rest:.0f} °C"
+    columns = [column for _, column in case.readings() if column.size]
+    rise = max(float(np.quantile(column, 0.99)) for column in columns) - rest
+    if TENTHS_REST_RANGE[0] <= rest <= TENTHS_REST_RANGE[1] and rise >= MIN_TENTHS_RISE:
+        return None, f"{said}, and it rises by {rise:.0f} °C: are these tenths of a degree ({rest / 10.0:.0f} °C)?"
     if FAHRENHEIT_REST_RANGE[0] < rest < FAHRENHEIT_REST_RANGE[1]:
         return None, f"{said}: are these degrees Fahrenheit ({(rest - 32.0) / 1.8:.0f} °C)?"
     if KELVIN_REST_RANGE[0] < rest < KELVIN_REST_RANGE[1]:
@@ -443,6 +448,10 @@ CRITERIA: Mapping[str, tuple[Callable[[LearnedCase], Said], str]] = {
     "readings": (_readings_are_readings, "say the code for no reading in the column map (bad = [...])"),
     "noise": (_move_as_heat_does, "look at the sensor and its wiring; give each machine a file of its own"),
     "switch": (_switch_is_upright, "derive it in the column map from what says standstill: [derived], below = 0.5"),
+    "days": (
+        lambda case: judge_days(case.model, case.traces),
+        "learn without the days that are not like the others, or mend them: units, switch, machine, sensor",
+    ),
     "from a plant": (_from_a_plant, "learn from the plant's own recordings"),
     "degrees": (_degrees_are_celsius, "say the unit in the column map, or go on if the machine is kept so warm"),
     "locations": (_judge_places, "learn with --method bins, which keeps the switch's positions apart"),

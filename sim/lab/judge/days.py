@@ -1,0 +1,357 @@
+"""Whether the days of a recording contradict one another: a unit, a machine, a switch or a sensor that changed in it.
+
+Each day is its own witness. The temperature of one is fitted by what warms the machine, as a first-order lag of it
+(level, gain, and what is left of the night before), all days with the same lag; what differs between days is held
+against what differs within the groups that they fall into. A day is UTC's, of one trace.
+"""
+
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from math import nan
+
+import numpy as np
+
+from sim.lab.learning import Indices, first_switch, level_signals
+from sim.moments import exact_moment, has_date
+from sim.sha import DEFAULT_UNIT, Array, Mask, Model, Trace, display_unit
+
+DAY_S = 86_400.0
+BIN_S = 60.0
+"""Readings are averaged over so long (s), or over a row where rows are rarer."""
+MIN_DAY_S = 3 * 3600.0
+"""Readings that a day needs to be a witness."""
+LAGS_S = (0.0, 300.0, 900.0, 1800.0, 3600.0, 7200.0)
+"""Lags (s) of a temperature behind what warms it that are tried."""
+MIN_EXPLAINED = 0.6
+"""The share of a day's variance that the lag explains where its gain is known."""
+MIN_DRIVEN_SHARE = 0.3
+"""Of the greatest range of what warms the machine, that a day must have for its gain to be known."""
+GAIN_RATIO = 1.5
+"""Between two groups of days, of the gains nearest to one another, from which they are no two days of one machine."""
+LEVEL_STEP = 25.0
+"""degC between two groups of days, at the levels nearest to one another, the same: no weather makes it overnight."""
+WITHIN_RATIO = 3.0
+"""A group of days lies so many times as far from the other as its own days lie from one another."""
+GAIN_MISFIT, LEVEL_MISFIT, LEVEL_MISFIT_DEGC = 0.15, 0.12, 5.0
+"""By which gain, and level, may differ from what another unit makes of the other days'."""
+REVERSED_LOAD_RATIO = 20.0
+"""The load while "off" over that while "on" from which a switch is upside down: what runs draws something. A level that
+is merely lower while a machine runs, as a compressor's suction pressure is, says nothing."""
+STILL_RUNS, STILL_LONG_SHARE, MAX_USUALLY_STILL = 2, 0.5, 0.1
+"""Whole runs in a row through which one reading stands still, each of this share of a usual one at least, where else
+no more than this share of runs moves nothing."""
+MIN_SHARE = 0.1
+"""Of the recording, or of its days, that is no small part of what was learned."""
+MAX_LISTED = 3
+"""Days that a sentence names."""
+OTHER_UNITS: Mapping[str, tuple[float, float]] = {
+    "degrees Fahrenheit": (1.8, 32.0),
+    "kelvin": (1.0, 273.15),
+    "tenths of a degree": (10.0, 0.0),
+}
+"""Unit -> (factor, offset) by which it writes degC."""
+
+Said = tuple[bool | None, str]
+
+
+@dataclass(frozen=True, slots=True)
+class Day:
+    """One day of a trace by its number since the clock's zero: `rows` of the trace are its own."""
+
+    trace: Trace
+    number: int
+    rows: slice
+
+    @property
+    def begin(self) -> float:
+        """When it begins (absolute s)."""
+        return self.number * DAY_S
+
+    def words(self) -> str:
+        """It as people call it."""
+        if has_date(self.begin):
+            return exact_moment(self.begin).split()[0]
+        return f"day {self.number + 1} of {self.trace.name}"
+
+
+@dataclass(frozen=True, slots=True)
+class DayFit:
+    """Of D days the `level` (degC) and the `gain` (degC per unit of what warms it), (D,), NaN where it is not known."""
+
+    level: Array
+    gain: Array
+
+
+def judge_days(model: Model, traces: Sequence[Trace]) -> Said:
+    """Whether the days of the training contradict one another: False or None with what does, True where none is."""
+    if still := _find_still(model, traces):
+        return still
+    if model.unit != DEFAULT_UNIT:
+        return True, f"the days' levels and gains were not looked at: they are in {display_unit(model.unit)}"
+    machines: dict[str, list[Day]] = {}
+    for trace in traces:
+        machines.setdefault(trace.machine, []).extend(_days(model, trace))
+    looked = 0
+    for days in machines.values():
+        if len(days) < 2:
+            continue
+        grid = _grid(model, days)
+        if said := _turned_switch(model, days, grid) or _parted(model, days, grid):
+            return said
+        looked += len(days)
+    if not looked:
+        return True, f"no days were held against one another: a machine has none or one of {MIN_DAY_S / 3600:g} h"
+    return True, f"none of {looked} days contradicts the others"
+
+
+def _days(model: Model, trace: Trace) -> list[Day]:
+    """The days of which enough readings are there."""
+    known = np.isfinite(trace.signals[model.temperature])
+    if known.sum() < 2:
+        return []
+    row_s = float(np.median(np.diff(trace.times[known])))
+    numbers = np.floor(trace.times / DAY_S).astype(int)
+    found = []
+    for number in np.unique(numbers).tolist():
+        first, last = np.searchsorted(numbers, (number, number + 1)).tolist()
+        bins = np.unique(trace.times[first:last][known[first:last]] // max(BIN_S, row_s)).size
+        if bins * max(BIN_S, row_s) >= MIN_DAY_S:
+            found.append(Day(trace, number, slice(first, last)))
+    return found
+
+
+@dataclass(frozen=True, slots=True)
+class Grid:
+    """D days on one grid of B bins of `step` s: `readings` (D, B), NaN where there is none, `drivers` name -> (D, B),
+    each bin's newest value."""
+
+    step: float
+    readings: Array
+    drivers: Mapping[str, Array]
+
+
+def _grid(model: Model, days: Sequence[Day]) -> Grid:
+    rows = [np.diff(day.trace.times[day.rows]) for day in days]
+    step = max(BIN_S, float(np.median(np.concatenate(rows))))
+    bins = int(np.ceil(DAY_S / step))
+    middles = np.linspace(0.5 * step, (bins - 0.5) * step, bins)
+    switch = first_switch(model.alphabet)
+    names = [*([switch.signal] if switch else []), *level_signals(model.alphabet)]
+    readings = np.full((len(days), bins), np.nan)
+    drivers = {name: np.full((len(days), bins), np.nan) for name in names}
+    for at, day in enumerate(days):
+        times = day.trace.times[day.rows] - day.begin
+        column = day.trace.signals[model.temperature][day.rows]
+        known = np.isfinite(column)
+        here = np.minimum((times[known] / step).astype(int), bins - 1)
+        count = np.bincount(here, minlength=bins)
+        readings[at] = np.divide(
+            np.bincount(here, column[known], bins), count, out=np.full(bins, np.nan), where=count > 0
+        )
+        for name, filled in drivers.items():
+            if name in day.trace.signals:
+                filled[at] = _held_at(times, day.trace.signals[name][day.rows], middles)
+    return Grid(step, readings, drivers)
+
+
+def _held_at(times: Array, column: Array, moments: Array) -> Array:
+    """The newest value at each moment; the first one before it."""
+    known = np.flatnonzero(np.isfinite(column))
+    if not known.size:
+        return np.full(moments.size, np.nan)
+    return column[known[np.maximum(np.searchsorted(times[known], moments, side="right") - 1, 0)]]
+
+
+def _fit(grid: Grid, names: Sequence[str]) -> DayFit | None:
+    """Level and gain of each day by the driver and the lag that explain most of the median day; None without one."""
+    best: tuple[float, DayFit] = (MIN_EXPLAINED, DayFit(np.zeros(0), np.zeros(0)))
+    for name in names:
+        column = grid.drivers[name]
+        usable: Mask = np.asarray(np.isfinite(column).all(axis=1))
+        reach = np.where(usable, np.ptp(np.where(usable[:, None], column, 0.0), axis=1), 0.0)
+        driven = usable & (reach >= MIN_DRIVEN_SHARE * reach.max(initial=0.0)) & (reach > 0)
+        if driven.sum() < 2:
+            continue
+        for lag in LAGS_S:
+            level, gain, explained = _regress(grid, column, lag)
+            known = driven & (explained >= MIN_EXPLAINED)
+            share = float(np.median(np.where(np.isfinite(explained), explained, 0.0)[driven]))
+            if share > best[0] and known.sum() >= 2:
+                best = share, DayFit(np.where(known, level, np.nan), np.where(known, gain, np.nan))
+    return best[1] if best[1].gain.size else None
+
+
+def _regress(grid: Grid, column: Array, lag: float) -> tuple[Array, Array, Array]:
+    """(level, gain, share explained by the driver) of each day, by a first-order lag (s) of it; NaN where none is."""
+    lagged, keep = column.copy(), np.exp(-grid.step / lag) if lag else 0.0
+    for at in range(1, column.shape[1]):
+        lagged[:, at] = keep * lagged[:, at - 1] + (1.0 - keep) * column[:, at]
+    left = keep ** np.arange(column.shape[1])
+    level, gain, explained = np.full((3, len(column)), np.nan)
+    for day, (readings, driver) in enumerate(zip(grid.readings, lagged, strict=True)):
+        rows = np.isfinite(readings) & np.isfinite(driver)
+        if not rows.any():
+            continue
+        # What a level and the night before leave of both: the driver has to explain the rest by itself.
+        base = np.column_stack([np.ones(rows.sum()), *([left[rows]] if lag else [])])
+        both = np.column_stack([readings[rows], driver[rows]])
+        found = np.linalg.lstsq(base, both, rcond=None)[0]
+        rest, pull = (both - base @ found).T
+        if not (rest.any() and pull.any()):
+            continue
+        gain[day] = pull @ rest / (pull @ pull)
+        level[day] = found[0, 0] - gain[day] * found[0, 1]
+        explained[day] = gain[day] * (pull @ rest) / (rest @ rest)
+    return level, gain, explained
+
+
+def _turned_switch(model: Model, days: Sequence[Day], grid: Grid) -> Said | None:
+    """Days on which the machine warms while its switch is 1, and others on which it cools."""
+    switch = first_switch(model.alphabet)
+    fit = _fit(grid, [switch.signal]) if switch is not None else None
+    if switch is None or fit is None:
+        return None
+    much = np.abs(fit.gain) >= MIN_DRIVEN_SHARE * np.nanmedian(np.abs(fit.gain))
+    up, down = much & (fit.gain > 0), much & (fit.gain < 0)
+    if not min(up.sum(), down.sum()) >= MIN_SHARE * np.isfinite(fit.gain).sum():
+        return None
+    said = f"{model.temperature} rises while {switch.signal} is 1 on {_list(days, up)} and falls then on "
+    said += _list(days, down)
+    on = grid.drivers[switch.signal] > 0.5
+    for name in level_signals(model.alphabet):
+        load = np.abs(grid.drivers[name])
+        # While it is 1, and while it is 0, on the days of either kind.
+        busy, idle = (
+            [_mean(load[mask][(on[mask] == state) & np.isfinite(load[mask])]) for mask in (up, down)]
+            for state in (True, False)
+        )
+        if busy[0] > REVERSED_LOAD_RATIO * idle[0] and idle[1] > REVERSED_LOAD_RATIO * busy[1]:
+            levels = f"{name} is {busy[0]:.3g} while it is 1 on the former and {busy[1]:.3g} on the latter"
+            return False, f"{said}: it is upside down there, as {levels}"
+    return None, f"{said}: is it upside down there?"
+
+
+def _mean(values: Array) -> float:
+    return float(values.mean()) if values.size else nan
+
+
+def _parted(model: Model, days: Sequence[Day], grid: Grid) -> Said | None:
+    """Two groups of days between which level or gain leaps, as by another unit or another machine."""
+    fit = _fit(grid, list(grid.drivers))
+    if fit is None:
+        return None
+    known = np.flatnonzero(np.isfinite(fit.gain))
+    level, gain = fit.level[known], np.abs(fit.gain[known])
+    leaps = [_split(np.log(gain), np.log(GAIN_RATIO)), _split(level, LEVEL_STEP)]
+    for split in leaps:
+        if split is None:
+            continue
+        few, many = sorted((np.sort(known[part]) for part in split), key=len)
+        sides = [(float(np.median(fit.level[part])), float(np.median(np.abs(fit.gain[part])))) for part in (few, many)]
+        (low, less), (high, more) = sides
+        said = (
+            f"on {_list(days, few)} {model.temperature} is {low:.3g} °C unloaded and warms {less / more:.2g} times as "
+            f"much as on {_list(days, many)}, with {high:.3g} °C"
+        )
+        for which, one, other in (("former", sides[1], sides[0]), ("latter", sides[0], sides[1])):
+            if unit := _other_unit(one, other):
+                return False, f"{said}: are the {which} {unit}?"
+        # Of a single day nobody knows what it is usually like, but no day is another in both.
+        if len(few) > 1 or all(leaps):
+            return None, f"{said}: another machine, sensor or unit, or work on it?"
+    return None
+
+
+def _split(values: Array, least: float) -> tuple[Indices, Indices] | None:
+    """The two groups between which the values leap the most, if they leap; one value in between belongs to neither."""
+    order = np.argsort(values)
+    ranked = values[order]
+    for between in (1, 2):
+        gaps = ranked[between:] - ranked[:-between]
+        if not gaps.size:
+            continue
+        low = int(np.argmax(gaps))
+        within = max(ranked[low] - ranked[0], ranked[-1] - ranked[low + between])
+        if gaps[low] >= max(least, WITHIN_RATIO * within):
+            return order[: low + 1], order[low + between :]
+    return None
+
+
+def _other_unit(one: tuple[float, float], other: tuple[float, float]) -> str:
+    """The unit in which the other (level, gain) would be the one that is in degC; "" where there is none."""
+    (level, gain), (written, grown) = one, other
+    for name, (factor, offset) in OTHER_UNITS.items():
+        right = factor * level + offset
+        far = max(LEVEL_MISFIT_DEGC, LEVEL_MISFIT * abs(right))
+        if abs(grown / (factor * gain) - 1.0) <= GAIN_MISFIT and abs(written - right) <= far:
+            return name
+    return ""
+
+
+def _list(days: Sequence[Day], chosen: Mask | Indices) -> str:
+    """The days, by number or mask, as a list that names some of them."""
+    names = list(dict.fromkeys(days[at].words() for at in np.arange(len(days))[chosen]))
+    if len(names) > MAX_LISTED:
+        return f"{', '.join(names[:MAX_LISTED])} and {len(names) - MAX_LISTED} more days"
+    return " and ".join([", ".join(names[:-1]), names[-1]] if names[1:] else names)
+
+
+def _find_still(model: Model, traces: Sequence[Trace]) -> Said | None:
+    """One reading through whole runs of the machine, of which others move it."""
+    switch = first_switch(model.alphabet)
+    if switch is None:
+        return None
+    runs = [run for trace in traces if switch.signal in trace.signals for run in _runs(model, switch.signal, trace)]
+    usual = float(np.median([run.end - run.begin for run in runs])) if runs else 0.0
+    runs = [run for run in runs if run.end - run.begin >= STILL_LONG_SHARE * usual]
+    still = [run for run in runs if run.low == run.high]
+    # Through the rests between them, too: a machine that is warm may come to the same degree in two runs.
+    in_a_row = Counter(run.stretch for run in still)
+    stuck = [run for run in still if in_a_row[run.stretch] >= STILL_RUNS]
+    frozen = max(([each for each in stuck if each.low == run.low] for run in stuck), key=len, default=[])
+    others = len(runs) - len(frozen)
+    moved = len(runs) - len(still)
+    if not frozen or others - moved > MAX_USUALLY_STILL * others or not moved:
+        return None
+    stretches = sorted({run.stretch for run in frozen})
+    spent = sum(end - begin for begin, end in stretches)
+    share = spent / sum(float(trace.times[-1] - trace.times[0]) for trace in traces if trace.times.size)
+    if share < MIN_SHARE:
+        return None
+    said = (
+        f"{model.temperature} stands still at {frozen[0].low:.6g} through {len(frozen)} whole runs in "
+        f"{spent / 3600.0:.1f} h between {exact_moment(stretches[0][0])} and {exact_moment(stretches[-1][1])}, and "
+        f"moves in {moved} of {others} others"
+    )
+    return False, f"{said}: a frozen sensor?"
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """A whole run from `begin` to `end` (absolute s), the lowest and highest reading in it, and from when to when the
+    reading was the one that it began with."""
+
+    begin: float
+    end: float
+    low: float
+    high: float
+    stretch: tuple[float, float]
+
+
+def _runs(model: Model, switch: str, trace: Trace) -> Iterator[Run]:
+    """The runs that begin and end within the trace, with a reading at least."""
+    said = np.flatnonzero(np.isfinite(trace.signals[switch]))
+    read = np.flatnonzero(np.isfinite(trace.signals[model.temperature]))
+    readings, times = trace.signals[model.temperature][read], trace.times[read]
+    turns = np.flatnonzero(np.diff(readings)) + 1
+    firsts, lasts = np.append(0, turns), np.append(turns, readings.size) - 1
+    on = trace.signals[switch][said] > 0.5
+    starts, stops = (trace.times[said[1:][change]] for change in (on[1:] & ~on[:-1], ~on[1:] & on[:-1]))
+    for begin in starts.tolist():
+        later = stops[stops > begin]
+        rows = slice(*np.searchsorted(times, (begin, later[0]))) if later.size else slice(0)
+        if (values := readings[rows]).size:
+            held = int(np.searchsorted(firsts, rows.start, side="right")) - 1
+            stretch = float(times[firsts[held]]), float(times[lasts[held]])
+            yield Run(begin, float(later[0]), float(values.min()), float(values.max()), stretch)
