@@ -508,7 +508,7 @@ def test_sessions_that_begin_anew_are_traces_of_their_own(tmp_path: Path) -> Non
         for second, heat, current in zip(plant.seconds, plant.heat, plant.current, strict=True)
     ]
     traces, _, _ = mapped(
-        written(tmp_path / "a.csv", "profile_id,time_s,winding temperature,current", rows), tmp_path / "m.toml"
+        written(tmp_path / "a.csv", "profile_id,time,winding temperature,current", rows), tmp_path / "m.toml"
     )
     assert len(traces) == 3
     for trace, plant in zip(traces, plants, strict=True):

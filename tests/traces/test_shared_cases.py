@@ -32,8 +32,7 @@ RIGHT: dict[str, dict[str, object]] = {
     "dense_long": {"seconds": 43190.0, "rows": 4320, "highest": 69.2, "thresholds": (60.0, 136.0)},
     "on_change_long": {"seconds": 43180.0, "highest": 69.18, "thresholds": (60.0, 136.0)},
     "one_file_a_tag": {"seconds": 2390.0, "highest": 63.0, "events": ["W_OFF", "W_ON", "W_OFF", "W_ON", "W_OFF"]},
-    "sessions_one_file": {"seconds": 2390.0, "rows": 240, "highest": 63.19, "traces": 2, "asks": "--unit time=s",
-    "answer": ("--unit", "time=s")},
+    "sessions_one_file": {"seconds": 2390.0, "rows": 240, "highest": 63.19, "traces": 2},
     "two_machines_one_file": {"seconds": 2390.0, "rows": 240, "highest": 63.19, "traces": 2, "machines": ["WT1",
     "WT2"]},
 }  # fmt: skip

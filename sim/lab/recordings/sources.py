@@ -65,12 +65,13 @@ _LAYOUT_BYTES = 16_384
 def _as_table(path: Path, stream: BinaryIO) -> BinaryIO:
     """A text as it is, or as a CSV where it is laid out otherwise. Raises TraceError for one that cannot be read so."""
     stream.seek(0)
-    head = stream.read(_LAYOUT_BYTES)
-    stream.seek(0)
     try:
+        head = stream.read(_LAYOUT_BYTES)
         encoding, text, _ = decode_head(path, head, "auto")
-    except TraceError:
-        return stream  # no text, which is refused where it is read
+    except (TraceError, *UNPACK_ERRORS, *_DAMAGE_ERRORS):
+        return stream  # no text, or cut off: that is refused where it is read
+    finally:
+        stream.seek(0)
     if (to_rows := find_layout_of(text)) is None:
         return stream
     with io.TextIOWrapper(stream, encoding=encoding, errors="replace", newline=None) as lines:

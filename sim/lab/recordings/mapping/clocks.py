@@ -57,7 +57,10 @@ _LOOKED_AT, _MOST_FORMATS, _ENOUGH = 5, 4, 0.8
 
 @dataclass(frozen=True, slots=True)
 class FoundClock:
-    """A column (two, with `date`) read as times: `formats` for the map, the `order` of dates, the sample's `times`."""
+    """A column (two, with `date`) read as times: `formats` for the map, the `order` of dates, the sample's `times`.
+
+    `why` is what the formats were concluded from where nothing says them, "" else.
+    """
 
     place: int
     formats: tuple[str, ...]
@@ -65,6 +68,7 @@ class FoundClock:
     times: Array
     date: int | None = None
     decimal: Literal["auto", ".", ","] = "auto"
+    why: str = ""
 
     @property
     def has_zone(self) -> bool:
@@ -252,7 +256,7 @@ def counted_clock(place: int, values: Array, header: str, *, named: bool) -> Fou
     if not in_order and not (named and (falls <= _MAX_FALL_SHARE or _restarts_evenly(finite[::-1]))):
         return None
     # Time (ms), elapsed_min, t [h]; of several words that are units, as of h:m:s, none is sure.
-    units = _units_named(header)
+    units = units_named(header)
     sure = units[0] if says_count_unit(header) else ""
     if dated := dated_format(finite, named=named, unit=sure):
         return FoundClock(place, (dated,), "year", COUNTS[dated].seconds(values))
@@ -267,10 +271,11 @@ def counted_clock(place: int, values: Array, header: str, *, named: bool) -> Fou
 
 def says_count_unit(header: str) -> bool:
     """Whether a header says in which unit its times are counted, and in one only."""
-    return len(set(_units_named(header))) == 1 and not _TENTHS_OF_US.search(header)
+    return len(set(units_named(header))) == 1 and not _TENTHS_OF_US.search(header)
 
 
-def _units_named(header: str) -> list[str]:
+def units_named(header: str) -> list[str]:
+    """The units of time that a header has words of, each as often as it does."""
     return [_UNIT_WORDS[word] for word in _WORDS.findall(header.casefold()) if word in _UNIT_WORDS]
 
 

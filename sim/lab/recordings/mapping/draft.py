@@ -218,6 +218,9 @@ def _object(row: Sequence[str], long: _LongForm) -> str:
 def _conclusions(found: _Found) -> list[str]:
     """What was concluded from the readings and not by a name: a person should look at it."""
     said = [*found.rows.said, *([found.quality.said] if found.quality.said else [])]
+    if found.clock.why:
+        header = found.table.header[found.clock.place]
+        said.append(f"{header!r} is read in seconds: {found.clock.why}; another: --unit '{header}=min'")
     if found.stored.on_change:
         said.append(
             f"stored on change: {found.stored.why or 'as --stored says'}; values hold for up to "
@@ -485,7 +488,7 @@ def _text(found: _Found, alphabet: Alphabet | None = None) -> str:
     lines += ["", "[clock]", f"column = {quoted(table.header[clock.place])}"]
     if clock.date is not None:
         lines.append(f"date = {quoted(table.header[clock.date])}")
-    lines.append(f"formats = {_quoted_list(clock.formats)}")
+    lines.append(f"formats = {_quoted_list(clock.formats)}" + (f"    # {clock.why}" if clock.why else ""))
     if not zoned:
         zone = wall_zone(table.column(clock.place)[0])
         doubt = f"its {zone} says no offset" if zone else "the file does not say"

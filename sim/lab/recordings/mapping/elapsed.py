@@ -1,4 +1,7 @@
-"""Elapsed times: in which unit they count, by what the file says of it; what nothing says is asked, never believed."""
+"""Elapsed times: in which unit they count, by what the file says of it; what nothing says is asked, or said as a guess.
+
+In seconds are those in which a temperature of the file goes as one of a machine does; that is a conclusion, and told.
+"""
 
 import re
 from collections.abc import Sequence
@@ -8,7 +11,7 @@ import numpy as np
 
 from sim.lab.recordings import COUNTS, TraceError, list_names, numbers, since_1970
 from sim.lab.recordings.mapping.answers import Answers, Undecided
-from sim.lab.recordings.mapping.clocks import FoundClock, says_count_unit
+from sim.lab.recordings.mapping.clocks import FoundClock, says_count_unit, units_named
 from sim.lab.recordings.mapping.columns import find_decimal
 from sim.lab.recordings.mapping.table import FoundTable
 from sim.lab.recordings.mapping.words import split_unit, temperature_score
@@ -40,8 +43,8 @@ _SHOWN_READINGS = 1000
 def in_own_unit(table: FoundTable, clock: FoundClock, others: Sequence[FoundClock], answers: Answers) -> FoundClock:
     """The clock in the unit that a person, the file's head or another of its clocks (`others`) says.
 
-    Raises Undecided for elapsed times of which nothing says the unit, TraceError for a unit that is none of a time and
-    for what counts rows.
+    Raises Undecided for elapsed times of which nothing says the unit and that are no likely seconds, TraceError for a
+    unit that is none of a time and for what counts rows.
     """
     header = table.header[clock.place]
     said = [text.rpartition("=")[2] for text in answers.unit if text.rpartition("=")[0] == header]
@@ -69,7 +72,11 @@ def in_own_unit(table: FoundTable, clock: FoundClock, others: Sequence[FoundCloc
     for other in others:
         if unit := _unit_beside(clock.times, other.times):
             return _counting_in(clock, unit)
-    guess = _likely(table, clock, usual)
+    likely = _likely(table, clock)
+    if likely[:1] == ["s"] and not units_named(header):
+        # Seconds are what a time without a unit counts; in minutes a machine may go as slowly, so it is said.
+        return replace(clock, why="nothing says its unit, and in seconds the temperature goes as one of a machine does")
+    guess = next(iter(likely), "s" if usual < 3600.0 else "ms" if usual < 3.6e6 else "us" if usual < 3.6e9 else "ns")
     first = [guess, *(unit for unit in _UNITS if unit != guess)]
     raise Undecided(
         table.path,
@@ -119,34 +126,33 @@ def _unit_beside(counts: Array, wall: Array) -> str:
     return fitting[0] if fitting and told > 0 else ""
 
 
-def _likely(table: FoundTable, clock: FoundClock, usual: float) -> str:
-    """The unit in which the temperature goes as one of a machine does, seconds first; by the steps where none is."""
+def _likely(table: FoundTable, clock: FoundClock) -> list[str]:
+    """The units in which the temperature goes as one of a machine does, seconds first; none where none is known."""
     for place, name in enumerate(table.titles):
         bare, unit = split_unit(name)
         if place == clock.place or not temperature_score(bare, unit or table.units[place]):
             continue
         cells = table.column(place)
         values = numbers(cells, find_decimal([cells], table.separator))[0]
-        if values.size != clock.times.size:
-            values = values[: clock.times.size]
-        fastest = _fastest(clock.times[: values.size], values)
+        shown = min(values.size, clock.times.size)
+        fastest = _fastest(clock.times[:shown], values[:shown])
         low, high = _LIKELY_DEGC_PER_H
-        for unit in ("s", "ms", "min", "us", "h"):
-            if low <= fastest * 3600.0 / _sizes()[unit] <= high:
-                return unit
-    return "s" if usual < 3600.0 else "ms" if usual < 3.6e6 else "us" if usual < 3.6e9 else "ns"
+        fitting = [unit for unit, size in _sizes().items() if low <= fastest * 3600.0 / size <= high]
+        if fitting:
+            return fitting
+    return []
 
 
 def _fastest(times: Array, values: Array) -> float:
     """By how much a temperature goes on in one count of time where it is fastest, over half of its way; 0 for none."""
     known = np.isfinite(times) & np.isfinite(values)
     times, values = times[known], values[known]
-    if times.size < 3:
-        return 0.0
-    rows = np.unique(np.linspace(0, times.size - 1, min(times.size, _SHOWN_READINGS)).astype(np.intp))
+    rows = np.unique(np.linspace(0, times.size - 1, min(times.size, _SHOWN_READINGS)).astype(int)) if times.size else []
     times, values = times[rows], values[rows]
-    if not (half := float(np.ptp(np.quantile(values, (0.02, 0.98)))) / 2.0):
+    if times.size < 3 or not (half := float(np.ptp(np.quantile(values, (0.02, 0.98)))) / 2.0):
         return 0.0
-    apart = np.abs(times[:, None] - times)[np.abs(values[:, None] - values) >= half]
+    session = np.cumsum(np.diff(times, prepend=times[0]) < 0)  # a clock that begins anew
+    pairs = (np.abs(values[:, None] - values) >= half) & (session[:, None] == session)
+    apart = np.abs(times[:, None] - times)[pairs]
     shortest = float(apart.min()) if apart.size else 0.0
     return half / shortest if shortest else 0.0
