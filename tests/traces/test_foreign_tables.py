@@ -351,3 +351,21 @@ def test_a_text_that_is_too_long_is_refused_as_such(
     export.write_text(text(), encoding="utf-8")
     monkeypatch.setattr(sources, "MAX_UNPACKED_BYTES", 10_000)
     assert "MiB are the most" in asked(export, tmp_path / "m.toml")
+
+
+def test_columns_whose_cells_do_not_stand_below_their_names_are_none(tmp_path: Path) -> None:
+    """A blank column beside two names with one blank between them shifted what stands between."""
+    widths = (19, 5, 19, 7, 7)
+    names = "Time                 Fault  Bearing temperature Current  Running"
+    rows = (
+        "  ".join(str(cell).rjust(width) for cell, width in zip((moment, "", *values), widths, strict=True))
+        for moment, *values in ROWS
+    )
+    assert find_layout_of("\n".join((names, *rows))) is None
+    lines = LAYOUTS["aligned"][1]().splitlines(keepends=True)
+    moment, heat = f"{ROWS[99][0]:%Y-%m-%d %H:%M:%S}", str(ROWS[99][1])
+    lines[100] = f"{moment:>19}  {'':20}  {heat:>14}  {'NOT  OK':>8}\n"
+    export = tmp_path / "e.txt"
+    export.write_text("".join(lines), encoding="utf-8")
+    _, report, _ = mapped(export, tmp_path / "m.toml")
+    assert report.refused == 1

@@ -8,6 +8,7 @@ import csv
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from datetime import UTC, datetime, timedelta
+from functools import partial
 from itertools import chain, islice
 
 from sim.lab.recordings.load_report import TraceError
@@ -39,7 +40,7 @@ def find_layout_of(head: str) -> ToRows | None:
         return _ruled if _is_as_wide(lines) else None
     if {"tag", "unit"} <= {_cells(line)[0].casefold().rstrip(".:") for line in lines} and _recorder_head(lines):
         return _recorder
-    return _aligned if _columns_by_blanks(lines) else None
+    return _aligned if _split_by_blanks(lines) else None
 
 
 def _measurement(lines: Iterable[str]) -> Iterator[Cells]:
@@ -329,31 +330,52 @@ _PART_OF_SECOND = re.compile(r"0?(\.\d{1,9})")
 _SEPARATES = re.compile(r"[;\t|]")
 
 
-def _columns_by_blanks(lines: Sequence[str]) -> int:
-    """How many columns lines have that are parted by blanks alone, a header with names above them; 0 for none."""
+def _split_by_blanks(lines: Sequence[str]) -> Callable[[str], Cells] | None:
+    """What gives the cells of a line, one for no row, where blanks alone part columns below names; None elsewhere."""
     told = [line for line in lines if line.strip() and not line.startswith("#")]
-    for split in (_by_wide_blanks, _by_blanks):
-        cells = [split(line) for line in told]
+    for wide in (True, False):
+        cells = [_by_wide_blanks(line) if wide else _by_blanks(line) for line in told]
         widths = [len(row) for row in cells[1:]]
         width = max(set(widths), key=widths.count, default=0)
         if width < 2 or len(told) < 3 or any(_SEPARATES.search(line) for line in told):
             continue
         above = [place for place, row in enumerate(cells[:_MOST_ABOVE]) if len(row) == width and not _has_digits(row)]
         # Commas between names are what parts the cells; in rows they may be decimal ones.
-        below = cells[above[-1] + 1 :] if above and not any("," in name for name in cells[above[-1]]) else []
+        if not above or any("," in name for name in cells[above[-1]]):
+            continue
+        split = partial(_below_names, names=told[above[-1]]) if wide else partial(_one_apart, width=width)
+        below = [split(line) for line in told[above[-1] + 1 :]]
         if below and sum(len(row) == width for row in below) >= 0.9 * len(below) and all(map(_has_digits, below[:2])):
-            return width
-    return 0
+            return split
+    return None
+
+
+_WIDE_CELL = re.compile(r"\S+(?: \S+)*")
+"""A cell where two blanks at least part cells."""
+
+
+def _below_names(line: str, names: str) -> Cells:
+    """The cells of a line, each of which stands below one of the `names`; of a line with a blank one, one cell."""
+    own, above = ([found.span() for found in _WIDE_CELL.finditer(text)] for text in (line, names))
+    under = len(own) == len(above) and all(
+        begin < upper_end and upper < end for (begin, end), (upper, upper_end) in zip(own, above, strict=True)
+    )
+    return [line[begin:end] for begin, end in own] if under else [line.strip()]
 
 
 def _by_wide_blanks(line: str) -> Cells:
-    return re.split(r" {2,}", line.strip())
+    return _WIDE_CELL.findall(line)
 
 
 def _by_blanks(line: str) -> Cells:
     """Cells with one blank between them: where there are more, one is blank or padded, and which cannot be told."""
     cells = line.rstrip("\r\n").split(" ")
     return cells if all(cells) else [line.strip()]
+
+
+def _one_apart(line: str, width: int) -> Cells:
+    cells = _by_blanks(line)
+    return cells if len(cells) == width else [line.strip()]
 
 
 def _has_digits(row: Sequence[str]) -> bool:
@@ -365,11 +387,7 @@ def _aligned(lines: Iterable[str]) -> Iterator[Cells]:
     """A table whose columns are parted by one blank each, or by two at least, as where a cell has several words."""
     rows = iter(lines)
     shown = list(islice(rows, _SHOWN_LINES))
-    width = _columns_by_blanks(shown)
-    told = [line for line in shown if line.strip() and not line.startswith("#")]
-    wide = sum(len(_by_wide_blanks(line)) == width for line in told)
-    split = _by_wide_blanks if 2 * wide >= len(told) else _by_blanks
-    for line in chain(shown, rows):
-        if line.strip():
-            cells = split(line)
-            yield cells if len(cells) == width or line.startswith("#") else [line.strip()]
+    if (split := _split_by_blanks(shown)) is None:
+        raise TraceError("its columns are not parted by blanks as its first lines are; give a CSV")
+    for line in filter(str.strip, chain(shown, rows)):
+        yield line.split() if line.startswith("#") else split(line)
