@@ -283,3 +283,16 @@ def test_a_frame_of_two_rows_is_no_pair_and_a_temperature_no_time() -> None:
         {"schema": {"fields": fields}, "data": {"values": [[1_700_000_000_000, 1_700_000_060_000], [60, 59]]}}
     )
     assert [(row["name"], row["value"]) for row in found["rows"]] == [("T", 60), ("T", 59)]
+
+
+def test_a_first_line_that_is_nested_too_deep_costs_its_row(tmp_path: Path) -> None:
+    """The JSON broke off, it said; farther down such a line was counted as refused."""
+    rows = [json.dumps(dict(zip(("time", *COLUMNS), each, strict=True)))
+            for each in zip(SECONDS, *COLUMNS.values(), strict=True)]  # fmt: skip
+    deep = '{"time": ' + "[" * 60 + "]" * 60 + "}"
+    for place in (0, 100):
+        export = tmp_path / f"e{place}.jsonl"
+        export.write_text("\n".join([*rows[:place], deep, *rows[place:]]), encoding="utf-8")
+        (trace,), report, _ = mapped(export, tmp_path / f"{place}.toml")
+        is_the_plant(trace, tmp_path / f"{place}.toml")
+        assert report.refused == 1, place

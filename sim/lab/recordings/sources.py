@@ -76,11 +76,27 @@ def _as_table(path: Path, stream: BinaryIO) -> BinaryIO:
         return stream
     with io.TextIOWrapper(stream, encoding=encoding, errors="replace", newline=None) as lines:
         try:
-            return _write_rows(to_rows(lines))
+            return _write_rows(to_rows(_bounded(lines)))
         except TraceError as error:
             raise TraceError(f"{path}: {error}") from None
         except (ValueError, OverflowError) as error:
             raise TraceError(f"{path}: it is not laid out as its first lines say ({error}); export it anew") from None
+
+
+_MAX_LINE = 1 << 17
+"""Letters of a line, at most: no more are one cell for Python's csv."""
+
+
+def _bounded(lines: io.TextIOWrapper) -> Iterator[str]:
+    """The lines of a text whose rows are in memory. Raises TraceError, without the file's name, for too many."""
+    letters = 0
+    while line := lines.readline(_MAX_LINE + 1):
+        letters += len(line)
+        if len(line) > _MAX_LINE:
+            raise TraceError(f"one of its lines has more than {_MAX_LINE} letters; export it anew")
+        if letters > MAX_UNPACKED_BYTES:
+            raise TraceError(f"its text is too long, {MAX_UNPACKED_BYTES >> 20} MiB are the most; give a CSV")
+        yield line
 
 
 def read_head(path: Path, size: int) -> bytes:
@@ -229,6 +245,9 @@ def _objects(path: Path) -> Iterator[Mapping[str, str] | str]:
         first = next(filter(str.strip, lines), "")
         try:
             by_line = isinstance(_parse(first), dict) and any(map(str.strip, lines))
+        except TraceError:
+            # Too deep, and whole: it costs its row, as it does farther down.
+            by_line = first.lstrip().startswith("{") and any(map(str.strip, lines))
         except ValueError:
             by_line = False
         lines.seek(0)
@@ -427,9 +446,12 @@ def _flatten(value: Any, within: str = "") -> dict[str, str]:
 
 
 def _write_rows(rows: Iterable[Iterable[object]]) -> BinaryIO:
-    text = io.StringIO()
+    stream = io.BytesIO()
+    text = io.TextIOWrapper(stream, encoding="utf-8", newline="")
     write_rows(text, rows)
-    return io.BytesIO(text.getvalue().encode())
+    text.detach()
+    stream.seek(0)
+    return stream
 
 
 def _gz(path: Path) -> BinaryIO:

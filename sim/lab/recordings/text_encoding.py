@@ -71,15 +71,23 @@ def _unmarked(head: bytes) -> str:
 def _is_japanese(body: bytes) -> bool:
     """Whether a text is Shift-JIS: most letters beyond ASCII begin with a byte that Western code pages have for marks.
 
-    Half of a letter may be a byte of ASCII there.
+    Half of a letter may be a byte of ASCII there, as one behind an apostrophe: what tells are letters in a row.
     """
     try:
-        letters = [each.encode("cp932") for each in body.decode("cp932") if not each.isascii()]
+        words = [[each.encode("cp932") for each in word] for word in _BEYOND_ASCII.findall(body.decode("cp932"))]
     except UnicodeError:
         return False
-    own = sum(_FIRST_KANA <= letter[0] <= _LAST_KANJI and len(letter) == 2 for letter in letters)
-    return own > 1 and 2 * own > len(letters)
+    kinds = ["".join("+" if _JAPANESE.fullmatch(letter) else "-" for letter in word) for word in words]
+    runs = [
+        b"".join(word[slice(*found.span())])
+        for word, kind in zip(words, kinds, strict=True)
+        for found in re.finditer(r"\+{2,}", kind)
+    ]
+    return sum(map(len, set(runs))) >= _MIN_JAPANESE_BYTES and sum(map(len, runs)) > sum(map(len, words))
 
 
-_FIRST_KANA, _LAST_KANJI = 0x82, 0x9F
-"""First bytes of kana and of the more common half of the kanji, but for marks and symbols."""
+_BEYOND_ASCII = re.compile(r"[^\x00-\x7f]+")
+_JAPANESE = re.compile(rb"[\x82-\x9f].", re.DOTALL)
+"""Kana and the more common half of the kanji, but for marks and symbols."""
+_MIN_JAPANESE_BYTES = 10
+"""Bytes of different words: few letters in a row may be Slavic ones with a caron between vowels."""

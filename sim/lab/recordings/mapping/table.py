@@ -134,13 +134,18 @@ def find_table(path: Path) -> FoundTable:
         below = [line for _, line in usable[first:MAX_HEADER_LINE]]
         header = next((o for o in others if len(o) == width and rows_mark(below, width, ",") != ","), header)
     named_rows = with_row_names(header, rows[first : first + _SHOWN_ROWS])
-    named_count = sum(map(bool, header))
     shown = rows[first : first + _SHOWN_ROWS]
     # Numbered rows have a cell more, too, and others a last mark.
-    if separator == "," and len(named_rows) == len(header) and all(_has_commas(row, named_count) for row in shown):
+    named_count = max((place + 1 for place, name in enumerate(header) if name), default=0)
+    # A name that is left blank between others is that of a column.
+    parted = "" not in header[1:named_count] and all(_has_commas(row, named_count) for row in shown)
+    if separator == "," and len(named_rows) == len(header) and parted:
+        why = "its commas are decimal marks and part the cells, too"
+        if max(sum(map(bool, row)) for row in shown) == named_count + 1:
+            why += ", or its last column has no name"
         raise TraceError(
-            f"{path}: line {usable[first][0] + 1} has {width} cells under {named_count} names: its commas are decimal "
-            "marks and part the cells, too; export it with semicolons between the cells, or with decimal points"
+            f"{path}: line {usable[first][0] + 1} has {width} cells under {named_count} names: {why}; export it with "
+            "semicolons between the cells, or with decimal points, and a name for each column"
         )
     if len(named_rows) > len(header):
         # The rows between the names and the readings, and that of units, have no cell for the rows' numbers either.
