@@ -89,6 +89,13 @@ def test_an_accuracy_whose_cells_leave_it_open_is_asked_for(
     assert "scale" not in keys(read(tmp_path, text, None, {"no_scale": header}))["T0"]
 
 
+def test_a_column_that_is_called_as_a_scale_and_is_none_can_be_said_to_be_none(tmp_path: Path) -> None:
+    text = "Name;Address;Type;Precision\nA;100;INT16;10 bit\nB;101;INT16;12 bit\n"
+    with pytest.raises(ListError, match="or --column no_scale='Precision'"):
+        read(tmp_path, text)
+    assert "scale" not in keys(read(tmp_path, text, None, {"no_scale": "Precision"}))["A"]
+
+
 def test_what_an_accuracy_was_taken_for_is_said(tmp_path: Path) -> None:
     found = read(tmp_path, "Name;Address;Type;Accuracy\nA;100;INT16;0.1\nB;101;INT16;1\n")
     assert "scale by Accuracy (0.1)" in found.tags[0].taken

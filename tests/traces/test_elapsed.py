@@ -130,11 +130,21 @@ def test_other_intervals_and_thousands_are_no_evidence(line: str, tmp_path: Path
     assert trace.times[1] - trace.times[0] == pytest.approx(every)
 
 
-@pytest.mark.parametrize("name", ["Time of day", "Std time", "Time (secs)", "timeSec", "Zeit (Sek)"])
-def test_words_that_are_units_elsewhere_and_further_ones_of_seconds(name: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", ["Time of day", "Std time"])
+def test_words_that_are_units_elsewhere_are_none(name: str, tmp_path: Path) -> None:
     export = wide(tmp_path / "e.csv", header=f"{name},Bearing temperature,Motor current,Running", clock=counted("s"))
     (trace,), _, _ = mapped(export, tmp_path / "m.toml")
     is_the_plant(trace, tmp_path / "m.toml")
+
+
+@pytest.mark.parametrize("name", ["Time (secs)", "timeSec", "Zeit (Sek)"])
+def test_further_words_of_seconds_are_seconds_however_slowly_it_goes(name: str, tmp_path: Path) -> None:
+    plant = recording()
+    slow = replace(plant, heat=21.5 + (plant.heat - 21.5) / 1000.0)
+    export = tmp_path / "e.csv"
+    wide(export, header=f"{name},Bearing temperature,Motor current,Running", of=slow, clock=counted("s"))
+    (trace,), _, _ = mapped(export, tmp_path / "m.toml")
+    assert trace.times[1] - trace.times[0] == pytest.approx(STEP)
 
 
 @pytest.mark.parametrize("name", ["Zeit (Std)", "Zeit in Std", "Time [hour]", "Time (hrs)"])
@@ -172,7 +182,7 @@ def test_sessions_that_begin_anew_beside_another_clock_count_as_it_does(tmp_path
 
     export = wide(tmp_path / "e.csv", header=name, clock=clock)
     out = tmp_path / "m.toml"
-    done = CliRunner().invoke(main, ["trace", "map", str(export), "-o", str(out), "--yes", "--time", "Time",
+    done = CliRunner().invoke(main, ["trace", "map", str(export), "-o", str(out), "--yes",
                                      "--clock-back", "split"])  # fmt: skip
     assert done.exit_code == 0, done.stderr
     assert load_map(out).clock.formats == ("seconds",)

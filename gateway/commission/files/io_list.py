@@ -270,9 +270,10 @@ def _check_unread(sheet: ListSheet) -> None:
                         f"{sheet.path}: line {line.number}: {header!r} ({cell}) may say {what} beside {first!r}, and "
                         "one of them is read: write both as one number, or take it out"
                     )
+                none = f"--column no_scale={header!r}" if column == "scale" else "take it out"
                 raise ListError(
                     f"{sheet.path}: column {header!r} may say {what}, and is not understood: "
-                    f"{_advise(column, header, key)}, or take it out"
+                    f"{_advise(column, header, key)}, or {none}"
                 )
 
 
