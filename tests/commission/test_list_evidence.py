@@ -43,7 +43,16 @@ def test_an_inverters_accuracy_scales_its_addresses_are_asked_for_and_its_texts_
         ("Accuracy", ("0.1", "1", "0,01"), (0.1, 1.0, 0.01)),
         ("Precision", ("0.1", "1", ""), (0.1, 1.0, None)),
         ("Precision", ("1", "2", "0"), (0.1, 0.01, 1.0)),
-        ("Genauigkeit", ("2", "2", "2"), (0.01, 0.01, 0.01)),
+        ("Accuracy", ("0.1 °C", "0.5 °C", "1 °C"), (None, None, None)),
+        ("Accuracy", ("class 0.5", "2 LSB", "12 bit"), (None, None, None)),
+        ("Sensor accuracy", ("0.1", "0.1", "1"), (None, None, None)),
+        ("Totband", ("0.1", "1", "10"), (None, None, None)),
+        ("Dead band", ("0.1", "1", "10"), (None, None, None)),
+        ("Hysterese", ("0.1", "1", "10"), (None, None, None)),
+        ("Update rate", ("0.1", "1", "10"), (None, None, None)),
+        ("Zykluszeit [s]", ("0.1", "1", "10"), (None, None, None)),
+        ("Messgenauigkeit", ("0.1", "1", "10"), (None, None, None)),
+        ("Class", ("0.1", "1", "10"), (None, None, None)),
         ("Accuracy", ("±0.5 %", "±1 %", "+/- 2"), (None, None, None)),
         ("Accuracy (%)", ("0.1", "1", "1"), (None, None, None)),
         ("Step size", ("5", "1", "2"), (None, None, None)),
@@ -61,6 +70,10 @@ def test_an_accuracy_is_what_its_cells_show(
     ("header", "kind", "cells"),
     [
         ("Accuracy", "INT16", ("1", "1")),
+        ("Accuracy", "INT16", ("0.5", "1")),
+        ("Accuracy", "INT16", ("2", "5")),
+        ("Accuracy", "INT16", ("0.1", "0.1")),
+        ("Genauigkeit", "INT16", ("2", "2")),
         ("Precision", "INT16", ("0.5", "0.2")),
         ("Accuracy", "FLOAT32", ("0.1", "0.1")),
         ("Accuracy", "INT16", ("±0.5 %", "0.1")),
@@ -70,8 +83,22 @@ def test_an_accuracy_whose_cells_leave_it_open_is_asked_for(
     header: str, kind: str, cells: tuple[str, str], tmp_path: Path
 ) -> None:
     rows = "".join(f"T{at};{100 + 2 * at};{kind};{cell}\n" for at, cell in enumerate(cells))
-    with pytest.raises(ListError, match=f"--column scale='{header}'"):
-        read(tmp_path, f"Name;Address;Type;{header}\n{rows}")
+    text = f"Name;Address;Type;{header}\n{rows}"
+    with pytest.raises(ListError, match=f"--column scale='{header}'.*--column no_scale='{header}'"):
+        read(tmp_path, text)
+    assert "scale" not in keys(read(tmp_path, text, None, {"no_scale": header}))["T0"]
+
+
+def test_a_column_that_is_called_as_a_scale_and_is_none_can_be_said_to_be_none(tmp_path: Path) -> None:
+    text = "Name;Address;Type;Precision\nA;100;INT16;10 bit\nB;101;INT16;12 bit\n"
+    with pytest.raises(ListError, match="or --column no_scale='Precision'"):
+        read(tmp_path, text)
+    assert "scale" not in keys(read(tmp_path, text, None, {"no_scale": "Precision"}))["A"]
+
+
+def test_what_an_accuracy_was_taken_for_is_said(tmp_path: Path) -> None:
+    found = read(tmp_path, "Name;Address;Type;Accuracy\nA;100;INT16;0.1\nB;101;INT16;1\n")
+    assert "scale by Accuracy (0.1)" in found.tags[0].taken
 
 
 def test_a_column_of_fractions_of_ten_is_not_passed_over_by_any_name(tmp_path: Path) -> None:
@@ -80,8 +107,12 @@ def test_a_column_of_fractions_of_ten_is_not_passed_over_by_any_name(tmp_path: P
         read(tmp_path, text.format("Valenza"))
     assert keys(read(tmp_path, text.format("Valenza"), None, {"scale": "Valenza"}))["A"]["scale"] == 0.1
     assert "scale" not in keys(read(tmp_path, text.format("Deadband")))["A"]
-    with pytest.raises(ListError, match="--column scale='Step size'"):
+    with pytest.raises(ListError, match="--column scale='Step size' if so, or --column no_scale='Step size'"):
         read(tmp_path, text.format("Step size"))
+    assert "scale" not in keys(read(tmp_path, text.format("Step size"), None, {"no_scale": "Step size"}))["A"]
+    assert (
+        "scale" not in keys(read(tmp_path, text.format("Step").replace("INT16", "FLOAT32").replace("101", "102")))["A"]
+    )
 
 
 @pytest.mark.parametrize(
@@ -134,6 +165,23 @@ def test_a_string_of_six_has_registers_where_the_next_row_is_right_behind_them(
 ) -> None:
     text = f"Name;Address;Type\nSerial;800;string[6]\nRelay;{behind};uint16\n"
     assert keys(read(tmp_path, text))["Serial"]["length"] == length
+
+
+def test_round_addresses_show_no_length(tmp_path: Path) -> None:
+    found = keys(read(tmp_path, "Name;Address;Type\nA;100;string[10]\nB;110;string[10]\nC;120;uint16\n"))
+    assert found["A"]["length"] == 10 and found["B"]["length"] == 10
+
+
+def test_a_length_that_says_bytes_is_of_bytes(tmp_path: Path) -> None:
+    text = "Name;Address;Type;Length in bytes\nA;1;UINT16;1\nS;10;STRING;8\n"
+    assert keys(read(tmp_path, text))["S"]["length"] == 8
+
+
+def test_a_header_that_says_references_and_a_bit_without_a_table_leave_no_doubt(tmp_path: Path) -> None:
+    told = keys(read(tmp_path, "Name;Register 4xxxx;Type\nA;41001;INT16\nB;41003;INT16\n"))
+    assert told["A"]["address"] == "holding:1000"
+    beside = read(tmp_path, "Name;Address;Type\nA;40001;INT16\nB;17;BOOL\n")
+    assert beside.tags[0].keys["address"] == "holding:0" and not any("--numbers" in each for each in beside.problems)
 
 
 HEAT_PUMP = (

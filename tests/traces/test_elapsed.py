@@ -6,7 +6,10 @@ from datetime import datetime, timedelta
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner
 
+from gateway.cli.main import main
+from sim.lab.recordings import load_map
 from tests.traces.exports import BEGIN, STEP, recording, wide
 from tests.traces.test_dialects import asked, is_the_plant, mapped
 
@@ -70,7 +73,9 @@ def test_names_of_several_units_say_none(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("line", "unit"),
     [("Sampling interval: 10 s", "ms"), ("Sample rate;0.1 Hz", "ms"), ("Abtastintervall [ms]: 10000", "s"),
-     ("dt = 10s", "us"), ("Sample Period:,10000 ms", "s")],
+     ("dt = 10s", "us"), ("Sample Period:,10000 ms", "s"), ("Sample interval: 10000000 µs", "ms"),
+     ("Scan rate: 6 scans/minute", "ms"), ("Sampling_interval_s: 10", "ms"),
+     ("Intervallo di campionamento: 10 s", "ms"), ("Interval: 10 s", "ms")],
 )  # fmt: skip
 def test_what_stands_above_the_table_says_it(line: str, unit: str, tmp_path: Path) -> None:
     export = wide(tmp_path / "e.csv", clock=counted(unit))
@@ -108,3 +113,76 @@ def test_every_unit_can_be_answered(unit: str, tmp_path: Path) -> None:
     export = wide(tmp_path / "e.csv", clock=lambda t: f"{(t - BEGIN).total_seconds() / size:.12g}")
     (trace,), _, _ = mapped(export, tmp_path / "m.toml", "--unit", f"Time={unit}")
     is_the_plant(trace, tmp_path / "m.toml", recording())
+
+
+@pytest.mark.parametrize(
+    "line",
+    ["Calibration interval: 10 min", "Report interval: 10 min", "Sampling duration: 10 min", "Sample rate: 1,000 Hz",
+     "Sample interval error: 10 min", "Sample interval: 1,000 ms", "Message interval: 10 min"],
+)  # fmt: skip
+def test_other_intervals_and_thousands_are_no_evidence(line: str, tmp_path: Path) -> None:
+    """Each would make the times what they are not: ten minutes a row of ten seconds, or a hertz of a thousand."""
+    every = 1.0 if "1,000" in line else STEP
+    slower = replace(recording(), heat=21.5 + (recording().heat - 21.5) * every / STEP)
+    export = wide(tmp_path / "e.csv", of=slower, clock=counted("s", step=every))
+    export.write_text(f"{line}\n{export.read_text(encoding='utf-8')}", encoding="utf-8")
+    (trace,), _, _ = mapped(export, tmp_path / "m.toml", "--yes")
+    assert trace.times[1] - trace.times[0] == pytest.approx(every)
+
+
+@pytest.mark.parametrize("name", ["Time of day", "Std time"])
+def test_words_that_are_units_elsewhere_are_none(name: str, tmp_path: Path) -> None:
+    export = wide(tmp_path / "e.csv", header=f"{name},Bearing temperature,Motor current,Running", clock=counted("s"))
+    (trace,), _, _ = mapped(export, tmp_path / "m.toml")
+    is_the_plant(trace, tmp_path / "m.toml")
+
+
+@pytest.mark.parametrize("name", ["Time (secs)", "timeSec", "Zeit (Sek)"])
+def test_further_words_of_seconds_are_seconds_however_slowly_it_goes(name: str, tmp_path: Path) -> None:
+    plant = recording()
+    slow = replace(plant, heat=21.5 + (plant.heat - 21.5) / 1000.0)
+    export = tmp_path / "e.csv"
+    wide(export, header=f"{name},Bearing temperature,Motor current,Running", of=slow, clock=counted("s"))
+    (trace,), _, _ = mapped(export, tmp_path / "m.toml")
+    assert trace.times[1] - trace.times[0] == pytest.approx(STEP)
+
+
+@pytest.mark.parametrize("name", ["Zeit (Std)", "Zeit in Std", "Time [hour]", "Time (hrs)"])
+def test_a_unit_in_brackets_is_one(name: str, tmp_path: Path) -> None:
+    export = wide(tmp_path / "e.csv", header=f"{name},Bearing temperature,Motor current,Running",
+                  clock=lambda t: f"{(t - BEGIN).total_seconds() / 3600.0:.12g}")  # fmt: skip
+    (trace,), _, _ = mapped(export, tmp_path / "m.toml")
+    is_the_plant(trace, tmp_path / "m.toml")
+
+
+@pytest.mark.parametrize(
+    ("step", "per_hour", "unit"),
+    [(10.0, 1.0, "s"), (60.0, 0.5, "s"), (600.0, 0.3, "s"), (100.0, 0.05, "ms"), (1000.0, 0.02, "ms"),
+     (1.0, 9000.0, "min")],
+)  # fmt: skip
+def test_the_guess_is_seconds_where_a_temperature_drifts_as_a_room_does(
+    step: float, per_hour: float, unit: str, tmp_path: Path
+) -> None:
+    """`per_hour` degC if the counts, `step` apart, are seconds."""
+    lines = [f"{at * step:g},{20 + per_hour * at * step / 3600.0:.6f},120,1" for at in range(240)]
+    export = tmp_path / "e.csv"
+    export.write_text("\n".join(["Time,Bearing temperature,Motor current,Running", *lines]), encoding="utf-8")
+    question = asked(export, tmp_path / "m.toml")
+    assert f"most likely 'Time={unit}', which --yes takes" in question
+    assert len(question) < 600 and all(f"--unit Time={one}" in question for one in ("s", "ms", "min", "h"))
+
+
+def test_sessions_that_begin_anew_beside_another_clock_count_as_it_does(tmp_path: Path) -> None:
+    """From the first row to the last the other goes sixty times as far."""
+    name = "Time,Written,Bearing temperature,Motor current,Running"
+
+    def clock(t: datetime) -> str:
+        row = round((t - BEGIN).total_seconds() / STEP)
+        return f"{row % 5 * STEP:g},{t + timedelta(days=3)}"
+
+    export = wide(tmp_path / "e.csv", header=name, clock=clock)
+    out = tmp_path / "m.toml"
+    done = CliRunner().invoke(main, ["trace", "map", str(export), "-o", str(out), "--yes",
+                                     "--clock-back", "split"])  # fmt: skip
+    assert done.exit_code == 0, done.stderr
+    assert load_map(out).clock.formats == ("seconds",)

@@ -47,8 +47,13 @@ def _is_reference(text: str) -> bool:
 
 # ---------------------------------------------------------------- accuracy and precision
 
-_FINENESS = re.compile(r"^(?:\w+ )?(?:accuracy|precision|precisione|genauigkeit|prazision|exactitud)$")
-"""Headers under which lists say units per count, counts per unit or decimals, or how well the device measures."""
+_FINENESS = re.compile(r"^(?:accuracy|precision|precisione|genauigkeit|prazision|exactitud)$")
+"""Headers under which lists say units per count, counts per unit or decimals, or how well the device measures.
+
+With a further word, as `Sensor accuracy`, they say the last.
+"""
+_MEASURED = re.compile(r"[%±°]|\+/?-|[^\W\d_]{2}|\d\s*[^\W\d_](?!\d)")
+"""Of how well a device measures: `±0.5`, `0.1 °C`, `class 0.5`, `2 LSB`, `12 bit`."""
 _POWER_OF_TEN = re.compile(r"0[.,]0*1|10{0,6}(?:[.,]0+)?")
 _MOST_DECIMALS = 6
 _FLOATS = re.compile(r"float|real|double|single|ieee|fp32|f32|f64|gleit|reel|réel|flot|virgol", re.IGNORECASE)
@@ -56,7 +61,9 @@ _SCALED_BY = frozenset({"scale", "decimals", "raw_high", "formula"})
 _NO_SCALE = OF_SOMETHING_ELSE | frozenset({
     "default", "interval", "period", "cycle", "time", "deadband", "hysteresis", "delay", "tolerance", "version",
     "level", "zone", "zones", "alarm", "limit", "threshold", "setpoint", "example", "beispiel", "esempio", "value",
-    "valore", "wert",
+    "valore", "wert", "dead", "band", "totband", "hysterese", "isteresi", "refresh", "update", "rate", "abtastrate",
+    "zykluszeit", "aktualisierung", "uncertainty", "unsicherheit", "accuracy", "messgenauigkeit", "class", "klasse",
+    "classe", "error", "poll", "s", "sec", "ms", "min",
 })  # fmt: skip
 _FEWEST = 2
 
@@ -70,16 +77,19 @@ def take_fineness(sheet: ListSheet) -> ListSheet:
         return sheet
     for at, header in enumerate(sheet.ignored):
         key = header_key(header)
-        cells = [cell for line in sheet.lines if (cell := line.unread[at]) and re.search(r"\d", cell)]
+        rows = [(cell, line) for line in sheet.lines if re.search(r"\d", cell := line.unread[at])]
+        cells = [cell for cell, _ in rows]
         if "%" in header:
             continue
         if _FINENESS.search(key) and cells:
             return _taken_as(sheet, at, _meaning(sheet, header, cells))
-        fine = [cell for cell in cells if re.fullmatch(r"0[.,]0*1", cell)]
+        # A float is not made of counts.
+        counts = [cell for cell, line in rows if not _FLOATS.search(line.get("dtype"))]
+        fine = [cell for cell in counts if re.fullmatch(r"0[.,]0*1", cell)]
         if len(cells) >= _FEWEST and fine and _all_powers(cells) and _NO_SCALE.isdisjoint(key.split()):
             raise ListError(
                 f"{sheet.path}: column {header!r} has {fine[0]} and other powers of ten, may say how readings are "
-                f"scaled, and is not understood: give --column scale={header!r}, or take it out"
+                f"scaled, and is not understood: give --column scale={header!r} if so, or --column no_scale={header!r}"
             )
     return sheet
 
@@ -89,20 +99,22 @@ def _all_powers(cells: Sequence[str]) -> bool:
 
 
 def _meaning(sheet: ListSheet, header: str, cells: Sequence[str]) -> str:
-    """`scale` for powers of ten, `decimals` for small whole numbers, "" for `±0.5 %`. Raises ListError."""
-    measured = [cell for cell in cells if re.search(r"[%±]|\+/?-", cell)]
+    """`scale` for several powers of ten, `decimals` for small numbers with 0, "" for `±0.5 %`. Raises ListError."""
+    measured = [cell for cell in cells if _MEASURED.search(cell)]
     if len(measured) == len(cells):
         return ""
     whole = {int(cell) for cell in cells if cell.isdecimal() and len(cell) == 1}
     # A float is shown with so many digits, and not made of counts.
     floats = any(_FLOATS.search(line.get("dtype")) for line in sheet.lines)
-    if _all_powers(cells) and set(cells) != {"1"} and not floats:
+    if _all_powers(cells) and len({parse_decimal(cell) for cell in cells}) >= _FEWEST and not floats:
         return "scale"
-    if len(whole) == len(set(cells)) and max(whole) <= _MOST_DECIMALS and whole != {1}:
+    # An accuracy of 0 there is not.
+    if len(whole) == len(set(cells)) and 0 in whole and max(whole) <= _MOST_DECIMALS:
         return "decimals"
     raise ListError(
         f"{sheet.path}: column {header!r} ({cells[0]}) may say how readings are scaled, or how well they are measured: "
-        f"give --column scale={header!r} for units per count, --column decimals={header!r} for decimals, or take it out"
+        f"give --column scale={header!r} for units per count, --column decimals={header!r} for decimals, or "
+        f"--column no_scale={header!r}"
     )
 
 
@@ -113,7 +125,11 @@ def _taken_as(sheet: ListSheet, at: int, column: str) -> ListSheet:
     lines = tuple(
         replace(
             line,
-            cells={**line.cells, column: line.unread[at]},
+            cells={
+                **line.cells,
+                column: line.unread[at],
+                "said": f"{column} by {sheet.ignored[at]} ({line.unread[at]})" if line.unread[at] else "",
+            },
             unread=(*line.unread[:at], *line.unread[at + 1 :]),
         )
         for line in sheet.lines
@@ -160,7 +176,14 @@ def bits_a_length(numbers: Iterable[tuple[int, int]]) -> int:
     return _COUNTED_IN.get(int(ratio), 0) if len(each) == 1 and (ratio := each.pop()).is_integer() else 0
 
 
+_ROUND = 10
+
+
 def is_length_of_registers(length: int, first: int, others: Iterable[int]) -> bool:
-    """Whether a text of STRING[length] at `first` has so many registers: the list's next address is right behind."""
+    """Whether a text of STRING[length] at `first` has so many registers: the list's next address is right behind.
+
+    Round addresses lie where somebody put them, and not behind one another.
+    """
     behind = min((other for other in others if other > first), default=None)
-    return length > 1 and behind == first + length
+    is_round = first % _ROUND == 0 and (first + length) % _ROUND == 0
+    return length > 1 and behind == first + length and not is_round

@@ -270,9 +270,10 @@ def _check_unread(sheet: ListSheet) -> None:
                         f"{sheet.path}: line {line.number}: {header!r} ({cell}) may say {what} beside {first!r}, and "
                         "one of them is read: write both as one number, or take it out"
                     )
+                none = f"--column no_scale={header!r}" if column == "scale" else "take it out"
                 raise ListError(
                     f"{sheet.path}: column {header!r} may say {what}, and is not understood: "
-                    f"{_advise(column, header, key)}, or take it out"
+                    f"{_advise(column, header, key)}, or {none}"
                 )
 
 
@@ -731,8 +732,18 @@ def _numbering(sheet: ListSheet, how: Reading) -> Numbering:
         doubt = f"{odd!r} of this list is hexadecimal, so this number may be; give --numbers hex or --numbers decimal"
     elif len(bare) > 1 and all(len(cell) == 4 for cell in bare) and all(cell.startswith("0") for cell in bare[:1]):
         doubt = "numbers of four digits with noughts before them may be hexadecimal; give --numbers hex or decimal"
-    tables = [TABLES.get(header_key(line.get("table")), "") for line in sheet.lines]
-    return Numbering(False, first, True, doubt, doubt_of_references(zip(cells, tables, strict=True)))
+    tables = [TABLES.get(header_key(line.get("table")), "") or _table_of_bits(line) for line in sheet.lines]
+    says = _SAYS_REFERENCES.search(sheet.columns.get("address", ""))
+    return Numbering(False, first, True, doubt, "" if says else doubt_of_references(zip(cells, tables, strict=True)))
+
+
+def _table_of_bits(line: ListRow) -> str:
+    """`coil` for one bit without a table, whose number shows nothing of registers; "" for others."""
+    return "coil" if type_cell(header_key(line.get("dtype"))).dtype == "bool" else ""
+
+
+_SAYS_REFERENCES = re.compile(r"(?<![\dx])[34]x{2,5}\b|\b[34]x\b", re.IGNORECASE)
+"""`Register 4xxxx`."""
 
 
 _WIRE = re.compile(r"\bprotocol (?:address|offset)\b|\bpdu\b.*")
@@ -1062,7 +1073,7 @@ def _type(row: _ListedRow, cell: TypeCell, place: ListedPlace, address: str) -> 
 def _text_length(row: _ListedRow) -> int:
     """The bytes of a text by the length's column; 0 where it says none. Raises RowError where it may mean others."""
     size, header = _whole(row.line, "length") or 0, row.header("length")
-    if row.shown.length_bits and header not in LENGTHS_IN_BITS and header not in _LENGTHS_IN_BYTES:
+    if row.shown.length_bits and header not in LENGTHS_IN_BITS and _LENGTHS_IN_BYTES.isdisjoint(header.split()):
         size, header = size * row.shown.length_bits, "bits"
     if size and header in LENGTHS_OF_NO_UNIT:
         raise RowError("length", f"is {size}, of bytes, characters or bits? Write STRING[n] with n bytes")
@@ -1073,7 +1084,7 @@ def _text_length(row: _ListedRow) -> int:
     return size // 8
 
 
-_LENGTHS_IN_BYTES = frozenset({"byte", "bytes", "caratteri"})
+_LENGTHS_IN_BYTES = frozenset({"byte", "bytes", "caratteri", "characters", "chars", "zeichen"})
 
 
 def _bits_a_length(sheet: ListSheet) -> int:

@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 COLUMNS: Mapping[str, tuple[str, ...]] = {
+    "no_scale": (),  # by --column alone: what looks like scales and is none
     "name": (
         *("tag", "tag name", "tagname", "nome tag", "nome", "name", "sigla", "variabile", "variable", "segnale"),
         *("signal", "simbolo", "symbol", "nome variabile", "nome segnale", "etichetta", "item", "punto", "point"),

@@ -29,25 +29,27 @@ from sim.lab.recordings import (
 from sim.lab.recordings.mapping.words import named_time
 from sim.sha import Array
 
-_COUNT_UNITS = {
-    "s": "seconds", "sec": "seconds", "seconds": "seconds", "ms": "milliseconds", "msec": "milliseconds",
-    "milliseconds": "milliseconds", "us": "microseconds", "µs": "microseconds", "ns": "nanoseconds", "min": "minutes",
-    "minutes": "minutes", "h": "hours", "hr": "hours", "hours": "hours", "d": "days", "days": "days",
-}  # fmt: skip
-"""Units of elapsed time as headers write them."""
-_UNIT_WORDS = _COUNT_UNITS | {
-    word: unit
+TIME_UNITS = {
+    unit: tuple(words.split())
     for unit, words in {
-        "seconds": "second sek sekunde sekunden secondo secondi seconde secondes segundo segundos sekunder seg",
-        "milliseconds": "millisecond millis millisekunden millisecondi millisecondes milisegundos",
-        "microseconds": "microsecond mikrosekunden microsecondi microsecondes microsegundos μs",
-        "minutes": "minute minuten minuti minuto minutos mins", "hours": "hour hrs std stunde stunden ore heures horas",
-        "days": "day tage giorni jours",
+        "seconds": "s sec secs second seconds sek sekunde sekunden secondo secondi seconde secondes segundo segundos "
+        "sekunder seg",
+        "milliseconds": "ms msec millisecond milliseconds millis millisekunden millisecondi millisecondes milisegundos",
+        "microseconds": "us μs usec microsecond microseconds mikrosekunden microsecondi microsecondes microsegundos",
+        "nanoseconds": "ns nsec nanosecond nanoseconds",
+        "minutes": "min mins minute minutes minuten minuti minuto minutos",
+        "hours": "h hr hrs hour hours std stunde stunden ore heures horas",
+        "days": "d day days tage giorni jours",
     }.items()
-    for word in words.split()
-}  # fmt: skip
-"""The same and whole words, also of other languages, of columns that count."""
+}
+"""Units of elapsed time, which are formats of a clock, by their words in folded case; the first is the sign."""
+_UNIT_OF = {word: unit for unit, words in TIME_UNITS.items() for word in words}
+_ALSO_NO_UNITS = frozenset({"second", "minute", "hour", "std", "day", "seconde", "secondo", "segundo", "minuto"})
+"""Of what is a unit only where it stands for one: not in `Time of day`, `Std time` and `Second clock`."""
 _WORDS = re.compile(r"[^\W\d_]+")
+_LAST_OF_WORD = re.compile(r"(?<=[a-z])[A-Z]+[a-z]*$")
+"""The unit in timeSec and elapsedMs."""
+_STANDS_FOR_A_UNIT = r"[\[(]\s*(?:in )?{0}\s*[\])]|\bin {0}\s*$|^\W*{0}\W*$"
 _TENTHS_OF_US = re.compile(r"100 ?ns", re.IGNORECASE)
 """What Windows and .NET count in, which is no unit of elapsed time."""
 _ROUNDED = re.compile(r"\d[.,]\d+[eE]\+?\d\d$")
@@ -82,7 +84,7 @@ def bare_time(cells: Sequence[str], header: str) -> str:
     It tells them from numbers by their digits only: they are times beside a column of days and under a name of time.
     """
     shown = set(cells) - {""}
-    if len(shown) < 2 or any(word in _COUNT_UNITS for word in _WORDS.findall(header.casefold())):
+    if len(shown) < 2 or units_named(header):
         return ""
     form = next((form for form, written in _BARE_TIMES.items() if all(map(written.fullmatch, shown))), "")
     # Halves of hours: minutes are not 00 and 50 alone.
@@ -187,7 +189,7 @@ def counts_of_day(
     called = _HOUR.fullmatch(header) is not None
     if not (called or named_time(header)) or not finite.size or finite.min() < 0:
         return []
-    units = {_COUNT_UNITS[word] for word in _WORDS.findall(header.casefold()) if word in _COUNT_UNITS}
+    units = set(units_named(header))
     if called:
         units = {"hours"}
     elif not units and finite.max() < 1.0:
@@ -276,7 +278,19 @@ def says_count_unit(header: str) -> bool:
 
 def units_named(header: str) -> list[str]:
     """The units of time that a header has words of, each as often as it does."""
-    return [_UNIT_WORDS[word] for word in _WORDS.findall(header.casefold()) if word in _UNIT_WORDS]
+    found = []
+    for word in _WORDS.findall(header):
+        last = _LAST_OF_WORD.search(word)
+        unit = time_unit(word) or (time_unit(last[0]) if last else "")
+        sure = word.casefold() not in _ALSO_NO_UNITS
+        if unit and (sure or re.search(_STANDS_FOR_A_UNIT.format(re.escape(word)), header)):
+            found.append(unit)
+    return found
+
+
+def time_unit(word: str) -> str:
+    """The unit of time that a word is, as maps call it; "" for none."""
+    return _UNIT_OF.get(word.casefold(), "")
 
 
 def _restarts_evenly(counts: Array) -> bool:
