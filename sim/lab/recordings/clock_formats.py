@@ -78,6 +78,10 @@ _MAX_TIME_CHARS = 90
 """Characters of a time: JavaScript spells out the name of the zone."""
 
 
+_THOUSANDTHS = re.compile(r";\d{3}\b")
+"""Behind a semicolon there are three digits: two are a reading before its decimal comma."""
+
+
 def _match_formats(cell: str) -> tuple[tuple[Order, str], ...]:
     if (match := _COMPACT.fullmatch(cell)) is not None:
         date = "%GW%V%u" if "W" in match[1] else _COMPACT_DATES[len(match[1])]
@@ -97,6 +101,7 @@ def _match_formats(cell: str) -> tuple[tuple[Order, str], ...]:
         for at in (place for place in range(len(bare)) if bare.startswith(between, place)):
             day, time = bare[:at], bare[at + len(between) :]
             times = [format_ for format_ in _TIMES if _fits(time, format_)] if time[:1].isdigit() else []
+            times = times if ";" not in time or _THOUSANDTHS.search(time) else []
             if times:
                 found += [
                     (order, f"{date}{between}{format_}{suffix}")
