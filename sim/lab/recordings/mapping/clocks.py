@@ -45,11 +45,11 @@ TIME_UNITS = {
 """Units of elapsed time, which are formats of a clock, by their words in folded case; the first is the sign."""
 _UNIT_OF = {word: unit for unit, words in TIME_UNITS.items() for word in words}
 _ALSO_NO_UNITS = frozenset({"second", "minute", "hour", "std", "day", "seconde", "secondo", "segundo", "minuto"})
-"""Of what is a unit only where it stands for one: not in `Time of day`, `Std time` and `Second clock`."""
+"""Of what is a unit only where it stands for one: not in `Time of day`, `Std time` and `Hour`."""
 _WORDS = re.compile(r"[^\W\d_]+")
 _LAST_OF_WORD = re.compile(r"(?<=[a-z])[A-Z]+[a-z]*$")
 """The unit in timeSec and elapsedMs."""
-_STANDS_FOR_A_UNIT = r"[\[(]\s*(?:in )?{0}\s*[\])]|\bin {0}\s*$|^\W*{0}\W*$"
+_STANDS_FOR_A_UNIT = r"[\[(]\s*(?:in )?{0}\s*[\])]|\bin {0}\s*$"
 _TENTHS_OF_US = re.compile(r"100 ?ns", re.IGNORECASE)
 """What Windows and .NET count in, which is no unit of elapsed time."""
 _ROUNDED = re.compile(r"\d[.,]\d+[eE]\+?\d\d$")
