@@ -128,6 +128,19 @@ def rounded_at_rest() -> Trace:
     return with_signal(still, RUNNING, np.where(late, 0.0, still.signals[RUNNING]))
 
 
+def held_by_a_valve() -> Trace:
+    """Whole degrees of shifts with short stops, through which a valve holds the machine at 55 degC."""
+    times = np.arange(0.0, 5 * DAY_S, 30.0)
+    hours = times % DAY_S / 3600.0
+    on = (hours > 6) & (hours < 18) & (times % 1860.0 < 1800.0)
+    values, now = np.empty(times.size), 20.0
+    for row, runs in enumerate(on):
+        now = min(55.0, now + ((120.0 if runs else 20.0) - now) / 720.0)
+        values[row] = np.round(now)
+    signals = {RUNNING: on.astype(float), CURRENT: np.where(on, 150.0, 0.0), TEMPERATURE: values}
+    return Trace("held", times + 1.7e9 // DAY_S * DAY_S, signals, units={TEMPERATURE: "degC"})
+
+
 def cold_room() -> Trace:
     """It cools while it runs, and its suction pressure is lower then."""
     whole = record()
@@ -230,9 +243,10 @@ CASES: dict[str, tuple[Callable[[], ModelVerdict], str, str]] = {
     ),
     "a sensor that is frozen for half of it": (
         lambda: judged(half(lambda value: np.full_like(value, 33.3))),
-        "unfit",
+        "limited",
         "TCuscinettiRiduttore stands still at 33.3 through 5 whole runs",
     ),
+    "whole degrees that a valve holds": (lambda: judged(held_by_a_valve()), "fit", ""),
     "a greasing, and warmer days": (lambda: judged(greased()), "fit", ""),
     "whole degrees at rest for half of it": (lambda: judged(rounded_at_rest()), "fit", ""),
     "tenths of a degree": (

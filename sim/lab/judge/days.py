@@ -8,7 +8,7 @@ against what differs within the groups that they fall into. A day is UTC's, of o
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from math import nan
+from math import inf, nan
 
 import numpy as np
 
@@ -38,9 +38,10 @@ GAIN_MISFIT, LEVEL_MISFIT, LEVEL_MISFIT_DEGC = 0.15, 0.12, 5.0
 REVERSED_LOAD_RATIO = 20.0
 """The load while "off" over that while "on" from which a switch is upside down: what runs draws something. A level that
 is merely lower while a machine runs, as a compressor's suction pressure is, says nothing."""
-STILL_RUNS, STILL_LONG_SHARE, MAX_USUALLY_STILL = 2, 0.5, 0.1
-"""Whole runs in a row through which one reading stands still, each of this share of a usual one at least, where else
-no more than this share of runs moves nothing."""
+STILL_RUNS, MAX_USUALLY_STILL = 2, 0.1
+"""Whole runs through which one reading stands still, and other rests, at least, of which so small a share may stand."""
+MOVING_STEPS, SMALL_STEP = 5.0, 0.1
+"""A reading moves by so many of its small steps, which are this quantile of the differences between its readings."""
 MIN_SHARE = 0.1
 """Of the recording, or of its days, that is no small part of what was learned."""
 MAX_LISTED = 3
@@ -298,60 +299,72 @@ def _list(days: Sequence[Day], chosen: Mask | Indices) -> str:
 
 
 def _find_still(model: Model, traces: Sequence[Trace]) -> Said | None:
-    """One reading through whole runs of the machine, of which others move it."""
+    """One reading through runs of the machine and through a rest that cools it by several steps at other times."""
     switch = first_switch(model.alphabet)
     if switch is None:
         return None
-    runs = [run for trace in traces if switch.signal in trace.signals for run in _runs(model, switch.signal, trace)]
-    usual = float(np.median([run.end - run.begin for run in runs])) if runs else 0.0
-    runs = [run for run in runs if run.end - run.begin >= STILL_LONG_SHARE * usual]
-    still = [run for run in runs if run.low == run.high]
-    # Through the rests between them, too: a machine that is warm may come to the same degree in two runs.
-    in_a_row = Counter(run.stretch for run in still)
-    stuck = [run for run in still if in_a_row[run.stretch] >= STILL_RUNS]
-    frozen = max(([each for each in stuck if each.low == run.low] for run in stuck), key=len, default=[])
-    others = len(runs) - len(frozen)
-    moved = len(runs) - len(still)
-    if not frozen or others - moved > MAX_USUALLY_STILL * others or not moved:
+    stays = [stay for trace in traces if switch.signal in trace.signals for stay in _stays(model, switch.signal, trace)]
+    runs = Counter(stay.stretch for stay in stays if stay.still and stay.on)
+    rests: dict[tuple[float, float], float] = {}
+    for stay in stays:
+        if stay.still and not stay.on and runs[stay.stretch] >= STILL_RUNS:
+            rests[stay.stretch] = max(rests.get(stay.stretch, 0.0), stay.length)
+    stretch = max(rests, key=lambda each: each[1] - each[0], default=(0.0, 0.0))
+    spent = stretch[1] - stretch[0]
+    if spent <= MIN_SHARE * sum(float(trace.times[-1] - trace.times[0]) for trace in traces if trace.times.size):
         return None
-    stretches = sorted({run.stretch for run in frozen})
-    spent = sum(end - begin for begin, end in stretches)
-    share = spent / sum(float(trace.times[-1] - trace.times[0]) for trace in traces if trace.times.size)
-    if share < MIN_SHARE:
+    rest = rests[stretch]
+    others = [stay for stay in stays if not stay.on and stay.stretch != stretch]
+    moved = sum(stay.moves_after <= rest for stay in others)
+    stood = sum(stay.moves_after > rest and stay.length >= rest for stay in others)
+    if moved < STILL_RUNS or stood > MAX_USUALLY_STILL * (moved + stood):
         return None
-    said = (
-        f"{model.temperature} stands still at {frozen[0].low:.6g} through {len(frozen)} whole runs in "
-        f"{spent / 3600.0:.1f} h between {exact_moment(stretches[0][0])} and {exact_moment(stretches[-1][1])}, and "
-        f"moves in {moved} of {others} others"
+    value = next(stay.reading for stay in stays if stay.stretch == stretch)
+    return None, (
+        f"{model.temperature} stands still at {value:.6g} through {runs[stretch]} whole runs and the rests between "
+        f"them, from {exact_moment(stretch[0])} to {exact_moment(stretch[1])}, while in {moved} of "
+        f"{moved + stood} other rests it moves within {rest / 60.0:.0f} min: a frozen sensor?"
     )
-    return False, f"{said}: a frozen sensor?"
 
 
 @dataclass(frozen=True, slots=True)
-class Run:
-    """A whole run from `begin` to `end` (absolute s), the lowest and highest reading in it, and from when to when the
-    reading was the one that it began with."""
+class Stay:
+    """A whole run (`on`) or rest of `length` s that began with `reading`, which stood so over `stretch` (absolute s);
+    `still` where it stood through all of it, and `moves_after` s (inf: never) it was MOVING_STEPS away."""
 
-    begin: float
-    end: float
-    low: float
-    high: float
+    on: bool
+    length: float
+    reading: float
     stretch: tuple[float, float]
+    still: bool
+    moves_after: float
 
 
-def _runs(model: Model, switch: str, trace: Trace) -> Iterator[Run]:
-    """The runs that begin and end within the trace, with a reading at least."""
+def _stays(model: Model, switch: str, trace: Trace) -> Iterator[Stay]:
+    """The runs and rests that begin and end within the trace, with a reading at least."""
     said = np.flatnonzero(np.isfinite(trace.signals[switch]))
     read = np.flatnonzero(np.isfinite(trace.signals[model.temperature]))
     readings, times = trace.signals[model.temperature][read], trace.times[read]
-    turns = np.flatnonzero(np.diff(readings)) + 1
+    steps = np.abs(np.diff(readings))
+    turns = np.flatnonzero(steps) + 1
+    if not turns.size:
+        return
+    far = MOVING_STEPS * float(np.quantile(steps[turns - 1], SMALL_STEP))
     firsts, lasts = np.append(0, turns), np.append(turns, readings.size) - 1
     on = trace.signals[switch][said] > 0.5
-    starts, stops = (trace.times[said[1:][change]] for change in (on[1:] & ~on[:-1], ~on[1:] & on[:-1]))
-    for begin in starts.tolist():
-        later = stops[stops > begin]
-        rows = slice(*np.searchsorted(times, (begin, later[0]))) if later.size else slice(0)
-        if (values := readings[rows]).size:
-            held = int(np.searchsorted(firsts, rows.start, side="right")) - 1
-            stretch = float(times[firsts[held]]), float(times[lasts[held]])
-            yield Run(begin, float(later[0]), float(values.min()), float(values.max()), stretch)
+    changes = np.flatnonzero(on[1:] != on[:-1]) + 1
+    moments = trace.times[said[changes]]
+    bounds = np.searchsorted(times, moments)
+    held = np.searchsorted(firsts, bounds, side="right") - 1
+    for at in range(changes.size - 1):
+        values = readings[bounds[at] : bounds[at + 1]]
+        if values.size:
+            away = np.flatnonzero(np.abs(values - values[0]) >= far)
+            yield Stay(
+                on=bool(on[changes[at]]),
+                length=float(moments[at + 1] - moments[at]),
+                reading=float(values[0]),
+                stretch=(float(times[firsts[held[at]]]), float(times[lasts[held[at]]])),
+                still=bool(lasts[held[at]] >= bounds[at + 1] - 1),
+                moves_after=float(times[bounds[at] + away[0]] - moments[at]) if away.size else inf,
+            )
