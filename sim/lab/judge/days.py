@@ -21,6 +21,8 @@ BIN_S = 60.0
 """Readings are averaged over so long (s), or over a row where rows are rarer."""
 MIN_DAY_S = 3 * 3600.0
 """Readings that a day needs to be a witness."""
+MAX_ROW_S = 3600.0
+"""Rows rarer than that do not tell how a machine warms in a day."""
 LAGS_S = (0.0, 300.0, 900.0, 1800.0, 3600.0, 7200.0)
 """Lags (s) of a temperature behind what warms it that are tried."""
 MIN_EXPLAINED = 0.6
@@ -44,6 +46,8 @@ MOVING_STEPS, SMALL_STEP = 5.0, 0.1
 """A reading moves by so many of its small steps, which are this quantile of the differences between its readings."""
 MIN_SHARE = 0.1
 """Of the recording, or of its days, that is no small part of what was learned."""
+MAX_GAP_DAYS = 2
+"""Days that may be missing between two that are held against one another: a weekend."""
 MAX_LISTED = 3
 """Days that a sentence names."""
 OTHER_UNITS: Mapping[str, tuple[float, float]] = {
@@ -78,32 +82,53 @@ class Day:
 
 @dataclass(frozen=True, slots=True)
 class DayFit:
-    """Of D days the `level` (degC) and the `gain` (degC per unit of what warms it), (D,), NaN where it is not known."""
+    """Of D days the `gain` (degC per unit of the signal `name` that warms it) and the `level` (degC) where that signal
+    is `least`, the lowest that it usually is; (D,), NaN where they are not known."""
 
+    name: str
+    least: float
     level: Array
     gain: Array
 
 
 def judge_days(model: Model, traces: Sequence[Trace]) -> Said:
-    """Whether the days of the training contradict one another: False or None with what does, True where none is."""
-    if still := _find_still(model, traces):
-        return still
+    """Whether the days of the training contradict one another: False or None with what does, True where none is.
+
+    The worst that is said of any machine counts. Days are held against one another within a stretch of them, in which
+    none is missing for long: of a machine in another season nobody knows what was done to it.
+    """
+    machines: dict[str, list[Trace]] = {}
+    for trace in traces:
+        machines.setdefault(trace.machine, []).append(trace)
+    found: list[Said] = []
+    looked = 0
+    reason = f"no machine has two days in a row with {MIN_DAY_S / 3600:g} h of readings"
+    for machine, own in machines.items():
+        said = [_find_still(model, own)]
+        for days in _stretches(model, own) if model.unit == DEFAULT_UNIT else ():
+            grid = _grid(model, days)
+            fits = [fit for name in grid.drivers if (fit := _fit(grid, name)) is not None]
+            looked += max((int(np.isfinite(fit.gain).sum()) for fit in fits), default=0)
+            reason = f"no switch or level signal explains {MIN_EXPLAINED:.0%} of how {model.temperature} moves in a day"
+            said += [_turned_switch(model, days, grid, fits), _parted(model, days, fits)]
+        named = f"{machine or 'the machine without a name'}: " if len(machines) > 1 else ""
+        found += [(each[0], named + each[1]) for each in said if each is not None]
+    if found:
+        return min(found, key=lambda each: each[0] is None)
     if model.unit != DEFAULT_UNIT:
         return True, f"the days' levels and gains were not looked at: they are in {display_unit(model.unit)}"
-    machines: dict[str, list[Day]] = {}
-    for trace in traces:
-        machines.setdefault(trace.machine, []).extend(_days(model, trace))
-    looked = 0
-    for days in machines.values():
-        if len(days) < 2:
-            continue
-        grid = _grid(model, days)
-        if said := _turned_switch(model, days, grid) or _parted(model, days, grid):
-            return said
-        looked += len(days)
     if not looked:
-        return True, f"no days were held against one another: a machine has none or one of {MIN_DAY_S / 3600:g} h"
+        return True, f"not looked at: {reason}"
     return True, f"none of {looked} days contradicts the others"
+
+
+def _stretches(model: Model, traces: Sequence[Trace]) -> Iterator[list[Day]]:
+    """The days of a machine in their order, two at least at a time, between which at most MAX_GAP_DAYS are missing."""
+    days = sorted((day for trace in traces for day in _days(model, trace)), key=lambda day: day.number)
+    cuts = [at for at in range(1, len(days)) if days[at].number - days[at - 1].number > MAX_GAP_DAYS + 1]
+    for first, end in zip([0, *cuts], [*cuts, len(days)], strict=True):
+        if end - first > 1:
+            yield days[first:end]
 
 
 def _days(model: Model, trace: Trace) -> list[Day]:
@@ -112,6 +137,8 @@ def _days(model: Model, trace: Trace) -> list[Day]:
     if known.sum() < 2:
         return []
     row_s = float(np.median(np.diff(trace.times[known])))
+    if row_s > MAX_ROW_S:
+        return []
     numbers = np.floor(trace.times / DAY_S).astype(int)
     found = []
     for number in np.unique(numbers).tolist():
@@ -164,23 +191,24 @@ def _held_at(times: Array, column: Array, moments: Array) -> Array:
     return column[known[np.maximum(np.searchsorted(times[known], moments, side="right") - 1, 0)]]
 
 
-def _fit(grid: Grid, names: Sequence[str]) -> DayFit | None:
-    """Level and gain of each day by the driver and the lag that explain most of the median day; None without one."""
-    best: tuple[float, DayFit] = (MIN_EXPLAINED, DayFit(np.zeros(0), np.zeros(0)))
-    for name in names:
-        column = grid.drivers[name]
-        usable: Mask = np.asarray(np.isfinite(column).all(axis=1))
-        reach = np.where(usable, np.ptp(np.where(usable[:, None], column, 0.0), axis=1), 0.0)
-        driven = usable & (reach >= MIN_DRIVEN_SHARE * reach.max(initial=0.0)) & (reach > 0)
-        if driven.sum() < 2:
-            continue
-        for lag in LAGS_S:
-            level, gain, explained = _regress(grid, column, lag)
-            known = driven & (explained >= MIN_EXPLAINED)
-            share = float(np.median(np.where(np.isfinite(explained), explained, 0.0)[driven]))
-            if share > best[0] and known.sum() >= 2:
-                best = share, DayFit(np.where(known, level, np.nan), np.where(known, gain, np.nan))
-    return best[1] if best[1].gain.size else None
+def _fit(grid: Grid, name: str) -> DayFit | None:
+    """Level and gain of each day by a signal, with the lag that explains most of the median day; None where it does
+    not explain two days."""
+    column = grid.drivers[name]
+    usable: Mask = np.asarray(np.isfinite(column).all(axis=1))
+    reach = np.where(usable, np.ptp(np.where(usable[:, None], column, 0.0), axis=1), 0.0)
+    driven = usable & (reach >= MIN_DRIVEN_SHARE * reach.max(initial=0.0)) & (reach > 0)
+    if driven.sum() < 2:
+        return None
+    tried = [_regress(grid, column, lag) for lag in LAGS_S]
+    shares = [float(np.median(np.where(np.isfinite(each[2]), each[2], 0.0)[driven])) for each in tried]
+    level, gain, explained = tried[int(np.argmax(shares))]
+    known = driven & (explained >= MIN_EXPLAINED)
+    if max(shares) < MIN_EXPLAINED or known.sum() < 2:
+        return None
+    # A machine that never stops was never seen without its load: its days are held against one another where it was.
+    least = float(np.median(column[known].min(axis=1)))
+    return DayFit(name, least, np.where(known, level + gain * least, np.nan), np.where(known, gain, np.nan))
 
 
 def _regress(grid: Grid, column: Array, lag: float) -> tuple[Array, Array, Array]:
@@ -207,10 +235,10 @@ def _regress(grid: Grid, column: Array, lag: float) -> tuple[Array, Array, Array
     return level, gain, explained
 
 
-def _turned_switch(model: Model, days: Sequence[Day], grid: Grid) -> Said | None:
+def _turned_switch(model: Model, days: Sequence[Day], grid: Grid, fits: Sequence[DayFit]) -> Said | None:
     """Days on which the machine warms while its switch is 1, and others on which it cools."""
     switch = first_switch(model.alphabet)
-    fit = _fit(grid, [switch.signal]) if switch is not None else None
+    fit = next((fit for fit in fits if switch is not None and fit.name == switch.signal), None)
     if switch is None or fit is None:
         return None
     much = np.abs(fit.gain) >= MIN_DRIVEN_SHARE * np.nanmedian(np.abs(fit.gain))
@@ -220,7 +248,8 @@ def _turned_switch(model: Model, days: Sequence[Day], grid: Grid) -> Said | None
     said = f"{model.temperature} rises while {switch.signal} is 1 on {_list(days, up)} and falls then on "
     said += _list(days, down)
     on = grid.drivers[switch.signal] > 0.5
-    for name in level_signals(model.alphabet):
+    levels = level_signals(model.alphabet)
+    for name in levels:
         load = np.abs(grid.drivers[name])
         # While it is 1, and while it is 0, on the days of either kind.
         busy, idle = (
@@ -228,8 +257,16 @@ def _turned_switch(model: Model, days: Sequence[Day], grid: Grid) -> Said | None
             for state in (True, False)
         )
         if busy[0] > REVERSED_LOAD_RATIO * idle[0] and idle[1] > REVERSED_LOAD_RATIO * busy[1]:
-            levels = f"{name} is {busy[0]:.3g} while it is 1 on the former and {busy[1]:.3g} on the latter"
-            return False, f"{said}: it is upside down there, as {levels}"
+            told = f"{name} is {busy[0]:.3g} while it is 1 on the former and {busy[1]:.3g} on the latter"
+            return False, f"{said}: it is upside down there, as {told}"
+    # What warms the machine at rest is no turned switch: one that turned once leaves both of its degrees as they were.
+    zero, one = fit.level, fit.level + fit.gain
+    mirrored = all(
+        abs(np.median(right[up]) - np.median(turned[down])) <= LEVEL_MISFIT_DEGC
+        for right, turned in ((zero, one), (one, zero))
+    )
+    if levels or not mirrored or np.count_nonzero(np.diff(up[much])) != 1:
+        return None
     return None, f"{said}: is it upside down there?"
 
 
@@ -237,45 +274,51 @@ def _mean(values: Array) -> float:
     return float(values.mean()) if values.size else nan
 
 
-def _parted(model: Model, days: Sequence[Day], grid: Grid) -> Said | None:
-    """Two groups of days between which level or gain leaps, as by another unit or another machine."""
-    fit = _fit(grid, list(grid.drivers))
-    if fit is None:
+def _parted(model: Model, days: Sequence[Day], fits: Sequence[DayFit]) -> Said | None:
+    """A moment at which level or gain leaps, as by another unit or another machine, whatever they are explained by."""
+    leaps = [_leap(model, days, fit) for fit in fits]
+    if not leaps or None in leaps:
         return None
+    return min((leap for leap in leaps if leap is not None), key=lambda each: each[0] is None)
+
+
+def _leap(model: Model, days: Sequence[Day], fit: DayFit) -> Said | None:
+    """What is said of the moment at which what one signal explains leaps; None where it does not."""
     known = np.flatnonzero(np.isfinite(fit.gain))
     level, gain = fit.level[known], np.abs(fit.gain[known])
     leaps = [_split(np.log(gain), np.log(GAIN_RATIO)), _split(level, LEVEL_STEP)]
     for split in leaps:
         if split is None:
             continue
-        few, many = sorted((np.sort(known[part]) for part in split), key=len)
-        sides = [(float(np.median(fit.level[part])), float(np.median(np.abs(fit.gain[part])))) for part in (few, many)]
+        parts = known[: split[0]], known[split[1] :]
+        sides = [(float(np.median(fit.level[part])), float(np.median(np.abs(fit.gain[part])))) for part in parts]
         (low, less), (high, more) = sides
         said = (
-            f"on {_list(days, few)} {model.temperature} is {low:.3g} °C unloaded and warms {less / more:.2g} times as "
-            f"much as on {_list(days, many)}, with {high:.3g} °C"
+            f"on {_list(days, parts[0])} {model.temperature} is {low:.3g} °C where {fit.name} is {fit.least:.3g} and "
+            f"moves {less / more:.2g} times as much by it as on {_list(days, parts[1])}, with {high:.3g} °C"
         )
         for which, one, other in (("former", sides[1], sides[0]), ("latter", sides[0], sides[1])):
             if unit := _other_unit(one, other):
                 return False, f"{said}: are the {which} {unit}?"
         # Of a single day nobody knows what it is usually like, but no day is another in both.
-        if len(few) > 1 or all(leaps):
-            return None, f"{said}: another machine, sensor or unit, or work on it?"
+        if min(map(len, parts)) > 1 or all(leaps):
+            return None, f"{said}: another machine, product, sensor or unit, or work on it?"
     return None
 
 
-def _split(values: Array, least: float) -> tuple[Indices, Indices] | None:
-    """The two groups between which the values leap the most, if they leap; one value in between belongs to neither."""
-    order = np.argsort(values)
-    ranked = values[order]
+def _split(values: Array, least: float) -> tuple[int, int] | None:
+    """The end of those before the one moment at which the values leap, and the first after it; None without a leap.
+
+    One value in between belongs to neither. Kinds of days that alternate do not leap, and a few are no part.
+    """
     for between in (1, 2):
-        gaps = ranked[between:] - ranked[:-between]
-        if not gaps.size:
-            continue
-        low = int(np.argmax(gaps))
-        within = max(ranked[low] - ranked[0], ranked[-1] - ranked[low + between])
-        if gaps[low] >= max(least, WITHIN_RATIO * within):
-            return order[: low + 1], order[low + between :]
+        for end in range(1, values.size - between + 1):
+            before, after = values[:end], values[end + between - 1 :]
+            if min(before.size, after.size) < MIN_SHARE * values.size:
+                continue
+            gap = max(after.min() - before.max(), before.min() - after.max())
+            if gap >= max(least, WITHIN_RATIO * max(np.ptp(before), np.ptp(after))):
+                return end, end + between - 1
     return None
 
 
