@@ -1,8 +1,8 @@
 """Whether the days of a recording contradict one another: a unit, a machine, a switch or a sensor that changed in it.
 
 Each day is its own witness. The temperature of one is fitted by what warms the machine, as a first-order lag of it
-(level, gain, and what is left of the night before), all days with the same lag; what differs between days is held
-against what differs within the groups that they fall into. A day is UTC's, of one trace.
+(level, gain, and what is left of the night before), all days with the same lag; what leaps from one day to the next is
+held against what differs before and after, whatever signal explains it. A day is UTC's, of one trace.
 """
 
 from collections import Counter
@@ -30,11 +30,11 @@ MIN_EXPLAINED = 0.6
 MIN_DRIVEN_SHARE = 0.3
 """Of the greatest range of what warms the machine, that a day must have for its gain to be known."""
 GAIN_RATIO = 1.5
-"""Between two groups of days, of the gains nearest to one another, from which they are no two days of one machine."""
+"""Between the nearest gains before and after a leap, from which they are no two days of one machine."""
 LEVEL_STEP = 25.0
-"""degC between two groups of days, at the levels nearest to one another, the same: no weather makes it overnight."""
+"""degC between the nearest levels before and after a leap, the same: no weather makes it overnight."""
 WITHIN_RATIO = 3.0
-"""A group of days lies so many times as far from the other as its own days lie from one another."""
+"""The days after a leap lie so many times as far from those before as either lie from one another."""
 GAIN_MISFIT, LEVEL_MISFIT, LEVEL_MISFIT_DEGC = 0.15, 0.12, 5.0
 """By which gain, and level, may differ from what another unit makes of the other days'."""
 REVERSED_LOAD_RATIO = 20.0
