@@ -20,6 +20,7 @@ from sim.artefacts import (
 from sim.files import ArtefactError
 from sim.lab.formats import find_model, save
 from sim.plant.scenarios import scenario
+from sim.sha import Alphabet, Switch
 from tests.cli.support import decanter, misused, only_object, refused
 from tests.cli.test_diagnose import kept
 from tests.discrepancy_report.made_diagnoses import of
@@ -102,12 +103,26 @@ def test_a_drift_that_nobody_looked_at_is_not_called_none(model: Path, tmp_path:
         )
         assert said.exit_code == 0, said.stderr
         assert f"not due: drift was not looked at: {reason}" in said.stdout
+    short = guarded(tmp_path / "short.sqlite", 0, error=None, limit=None)
+    with reading(short) as connection:
+        known = two_modes()
+        levels = tuple(channel for channel in known.alphabet.channels if not isinstance(channel, Switch))
+        mute = replace(known, alphabet=Alphabet(levels, gap=150.0))
+        said_of = recorded_drift(connection, short, machine=None, model=mute)
+        assert said_of.not_looked_at.endswith("has no switch, so nothing says when a cycle begins")
+        assert "with 20 readings or more" in recorded_drift(connection, short, machine=None, model=known).why_not_due()
+    plain = only_object(
+        decanter(
+            "diagnose", "--model", store, "--if-drifting", "--out", tmp_path / "o", "--historian", never, "--json"
+        ).stdout
+    )
+    assert plain["due"] is False and plain["drift_not_looked_at"].startswith("the newest hour of")
 
 
 def test_a_schedule_diagnoses_only_while_the_drift_alarm_stands(model: Path, tmp_path: Path) -> None:
     calm, drifting = guarded(tmp_path / "calm.sqlite", 2), guarded(tmp_path / "drifting.sqlite", 3)
     with reading(drifting) as connection:
-        said_of = recorded_drift(connection, drifting, machine=None, temperature="TCuscinettiRiduttore")
+        said_of = recorded_drift(connection, drifting, machine=None, model=two_modes())
         assert said_of == RecordedDrift(3, 3), "a former release does not say from how many on"
     store = tmp_path / "store"
     promote(store, save(store, find_model(str(model)).runnable(), created=1.0))

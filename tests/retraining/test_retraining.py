@@ -702,7 +702,8 @@ def test_the_commands_show_cycles_and_family_and_make_a_version_again(
     assert sum(count for filled, count in drawn if filled) == len(rows)
     assert sum(count for filled, count in drawn if not filled) == sum(row.name in trained for row in rows) > 0
     waiting = only_object(decanter(*given, "--if-due", "--after", 30, "--json").stdout)
-    assert waiting == {"ok": True, "due": False, "cycles": 0}
+    unseen = f"{historian} has no model of {TEMPERATURE}"
+    assert waiting == {"ok": True, "due": False, "cycles": 0, "drift_not_looked_at": unseen}
     refused(
         decanter("model", "version", "cycles", tmp_path / "none"),
         2,
@@ -723,7 +724,8 @@ def test_a_timer_retrains_on_its_own_bearings_drift_alarm_and_waits_without_a_re
     def due(*more: object) -> dict[str, Any]:
         return only_object(decanter(*given, "--json", *more).stdout)
 
-    assert due() == {"ok": True, "due": False, "cycles": CYCLES - 1}, "never retrained is no reason"
+    unseen = {"drift_not_looked_at": f"{path} has no model of {TEMPERATURE}"}
+    assert due() == {"ok": True, "due": False, "cycles": CYCLES - 1} | unseen, "never retrained is no reason"
     monkeypatch.setattr("time.time", lambda: begin + 3 * 86_400.0)
     assert due("--every", 4)["due"] is False, "the version was made three days ago"
     said = decanter(*given, "--every", 2).stdout

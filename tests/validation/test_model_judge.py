@@ -29,6 +29,7 @@ from sim.artefacts import (
 from sim.files import ArtefactError
 from sim.lab.formats import save, write_model_directory
 from sim.lab.judge import judge_learning
+from sim.lab.judge.days import judge_days
 from sim.lab.learning import Coverage
 from sim.lab.learning.calibrate import Scored, UnitScore, horizon_coverage, score_forecasts
 from sim.sha import SHA, Alphabet, Edge, Flow, Location, Model, Switch, Trace, encode_trace
@@ -126,6 +127,19 @@ def rounded_at_rest() -> Trace:
     still = half(lambda value: np.full_like(value, 20.0))
     late = still.times - still.times[0] >= 2 * DAY_S
     return with_signal(still, RUNNING, np.where(late, 0.0, still.signals[RUNNING]))
+
+
+def held_by_a_valve() -> Trace:
+    """Whole degrees of shifts with short stops, through which a valve holds the machine at 55 degC."""
+    times = np.arange(0.0, 5 * DAY_S, 30.0)
+    hours = times % DAY_S / 3600.0
+    on = (hours > 6) & (hours < 18) & (times % 1860.0 < 1800.0)
+    values, now = np.empty(times.size), 20.0
+    for row, runs in enumerate(on):
+        now = min(55.0, now + ((120.0 if runs else 20.0) - now) / 720.0)
+        values[row] = np.round(now)
+    signals = {RUNNING: on.astype(float), CURRENT: np.where(on, 150.0, 0.0), TEMPERATURE: values}
+    return Trace("held", times + 1.7e9 // DAY_S * DAY_S, signals, units={TEMPERATURE: "degC"})
 
 
 def cold_room() -> Trace:
@@ -226,13 +240,14 @@ CASES: dict[str, tuple[Callable[[], ModelVerdict], str, str]] = {
     "another machine in half of it": (
         lambda: judged(other_machine()),
         "limited",
-        "another machine, sensor or unit, or work on it?",
+        "another machine, product, sensor or unit, or work on it?",
     ),
     "a sensor that is frozen for half of it": (
         lambda: judged(half(lambda value: np.full_like(value, 33.3))),
-        "unfit",
+        "limited",
         "TCuscinettiRiduttore stands still at 33.3 through 5 whole runs",
     ),
+    "whole degrees that a valve holds": (lambda: judged(held_by_a_valve()), "fit", ""),
     "a greasing, and warmer days": (lambda: judged(greased()), "fit", ""),
     "whole degrees at rest for half of it": (lambda: judged(rounded_at_rest()), "fit", ""),
     "tenths of a degree": (
@@ -455,6 +470,74 @@ def test_a_mean_against_its_cycles_is_neither_worse_nor_better() -> None:
     own = with_units([*([0.45] * 13), 5.0])
     found = compare_verdicts(judged(coverage=own), judged(coverage=with_units(runs)), "degC", "")
     assert found.kept is None and "0.775 against 0.5 °C at 60 s over 14 cycles or days (p 0.0055)" in found.sentence
+
+
+def days_said(*traces: Trace) -> tuple[bool | None, str]:
+    return judge_days(MODEL, [encode_trace(replace(each, events=()), MODEL.alphabet) for each in traces])
+
+
+def by_turns() -> Trace:
+    """Two days of a product that warms half as much, by turns with two of another."""
+    whole = record(8)
+    warm = whole.signals[TEMPERATURE]
+    late = (whole.times - whole.times[0]) // DAY_S % 4 >= 2
+    return with_signal(whole, TEMPERATURE, np.where(late, 20.0 + (warm - 20.0) / 2.0, warm))
+
+
+def half_the_load() -> Trace:
+    """A record whose second half draws 0.4 of the current, and warms by 0.4 of the degrees."""
+    whole = half(lambda value: 20.0 + 0.4 * (value - 20.0))
+    return with_signal(whole, CURRENT, half(lambda value: 0.4 * value, CURRENT).signals[CURRENT])
+
+
+@pytest.mark.parametrize("made", [by_turns, half_the_load, greased])
+def test_days_of_another_load_or_product_by_turns_are_of_one_machine(made: Callable[[], Trace]) -> None:
+    kept, said = days_said(made())
+    assert kept and "days contradicts the others" in said
+
+
+def test_another_season_is_no_other_machine() -> None:
+    cold, warm = record(4), record(4)
+    warm = with_signal(warm, TEMPERATURE, warm.signals[TEMPERATURE] + 30.0)
+    kept, said = days_said(cold, replace(warm, name="june", times=warm.times + 200 * DAY_S))
+    assert kept and "days contradicts the others" in said
+
+
+def test_a_machine_that_is_washed_hot_at_rest_has_no_switch_upside_down() -> None:
+    whole = half(lambda value: np.where(value < 35.0, 80.0, value), days=6)
+    assert "upside down" not in days_said(whole)[1]
+    assert "upside down" not in judge_days(switch_alone(), [encode_trace(whole, switch_alone().alphabet)])[1]
+
+
+def test_the_worst_that_is_said_of_any_machine_counts_and_names_it() -> None:
+    other = replace(other_machine(), machine="first", name="first")
+    fahrenheit = replace(half(lambda value: 1.8 * value + 32.0), machine="second", name="second")
+    for traces in ((other, fahrenheit), (fahrenheit, other)):
+        kept, said = days_said(*traces)
+        assert kept is False and said.startswith("second: on ") and "are the latter degrees Fahrenheit?" in said
+
+
+def test_a_machine_that_never_stops_is_not_said_to_be_anything_without_its_load() -> None:
+    whole = half(lambda value: 1.8 * value + 32.0)
+    loaded = with_signal(whole, CURRENT, whole.signals[CURRENT] + 100.0)
+    kept, said = days_said(with_signal(loaded, RUNNING, np.ones(loaded.times.size)))
+    assert kept is False and f"where {CURRENT} is 100" in said and "degrees Fahrenheit" in said
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("row", [7200.0, DAY_S, 3 * DAY_S])
+def test_days_that_nothing_was_held_against_are_not_said_to_agree(row: float) -> None:
+    times = np.arange(0.0, 40 * row, row)
+    signals = {
+        RUNNING: times // row % 2,
+        CURRENT: times // row % 2 * 150.0,
+        TEMPERATURE: 20.0 + times // row % 2 * 30.0,
+    }
+    kept, said = days_said(Trace("rare", times + 1.7e9, signals, units={TEMPERATURE: "degC"}))
+    assert kept and said.startswith("not looked at: no machine has two days in a row")
+    noise = np.random.default_rng(0).normal(size=record().times.size)
+    kept, said = days_said(with_signal(record(), TEMPERATURE, 40.0 + noise))
+    assert kept and said.startswith("not looked at: no switch or level signal explains 60%")
 
 
 def warming_days(count: int) -> list[Trace]:

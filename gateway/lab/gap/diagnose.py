@@ -243,10 +243,14 @@ def diagnose(
         model = require_model(request, column_map)
         if historian is not None and if_drifting:
             with reading(historian) as connection:
-                drift = recorded_drift(connection, historian, machine=machine, temperature=model.temperature)
+                drift = recorded_drift(connection, historian, machine=machine, model=model)
             if not drift.stands:
                 said = f"not due: {drift.why_not_due()}"
-                conclude(CommandResult({"due": False, "drifting": drift.cycles}), lambda _: [said], as_json=as_json)
+                conclude(
+                    CommandResult({"due": False, "drifting": drift.cycles} | drift.as_plain()),
+                    lambda _: [said],
+                    as_json=as_json,
+                )
                 return
         if historian is None:
             traces, column_map = load(sources, map_name)

@@ -5,6 +5,7 @@ import sqlite3
 from dataclasses import dataclass
 from pathlib import Path
 
+from gateway.machine.model import MIN_CYCLE_READINGS, make_drift_rule
 from gateway.settings import AlarmSection
 from gateway.store import newest_scan, stored_rows
 from sim.artefacts import (
@@ -47,27 +48,37 @@ class RecordedDrift:
             return f"drift was not looked at: {self.not_looked_at}"
         return f"the free run was beyond its limit on {self.cycles} cycles running, fewer than {self.alarm_cycles}"
 
+    def as_plain(self) -> dict[str, str]:
+        """What a result says beside "not due" where drift was not looked at."""
+        return {"drift_not_looked_at": self.not_looked_at} if self.not_looked_at else {}
+
 
 def recorded_drift(
-    connection: sqlite3.Connection, historian: Path, *, machine: str | None, temperature: str
+    connection: sqlite3.Connection, historian: Path, *, machine: str | None, model: Model
 ) -> RecordedDrift:
-    """The guards' last word about the model of a `temperature`, in the newest hour of the `historian` that is open.
+    """The guards' last word about the `model` of a temperature, in the newest hour of the `historian` that is open.
 
     Raises HistorianError, or ValueError where the historian has no scan yet.
     """
     last = newest_scan(connection, machine=machine)
     if last is None:
         raise ValueError(f"{historian}: this historian has no scan yet; let the gateway run first")
+    temperature = model.temperature
     rows = stored_rows(connection, "guards", ("time", "content"), last - HOUR, machine=machine, temperature=temperature)
     said = json.loads(rows[-1][1] or "{}").get("drift", {}) if rows else {}
     # A gateway of a former release does not say from how many cycles on its alarm comes.
     alarm = said.get("alarm_cycles", AlarmSection.model_fields["drift_cycles"].default)
     cycles = int(said.get("cycles", 0))
     reason = ""
-    if not rows:
+    if make_drift_rule(model, None) is None:
+        reason = f"the model of {temperature} has no switch, so nothing says when a cycle begins"
+    elif not rows:
         reason = f"the newest hour of {historian} has nothing of a model of {temperature}"
     elif not cycles and said.get("error") is None:
-        reason = "no whole cycle has been judged; one goes from a start of the machine to the next"
+        reason = (
+            f"no whole cycle has been judged; one goes from a start of the machine to the next, with "
+            f"{MIN_CYCLE_READINGS} readings or more"
+        )
     return RecordedDrift(cycles, int(alarm), reason)
 
 

@@ -70,7 +70,8 @@ def retrain_command(
     trials, score_limit = search or (0, None)
     begin = time.process_time()
     with sentences(), progress("retraining") as bar, interruptible(bar) as report:
-        temperature = load_version(store).temperature
+        model = load_version(store)
+        temperature = model.temperature
         with reading(historian) as connection:
             known = dict(machines(connection))
             last = newest_scan(connection, machine=machine)
@@ -79,7 +80,7 @@ def retrain_command(
             name = machine if machine is not None else next(iter(known))
             drift = RecordedDrift(0, 0, f"{historian} has no model of {temperature}")
             if if_due and temperature in known[name]:
-                drift = recorded_drift(connection, historian, machine=name, temperature=temperature)
+                drift = recorded_drift(connection, historian, machine=name, model=model)
         request = RetrainingRequest(
             store=store,
             historian=historian,
@@ -124,7 +125,11 @@ def retrain_command(
                     # For a timer that is no mistake: it comes again.
                     said = f"not yet: {reason}, but {fresh} new cycles are too few; it takes {MIN_NEW_CYCLES}"
                 if not reason or fresh < MIN_NEW_CYCLES:
-                    conclude(CommandResult({"due": False, "cycles": cut}), lambda _: [said], as_json=as_json)
+                    conclude(
+                        CommandResult({"due": False, "cycles": cut} | drift.as_plain()),
+                        lambda _: [said],
+                        as_json=as_json,
+                    )
                     return
             found = retrain(request, library, source, report=report, clock=time.time)
     place = folder / REPORTS / f"{found.study:04d}"
