@@ -71,10 +71,18 @@ function askingRows(rows) {
   const asking = rows.map((each) => (each.cut ? { ...each, level: "unknown" } : each)).filter((each) => rank(each) >= rank({ level: "attention" }));
   if (rows.length <= SEEN_AT_ONCE || !asking.length) return null;
   asking.sort((a, b) => rank(b) - rank(a) || excess(b) - excess(a) || soonest(a) - soonest(b));
+  // Under a pointer or the focus nothing changes its place: what is clicked is what was aimed at.
+  if (document.querySelector(".asking:is(:hover, :focus-within)")) {
+    const place = (each) => { const at = order.indexOf(keyOf(each)); return at < 0 ? Infinity : at; };
+    asking.sort((a, b) => (place(a) === place(b) ? 0 : place(a) - place(b)));
+  }
+  order = asking.map(keyOf);
   return h("ul", { class: "asking", "data-key": "asking", "aria-label": say("plant.asking") }, asking.slice(0, MOST_ASKING).map(({ name, machine, row, level, alarms, cut }) => h("li", { "data-key": `${name} ${row.tag}` },
     h("a", { href: `#/machine/${encodeURIComponent(name)}` }, sign(level), h("span", {}, h("b", {}, machine.label), ` ${row.label}: ${why(row, alarms, cut)}`)))),
     asking.length > MOST_ASKING && h("li", {}, `+ ${asking.length - MOST_ASKING}`));
 }
+let order = [];
+const keyOf = ({ name, row }) => `${name} ${row.tag}`;
 const excess = ({ row, cut }) => (cut || row.value === null ? 0 : Math.max(row.value - row.limit, 0));
 const soonest = ({ machine, row }) => forecastOf(machine, row.tag).forecast?.block.minutes_median ?? Infinity;
 // What it asks for something by: that it is not known or above its limit, its worst alarm, or when it is at its limit.
