@@ -1,5 +1,6 @@
 """What the page says in words: sentences from a status, in three languages from one table."""
 
+import asyncio
 import errno
 import re
 import tomllib
@@ -31,6 +32,7 @@ from sim.phrase import Phrase
 from tests.gateway.status_picture import alarm, picture, tag
 from tests.gateway.support import EPOCH, TEMPERATURE
 from tests.page.served import page_views
+from tests.rig.habit_wires import TAGS, Habit, driven
 
 WORDS = all_words()
 LABELS = {TEMPERATURE: "gearbox bearing", "decanter": "Decanter 2"}
@@ -338,6 +340,20 @@ def test_what_drivers_say_has_words_in_each_language() -> None:
         assert WORDS["it"].reason(strange) == ""
 
 
+async def test_a_plc_that_fell_silent_is_said_in_each_language() -> None:
+    told = set()
+    for most in (1, 3):
+        rule = {"max_failures": most, "attempts": 1, "backoff_first": 5.0, "backoff_cap": 5.0}
+        async with asyncio.timeout(60), driven(Habit(quiet=1e6), **rule) as driver:
+            while not driver.statistics()["dead_peers"]:
+                told |= {sample.reason for sample in await driver.read([TAGS[5]])}
+                await asyncio.sleep(0.01)
+            told |= {sample.reason for sample in await driver.read([TAGS[5]])}
+    assert any("the peer is dead: 1 " in text for text in told) and any("exchanges in a row" in text for text in told)
+    for text in filter(None, told):
+        assert WORDS["de"].reason(text) and WORDS["it"].reason(text), text
+
+
 def test_a_sentence_with_a_hint_is_not_torn() -> None:
     number = "the device sent nan"
     assert WORDS["de"].reason(number) == "das Gerät hat nan gesendet"
@@ -362,7 +378,8 @@ def test_the_sentences_that_are_put_into_words_are_those_of_the_drivers() -> Non
     said = "".join(file.read_text(encoding="utf-8") for home in homes for file in home.rglob("*.py"))
     said = re.sub(r"\\(.)", r"\1", re.sub(r'"\s*\n\s*f?"', "", said))
     # Those of the C library, and those that a driver makes of two: the test above has such as they are made.
-    apart = {"refused", "no_route", "no_network", "reset", "closed_within", "no_reply_late", "too_low", "too_high"}
+    apart = {"refused", "no_route", "no_network", "reset", "closed_within", "too_low", "too_high"}
+    apart |= {"no_reply_late", "dead_peer", "dead_peer_once"}
     for key, text in WORDS["en"].texts.items():
         name = key.removeprefix("reason.")
         if name != key and name not in apart:
