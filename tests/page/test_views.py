@@ -343,7 +343,7 @@ def test_what_drivers_say_has_words_in_each_language() -> None:
 async def test_a_plc_that_fell_silent_is_said_in_each_language() -> None:
     told = set()
     for most in (1, 3):
-        rule = {"max_failures": most, "attempts": 1, "backoff_first": 5.0, "backoff_cap": 5.0}
+        rule: dict[str, Any] = {"max_failures": most, "attempts": 1, "backoff_first": 5.0, "backoff_cap": 5.0}
         async with asyncio.timeout(60), driven(Habit(quiet=1e6), **rule) as driver:
             while not driver.statistics()["dead_peers"]:
                 told |= {sample.reason for sample in await driver.read([TAGS[5]])}
