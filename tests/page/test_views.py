@@ -1,5 +1,6 @@
 """What the page says in words: sentences from a status, in three languages from one table."""
 
+import asyncio
 import errno
 import re
 import tomllib
@@ -15,7 +16,9 @@ import gateway.machine
 import gateway.outside.texts
 import gateway.outside.web
 from drivers.codec import judge
-from drivers.modbus.wire import no_connection
+from drivers.errors import DeviceException
+from drivers.modbus.verify import EXCEPTIONS, check_reply, parse_request
+from drivers.modbus.wire import LATE, no_connection
 from drivers.tag import Tag
 from gateway.outside.panel import status_rows
 from gateway.outside.status import read_status
@@ -29,6 +32,7 @@ from sim.phrase import Phrase
 from tests.gateway.status_picture import alarm, picture, tag
 from tests.gateway.support import EPOCH, TEMPERATURE
 from tests.page.served import page_views
+from tests.rig.habit_wires import TAGS, Habit, driven
 
 WORDS = all_words()
 LABELS = {TEMPERATURE: "gearbox bearing", "decanter": "Decanter 2"}
@@ -312,6 +316,7 @@ def test_what_drivers_say_has_words_in_each_language() -> None:
         f"not connected: {no_connection('10.0.0.7:502', OSError(errno.EHOSTUNREACH, 'No route to host'), None)}",
         "2.0 s ago holding:100 count 12: no reply within 0.3 s",
         "has not moved for 61 s (limit 60 s)",
+        "holding:0 count 2: no reply within 0.15 s" + LATE.format(0.25),
     ]
     assert [WORDS["de"].reason(text) for text in said] == [
         "151,5 degC liegt über dem größten glaubhaften Wert 150",
@@ -320,6 +325,8 @@ def test_what_drivers_say_has_words_in_each_language() -> None:
         "nicht verbunden: 10.0.0.7:502 verbindet sich nicht: kein Weg zum Gerät",
         "vor 2,0 s holding:100 count 12: keine Antwort innerhalb von 0,3 s",
         "hat sich seit 61 s nicht bewegt (Grenze 60 s)",
+        "holding:0 count 2: keine Antwort innerhalb von 0,15 s (eine kam 0,25 s nach der Anfrage, zu spät: "
+        "ein längeres timeout angeben)",
     ]
     assert [WORDS["en"].reason(text) for text in said] == said
     # What nobody has put into words is not cut to fit.
@@ -333,12 +340,46 @@ def test_what_drivers_say_has_words_in_each_language() -> None:
         assert WORDS["it"].reason(strange) == ""
 
 
+async def test_a_plc_that_fell_silent_is_said_in_each_language() -> None:
+    told = set()
+    for most in (1, 3):
+        rule: dict[str, Any] = {"max_failures": most, "attempts": 1, "backoff_first": 5.0, "backoff_cap": 5.0}
+        async with asyncio.timeout(60), driven(Habit(quiet=1e6), **rule) as driver:
+            while not driver.statistics()["dead_peers"]:
+                told |= {sample.reason for sample in await driver.read([TAGS[5]])}
+                await asyncio.sleep(0.01)
+            told |= {sample.reason for sample in await driver.read([TAGS[5]])}
+    assert any("the peer is dead: 1 " in text for text in told) and any("exchanges in a row" in text for text in told)
+    for text in filter(None, told):
+        assert WORDS["de"].reason(text) and WORDS["it"].reason(text), text
+
+
+def test_a_sentence_with_a_hint_is_not_torn() -> None:
+    number = "the device sent nan"
+    assert WORDS["de"].reason(number) == "das Gerät hat nan gesendet"
+    hint = "; the words look swapped: as CDAB it reads 45.12"
+    high = judge(Tag("T", "holding:0", high=150.0, unit="degC"), 151.5)[1]
+    for whole in (number, "the device sent 1e+38", high):
+        assert WORDS["de"].reason(whole) and not WORDS["de"].reason(whole + hint)
+
+
+def test_an_exception_is_said_in_the_readers_language_alone() -> None:
+    question = parse_request(bytes.fromhex("00010000000601030064000c"))
+    for code in EXCEPTIONS:
+        with pytest.raises(DeviceException) as refused:
+            check_reply(question, bytes((0, 1, 0, 0, 0, 3, 1, 0x83, code)))
+        for language in ("de", "it"):
+            told = WORDS[language].reason(str(refused.value))
+            assert told and EXCEPTIONS[code][0] not in told, str(refused.value)
+
+
 def test_the_sentences_that_are_put_into_words_are_those_of_the_drivers() -> None:
     homes = [Path(module.__file__ or "").parent for module in (drivers, gateway.machine)]
     said = "".join(file.read_text(encoding="utf-8") for home in homes for file in home.rglob("*.py"))
     said = re.sub(r"\\(.)", r"\1", re.sub(r'"\s*\n\s*f?"', "", said))
     # Those of the C library, and those that a driver makes of two: the test above has such as they are made.
     apart = {"refused", "no_route", "no_network", "reset", "closed_within", "too_low", "too_high"}
+    apart |= {"no_reply_late", "dead_peer", "dead_peer_once"}
     for key, text in WORDS["en"].texts.items():
         name = key.removeprefix("reason.")
         if name != key and name not in apart:

@@ -34,6 +34,7 @@ class Habit:
     """A device with one habit or several: registers 0 to 7 hold their own numbers.
 
     `moving`: those that are not written hold another number, of the same remainder by 8, in each answer (`held`).
+    `behind`: of so many answers one is kept back until the next question, and sent before that one's answer.
     """
 
     quiet: float = 0.0
@@ -46,6 +47,7 @@ class Habit:
     beside: int | None = None
     lead: bytes = b""
     late: float = 0.0
+    behind: int = 0
     echo: bool = False
     hidden: bool = False
     single: bool = False
@@ -101,7 +103,7 @@ class Habit:
         )
 
     async def serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        born = asyncio.get_running_loop().time()
+        born, kept = asyncio.get_running_loop().time(), b""
         try:
             while True:
                 head = await reader.readexactly(1 if self.serial else 7)
@@ -122,7 +124,11 @@ class Habit:
                 number = head[:2] if self.transaction is None else self.transaction.to_bytes(2, "big")
                 if self.beside is not None:
                     writer.write(_headed(number, bytes((self.beside,)) + pdu[:2] + bytes(len(pdu) - 2)))
-                writer.write(_headed(number, unit + pdu))
+                if self.behind and not kept and len(self.requests) % self.behind == 0:
+                    kept = _headed(number, unit + pdu)
+                    continue
+                writer.write(kept + _headed(number, unit + pdu))
+                kept = b""
                 if self.ends_connections:
                     writer.close()
                     return

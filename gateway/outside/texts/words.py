@@ -11,7 +11,13 @@ from gateway.settings import ALARM_KINDS
 from sim.phrase import translate
 
 _NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:e[+-]?\d+)?")
-_FIGURE = re.compile(rf"{_NUMBER.pattern}(?: [^ .]+)?")
+_FIGURE = re.compile(rf"{_NUMBER.pattern}(?: [^ .;:,()]+)?")
+_PARTS = {
+    **dict.fromkeys(("time", "late", "code", "count"), _NUMBER.pattern),
+    **dict.fromkeys(("value", "limit", "step"), _FIGURE.pattern),
+    "number": rf"{_NUMBER.pattern}|-?inf|nan",
+}
+"""What stands in a driver's sentence in the place of this name; of any other name it is any text."""
 LONGEST_REASON = 400
 """Letters of a sentence that is put into words."""
 LANGUAGES = ("en", "it", "de")
@@ -91,8 +97,8 @@ def _reason_patterns() -> tuple[tuple[str, re.Pattern[str]], ...]:
 
 
 def _any_part(place: re.Match[str]) -> str:
-    # Seconds and the like are numbers: a sentence of another kind is not cut to fit.
-    return rf"(?P<{place[1]}>{_NUMBER.pattern if place[1] == 'time' else '.+?'})"
+    # A number is a number, and no hint behind it: a sentence of another kind is not cut to fit.
+    return rf"(?P<{place[1]}>{_PARTS.get(place[1], '.+?')})"
 
 
 @cache

@@ -28,7 +28,7 @@ export function recent(machine, tag) {
   const reading = picture.status.values[tag];
   // A clock that was set back: what it said of later moments is not what will be.
   while (rows.times.at(-1) > picture.status.time) rows.times.pop(), rows.values.pop();
-  if (reading && reading.time > (rows.times.at(-1) ?? -Infinity)) {
+  if (reading && reading.time <= picture.status.time && reading.time > (rows.times.at(-1) ?? -Infinity)) {
     rows.times.push(reading.time);
     rows.values.push(reading.quality === "GOOD" ? reading.value : null);
     const oldest = reading.time - HISTORY_S * picture.status.speed;

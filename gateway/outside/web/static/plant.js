@@ -67,18 +67,30 @@ const figures = ({ name, row, cut }) => [
 // first and of these the soonest: which it is needs no search.
 const SEEN_AT_ONCE = 2, MOST_ASKING = 5;
 function askingRows(rows) {
-  const asking = rows.filter((each) => !each.cut && rank(each) >= rank({ level: "attention" }));
+  // Of one that nothing is heard of nothing is known: it stays, as that.
+  const asking = rows.map((each) => (each.cut ? { ...each, level: "unknown" } : each)).filter((each) => rank(each) >= rank({ level: "attention" }));
   if (rows.length <= SEEN_AT_ONCE || !asking.length) return null;
-  asking.sort((a, b) => rank(b) - rank(a) || soonest(a) - soonest(b));
-  return h("ul", { class: "asking", "data-key": "asking", "aria-label": say("plant.asking") }, asking.slice(0, MOST_ASKING).map(({ name, machine, row, level, alarms }) => h("li", { "data-key": `${name} ${row.tag}` },
-    h("a", { href: `#/machine/${encodeURIComponent(name)}` }, sign(level), h("span", {}, h("b", {}, machine.label), ` ${row.label}: ${why(row, alarms)}`)))),
+  asking.sort((a, b) => rank(b) - rank(a) || excess(b) - excess(a) || soonest(a) - soonest(b));
+  // Under a pointer or the focus nothing changes its place: what is clicked is what was aimed at.
+  if (document.querySelector(".asking:is(:hover, :focus-within)")) {
+    const place = (each) => { const at = order.indexOf(keyOf(each)); return at < 0 ? Infinity : at; };
+    asking.sort((a, b) => (place(a) === place(b) ? 0 : place(a) - place(b)));
+  }
+  order = asking.map(keyOf);
+  return h("ul", { class: "asking", "data-key": "asking", "aria-label": say("plant.asking") }, asking.slice(0, MOST_ASKING).map(({ name, machine, row, level, alarms, cut }) => h("li", { "data-key": `${name} ${row.tag}` },
+    h("a", { href: `#/machine/${encodeURIComponent(name)}` }, sign(level), h("span", {}, h("b", {}, machine.label), ` ${row.label}: ${why(row, alarms, cut)}`)))),
     asking.length > MOST_ASKING && h("li", {}, `+ ${asking.length - MOST_ASKING}`));
 }
+let order = [];
+const keyOf = ({ name, row }) => `${name} ${row.tag}`;
+const excess = ({ row, cut }) => (cut || row.value === null ? 0 : Math.max(row.value - row.limit, 0));
 const soonest = ({ machine, row }) => forecastOf(machine, row.tag).forecast?.block.minutes_median ?? Infinity;
 // What it asks for something by: that it is not known or above its limit, its worst alarm, or when it is at its limit.
-function why(row, alarms) {
+function why(row, alarms, cut) {
+  if (cut) return say("word.unknown");
   if (row.level === "alarm" || row.level === "unknown") return row.when[1];
-  return alarms.find((alarm) => alarm.section === "standing")?.title ?? `${say("when.title")} ${row.when[0]}`;
+  const standing = alarms.filter((alarm) => alarm.section === "standing"), worst = standing.find((alarm) => alarm.level === worstLevel(standing));
+  return worst?.title ?? `${say("when.title")} ${row.when[0]}`;
 }
 
 const aboveRows = (...parts) => parts.some(Boolean) && h("div", { class: "above", "data-key": "above" }, parts);
