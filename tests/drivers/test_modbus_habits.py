@@ -78,7 +78,7 @@ async def test_who_answers_as_another_unit_is_known_by_the_transaction_id_and_no
 async def test_a_late_answer_of_another_unit_is_no_later_questions(settings: dict[str, Any]) -> None:
     habit = Habit(unit=255, behind=3, moving=True)
     good = 0
-    async with asyncio.timeout(60), driven(habit, answers_as=255, attempts=1, **settings) as driver:
+    async with asyncio.timeout(300), driven(habit, answers_as=255, attempts=1, **settings) as driver:
         # One kept back is late however slow this machine is; the others are answered at once.
         while good < 60 or not driver.statistics()["timeouts"]:
             await asyncio.sleep(0.001)
@@ -114,7 +114,7 @@ async def test_silence_to_all_of_a_block_costs_that_block_alone(
     habit = Habit(serial=serial, silent_at=place, even=even)
     tags = [tag for number, tag in enumerate(TAGS) if number not in left_out]
     more = {"longest_reply": 0.2} if serial else {}
-    async with asyncio.timeout(60), driven(habit, refused_first=600.0, refused_cap=600.0, **limits, **more) as driver:
+    async with asyncio.timeout(300), driven(habit, refused_first=600.0, refused_cap=600.0, **limits, **more) as driver:
         while not any(sample.quality is Quality.CONFIGURATION_ERROR for sample in await driver.read(tags)):
             pass
         asked = len(habit.requests)
@@ -303,7 +303,7 @@ async def walk(together: Together, link: str, folder: Path) -> None:
     async with driven(habit, link, folder, **together.settings(link)) as driver:
         found = await values(driver, lambda found: found.count(None) == len(lost))
         assert {place for place, value in enumerate(found) if value is None} == lost
-        async with asyncio.timeout(60):
+        async with asyncio.timeout(300):
             while True:
                 try:
                     await driver.write([(TAGS[0], 100), (TAGS[1], 101)])
