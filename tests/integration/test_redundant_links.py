@@ -11,7 +11,9 @@ from tests.rig.stalls import STILL_S, TRIES
 COUNT = 6
 SLACK_S = 0.5
 """What a busy test machine may add; the benchmark states the times of a quiet one."""
-LONGEST_GAP_S = PERIOD + TIMEOUT_S + SWITCH_AFTER_S + SLACK_S
+QUIET_GAP_S = PERIOD + TIMEOUT_S + SWITCH_AFTER_S
+"""Without a good reading on a computer that has time; in a longer one the machine may switch twice, unseen."""
+LONGEST_GAP_S = QUIET_GAP_S + SLACK_S
 
 
 def test_switch_overs_under_load_lose_no_event_double_none_and_repeat_no_block(tmp_path: Path) -> None:
@@ -24,7 +26,7 @@ def test_switch_overs_under_load_lose_no_event_double_none_and_repeat_no_block(t
 
 
 def measured_in_time(folder: Path) -> Outcome:
-    """The outcome of the switch-overs, made again where they took too long on a computer that stood still meanwhile.
+    """The outcome of the switch-overs, made again where a busy computer stood still or let the gateway wait meanwhile.
 
     What is real time no gateway can keep there; no wrong value is good, whatever the computer does.
     """
@@ -33,7 +35,7 @@ def measured_in_time(folder: Path) -> Outcome:
         outcome = measure(at, COUNT, "serial")
         assert outcome.wrong_good == 0
         in_time = outcome.gap_s < LONGEST_GAP_S and (outcome.lost, outcome.doubled) == ((), ())
-        if in_time or outcome.still_s < STILL_S:
+        if in_time or (outcome.still_s < STILL_S and outcome.gap_s < QUIET_GAP_S):
             break
     return outcome
 
