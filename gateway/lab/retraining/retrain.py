@@ -107,15 +107,7 @@ def retrain_command(
                 learned = creation_time(version_directory(store, source.version))
                 age = time.time() - max(learned, (library.fact("finished") or {"at": learned})["at"])
                 limit = float("inf") if every is None else every * 86_400.0
-                ripe = due(
-                    request,
-                    library,
-                    source,
-                    after=after,
-                    drifting=drift.stands,
-                    age=age,
-                    every=limit,
-                )
+                ripe = due(request, library, source, after=after, drifting=drift.stands, age=age, every=limit)
                 reason = ripe.reason
                 fresh = len(new_cycles(library, source.model))
                 said = f"not due: {cut} cycles came; {drift.why_not_due()}; fewer than {after} that are not ordinary"
