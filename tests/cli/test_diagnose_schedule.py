@@ -116,7 +116,8 @@ def test_a_drift_that_nobody_looked_at_is_not_called_none(model: Path, tmp_path:
             "diagnose", "--model", store, "--if-drifting", "--out", tmp_path / "o", "--historian", never, "--json"
         ).stdout
     )
-    assert plain["due"] is False and plain["drift_not_looked_at"].startswith("the newest hour of")
+    assert (plain["due"], plain["drifting"]) == (False, None)
+    assert plain["drift_not_looked_at"].startswith("the newest hour of")
 
 
 def test_a_schedule_diagnoses_only_while_the_drift_alarm_stands(model: Path, tmp_path: Path) -> None:

@@ -247,7 +247,9 @@ def diagnose(
             if not drift.stands:
                 said = f"not due: {drift.why_not_due()}"
                 conclude(
-                    CommandResult({"due": False, "drifting": drift.cycles} | drift.as_plain()),
+                    CommandResult(
+                        {"due": False, "drifting": None if drift.not_looked_at else drift.cycles} | drift.as_plain()
+                    ),
                     lambda _: [said],
                     as_json=as_json,
                 )
